@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from api.reproduction.study import ideal_motion
+from api.reproduction import ideal_motion
 from bench import en15302_family
 from bench.report import BenchRow
 from estimation.contact.conicity import equivalent_conicity

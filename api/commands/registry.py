@@ -31,7 +31,6 @@ _Confirmed = Annotated[
 
 
 def _doubts(confirmed: list[Rule] | None) -> list[Rule]:
-    """Refuse rules that nobody can confirm away."""
     impossible = [one for one in confirmed or () if one not in CONFIRMABLE]
     if impossible:
         raise ParameterError(f"{impossible[0]} cannot be confirmed; what can: {_DOUBTS}", field="--confirm")

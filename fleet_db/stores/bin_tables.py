@@ -10,14 +10,14 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, and_, func, select
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.jobs.steps.running_mileage import MOST_KM
+from estimation.motion.mileage import MOST_KM
 from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTable
 from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
 from fleet_db.rows import insert_all_new, on_sections, replace, replace_all, table_of
-from fleet_db.stores.window_marks import keys_given, list_for_sums
-from fleet_db.stores.windows import NOT_PASSED_OVER, to_window_record
+from fleet_db.stores.window_rows import keys_given, list_for_sums, to_window_record
+from fleet_db.stores.windows import NOT_PASSED_OVER
 from fleet_db.subjects import Subjects
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 

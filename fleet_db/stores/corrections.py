@@ -29,9 +29,8 @@ from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import columns_of, delete_row, row_of, table_of
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore, stands_voided
-from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.sensor_changes import SensorChangeStore, sensor_change_of
-from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS
+from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS, make_stale
 from fleet_db.stores.tracks import TrackStore, give_up_number
 from fleet_db.stores.vehicle_classes import find_class
 from fleet_db.stores.wheelset_events import MEASURED, MOUNTINGS, REPROFILINGS, stored_measurement

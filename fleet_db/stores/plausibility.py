@@ -32,11 +32,11 @@ from estimation.values.windows import (
     WindowMark,
     WindowState,
 )
-from fleet_db.due import is_due, list_due
+from fleet_db.due import BATCH, is_due, list_due
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import by_wheelset, replace_all, table_of
-from fleet_db.stores.window_marks import BATCH, keys_given
-from fleet_db.stores.windows import WindowStore, implausible_reason
+from fleet_db.stores.window_rows import implausible_reason, keys_given
+from fleet_db.stores.windows import WindowStore
 from fleet_db.tables.recordings import ChunkRow
 from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import WindowRow

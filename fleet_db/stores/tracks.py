@@ -30,7 +30,7 @@ from fleet_db.read_once import ReadOnce
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import columns_of, null_if_nan, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
-from fleet_db.stores.section_windows import make_stale
+from fleet_db.stores.stale_spans import make_stale
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.window_positions import forget_positions, positions_of, put_positions
 from fleet_db.subjects import Subjects

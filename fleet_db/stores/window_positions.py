@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from sqlalchemy import Connection, delete, select
 
 from estimation.values.windows import WindowKey, WindowPosition
+from fleet_db.due import BATCH
 from fleet_db.rows import columns_of, insert_all_new, replace_all, table_of, value_of_row
-from fleet_db.stores.window_marks import BATCH, keys_given
+from fleet_db.stores.window_rows import keys_given
 from fleet_db.tables.track import WindowPositionRow
 from fleet_db.tables.windows import WindowRow
 

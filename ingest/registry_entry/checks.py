@@ -9,7 +9,7 @@ from functools import cache
 
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.errors import ProfileError
-from estimation.jobs.steps.running_mileage import most_km, running_mileage
+from estimation.motion.mileage import most_km, running_mileage
 from estimation.values.reasons import utc_text
 from estimation.values.registry import Mounting, SensorChange, WheelsetRecord
 from estimation.values.track import TrackSectionRecord

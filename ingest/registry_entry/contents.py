@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import InputError
 from estimation.values.reasons import utc_text
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
-from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
-from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.receipts import EstimatedAgain
 from fleet_db.registry_events import Decision
 from ingest.input_file import Location
+
+if TYPE_CHECKING:  # the help of a command that names rules does not wait for the numerics
+    from estimation.contact.profiles import MeasuredProfiles
+    from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
+    from estimation.vehicle.vehicle_class import VehicleClass
 
 
 class Rule(StrEnum):

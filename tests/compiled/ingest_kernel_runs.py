@@ -1,4 +1,4 @@
-"""Small inputs that run the compiled kernels between frames and stored windows; see :mod:`api.kernel_runs`."""
+"""Small inputs that run the compiled kernels between frames and stored windows; see ``kernel_runs``."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def _window_samples() -> Iterator[FloatArray]:
     slot = np.array([0, 1, 2, 4, 5, 6, 9])
     valid = np.ones((7, 4), np.bool_)
     valid[1, 2] = False
-    clipped = slot == 5  # noqa: PLR2004 - one of them
-    speed = np.where(np.arange(10) == 9, np.nan, 20.0)  # noqa: PLR2004 - the last
+    clipped = slot == 5
+    speed = np.where(np.arange(10) == 9, np.nan, 20.0)
     good, count = good_samples(slot, valid, clipped, speed, 1)
     yield np.append(good.astype(float), count)
     section = np.arange(10) // 5

@@ -1,16 +1,25 @@
 """Small inputs that run every compiled kernel of the product, every line of it, with every type of arguments.
 
-``treadwatch compile`` runs them so that the machine code is there before the first start.
+``python tests/compiled/kernel_runs.py`` writes the signatures that they have to the product: ``treadwatch compile``
+compiles these, so that the machine code is there before the first start.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import importlib
+import json
+import pkgutil
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
+import estimator_kernel_runs
+import ingest_kernel_runs
 import numpy as np
+from numba import types
+from numba.core.registry import CPUDispatcher
 
-from api import estimator_kernel_runs, ingest_kernel_runs
+from api.compiled_code import SIGNATURES
 from estimation.adhesion.creep_forces import filter_forward, smooth_back
 from estimation.adhesion.window_adhesion import add_saturated, excess_table
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel
@@ -19,8 +28,7 @@ from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.errors import ContactError
 from estimation.estimators.interface import EstimatorParameters
-from estimation.estimators.paper_algorithm import PaperAlgorithm
-from estimation.estimators.paper_equations import PaperParameters, recursion_in_bins
+from estimation.estimators.paper_algorithm import PaperAlgorithm, PaperParameters, recursion_in_bins
 from estimation.filters import local_cubic_kernel, remove_wander
 from estimation.motion.integration import integrate_once, integrate_twice, take_out_mean
 from estimation.motion.rolling_radius_difference import sample_smoothed
@@ -323,3 +331,46 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     *estimator_kernel_runs.RUNS,
     *ingest_kernel_runs.RUNS,
 )
+
+
+def recorded(kernels: Mapping[str, CPUDispatcher]) -> str:
+    """Return the signatures that kernels have by now, as the product keeps them."""
+    found = {
+        name: sorted([[_described(kind) for kind in signature] for signature in kernel.signatures], key=str)
+        for name, kernel in sorted(kernels.items())
+        if kernel.signatures
+    }
+    lines = (f"  {json.dumps(name)}: {json.dumps(signatures)}" for name, signatures in found.items())
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _described(kind: types.Type) -> object:
+    """Return a type as ``api.compiled_code`` reads it."""
+    if isinstance(kind, types.Array):
+        assert kind.layout == "C"
+        return f"{kind.dtype} {kind.ndim}" + ("" if kind.mutable else " readonly")
+    if isinstance(kind, types.BaseNamedTuple):
+        made = kind.instance_class
+        return {f"{made.__module__}.{made.__qualname__}": [_described(part) for part in kind]}
+    return [_described(part) for part in kind] if isinstance(kind, types.BaseTuple) else str(kind)
+
+
+def product_kernels() -> dict[str, CPUDispatcher]:
+    """Return every compiled function of the product, by its name."""
+    found = {}
+    for package in ("api", "ingest", "fleet_db", "estimation"):
+        for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+            if module.name.endswith(("__main__", "migrations.env")):  # both run when imported
+                continue
+            for value in vars(importlib.import_module(module.name)).values():
+                if isinstance(value, CPUDispatcher):
+                    found[f"{value.py_func.__module__}.{value.py_func.__qualname__}"] = value
+    return found
+
+
+if __name__ == "__main__":
+    results()
+    if sys.argv[1:] == ["--print"]:
+        sys.stdout.write(recorded(product_kernels()))
+    else:
+        SIGNATURES.write_text(recorded(product_kernels()), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Small inputs that run the compiled kernels of the estimators and of dampers: see ``api.kernel_runs``."""
+"""Small inputs that run the compiled kernels of the estimators and of dampers: see ``kernel_runs``."""
 
 from __future__ import annotations
 
