@@ -23,6 +23,7 @@ _Bus = Annotated[
     list[str] | None,
     typer.Option(help="CHANNEL=VEHICLE of --interface, in place of --channel and --vehicle. May be repeated."),
 ]
+_Interface = Annotated[str | None, typer.Option(help="Listen to a live bus: virtual, udp_multicast or socketcan.")]
 _Exchange = Annotated[
     list[Path] | None,
     typer.Option(help="Exchange of simulated or measured runs: a TOML file beside its table. May be repeated."),
@@ -40,9 +41,7 @@ def ingest(
     registry: Annotated[
         Path | None, typer.Option(help="Registry to load first: fleets, vehicles, wheelsets, sections.")
     ] = None,
-    interface: Annotated[
-        str | None, typer.Option(help="Listen to a live bus: virtual, udp_multicast or socketcan.")
-    ] = None,
+    interface: _Interface = None,
     channel: Annotated[str | None, typer.Option(help="Channel of the live bus, such as 239.74.163.2 or can0.")] = None,
     bus: _Bus = None,
     exchange: _Exchange = None,
