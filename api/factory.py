@@ -23,8 +23,7 @@ from estimation.alerts.rules.book import RuleBook
 from estimation.errors import InputError, MigrationError, ParameterError, StorageError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.rails_settings import KnownSection, RailsSettings
-from estimation.jobs.settings import JobSettings
+from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.numerics_version import NUMERICS_VERSION
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import Clock
@@ -46,7 +45,7 @@ from ingest.receiver import Receiver
 from ingest.stored_settings import SECOND_NS, check_window_length, claim
 from ingest.topic.client import Topic, load_properties
 from ingest.topic.publishing import Publisher
-from ingest.vehicle_class_file import class_of_package
+from ingest.vehicle_class_schema import class_of_package
 
 if TYPE_CHECKING:
     import uvicorn

@@ -13,7 +13,7 @@ from typing import Annotated, cast
 from fastapi import Depends, Request
 
 from api.access.caller import CallerDep
-from api.accuracy.contact_cache import ContactCache
+from api.accuracy import ContactCache
 from api.answers import RepresentationCache
 from api.uploads import Uploads
 from estimation.errors import BusyError, ConflictError, NotFoundError

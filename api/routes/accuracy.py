@@ -10,7 +10,7 @@ import numpy as np
 from fastapi import APIRouter, Path, Query, Response
 from pydantic import Field
 
-from api.accuracy.placed import Placed, placed_comparisons
+from api.accuracy import Placed, placed_comparisons
 from api.answers import answer_payload, table_payload
 from api.asking import AskedDep, FleetFilter, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.contract import TABLE, Accepted

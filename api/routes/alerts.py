@@ -17,7 +17,7 @@ from api.schemas import alerts
 from api.schemas.common import Body, Page
 from api.services import ServicesDep, writer_slot
 from api.visible_objects import require_known
-from estimation.alerts.actions import acknowledge, link, shelve, unshelve
+from estimation.alerts.life_cycle import acknowledge, link, shelve, unshelve
 from estimation.values.alerts import Alert, AlertScope, Condition, Severity, Transition
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.alert_queries import AlertChoice, AlertOutline

@@ -21,7 +21,7 @@ from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
 from estimation.contact.profiles import wheel_profile
 from estimation.errors import ProfileError
 from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.compared_measurements import ComparisonReader
+from estimation.jobs.steps.measured_wheelsets import ComparisonReader
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord

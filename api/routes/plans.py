@@ -17,9 +17,9 @@ from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, dis
 from api.services import ServicesDep
 from api.times import Timestamp, to_rfc3339
 from api.visible_objects import require_known
-from estimation.plans.reprofiling import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
 from estimation.values.alerts import Urgency, WorklistRow, WorklistState
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.worklist.turning_plan import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
 from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistFilter
 

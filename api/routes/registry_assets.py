@@ -26,7 +26,7 @@ from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.input_file import parse_toml
 from ingest.registry_entry.contents import RegistryContents
-from ingest.vehicle_class_file import parse_vehicle_class
+from ingest.vehicle_class_schema import parse_vehicle_class
 
 
 class VehicleChange(RegistryChange):

@@ -30,7 +30,7 @@ from estimation.vehicle.vehicle_class import (
     SensorLayout,
     VehicleClass,
 )
-from ingest.vehicle_class_file import shipped_class, shipped_classes
+from ingest.vehicle_class_schema import shipped_class, shipped_classes
 
 _UNITS: Mapping[str, str] = {
     "longitudinal_creep_coefficient": "N",

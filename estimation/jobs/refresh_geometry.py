@@ -80,11 +80,7 @@ def _inputs(geometries: RolledGeometries) -> GeometryInputs:
 
 
 def geometries_of(unit: UnitOfWork, serial: str, context: JobContext) -> RolledGeometries:
-    """Return the geometries of one wheelset, as they can be made from its roll-ups.
-
-    Args:
-        context: Settings of the estimation and version of the numerics.
-    """
+    """Return the geometries of one wheelset, as they can be made from its roll-ups."""
     rules = membership(unit, serial, ClassLookup(unit, context.settings.estimation))
     return RolledGeometries(unit, rules, rolled(unit, rules), context)
 

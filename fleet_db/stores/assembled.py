@@ -9,12 +9,10 @@ from sqlalchemy import Connection, and_, case, delete, exists, func, select, tup
 
 from estimation.errors import DamagedError
 from estimation.values.windows import HUNTING_SHARE, PassedOver, Window, WindowKey, WindowRecord
-from fleet_db import alignment_due
-from fleet_db.due import windows_changed
+from fleet_db.due import list_for_alignment, windows_changed, windows_left
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import insert_all_new, replace_all, table_of
-from fleet_db.stores.window_marks import list_for_sums, pass_over
-from fleet_db.stores.windows import to_window_record, window_values
+from fleet_db.stores.window_rows import list_for_sums, pass_over, to_window_record, window_values
 from fleet_db.subjects import Subjects
 from fleet_db.tables.recordings import ChunkRow
 from fleet_db.tables.track import WindowPositionRow
@@ -107,7 +105,7 @@ class AssembledWindowStore:
         rows = [self._row(each, recorded_ns) for each in windows]
         count = insert_all_new(self.connection, WINDOWS, rows)
         windows_changed(self.connection, [(each.window.wheelset, each.window.start_ns) for each in windows])
-        alignment_due.come(self.subjects, _sections(windows))
+        list_for_alignment(self.subjects, _sections(windows))
         return count == len(rows)
 
     def replace(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> None:
@@ -119,8 +117,8 @@ class AssembledWindowStore:
             self._touch(keys)
             replace_all(self.connection, WINDOWS, rows)
             windows_changed(self.connection, keys)
-            alignment_due.come(self.subjects, _sections(windows))
-            alignment_due.left(self.subjects, keys)
+            list_for_alignment(self.subjects, _sections(windows))
+            windows_left(self.subjects, keys)
 
     def _touch(self, keys: Sequence[WindowKey]) -> None:
         """Let jobs look again at the sections that windows are on as they are stored, and at who hunts in them."""
@@ -185,7 +183,7 @@ class AssembledWindowStore:
             self.subjects.tables(record.wheelset)
             self.subjects.windows(record.wheelset, record.vehicle if record.quality.hunting.sustained else None)
             self.subjects.places(record.track_section)
-        alignment_due.left(self.subjects, [record.key for record in removed])
+        windows_left(self.subjects, [record.key for record in removed])
         return removed
 
     def _stays(self, record: WindowRecord) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from sqlalchemy import Connection, Select, select
+from sqlalchemy import Connection, Select, or_, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
@@ -32,12 +32,9 @@ from fleet_db.stores.wheelset_events import (
     REPROFILINGS,
     add_mounting,
     changed_spans,
-    measured_profiles_of,
-    mounting_at,
+    measured_of,
     mounting_on_file,
     mountings_of,
-    mountings_on,
-    newest_measurement_of,
     reprofilings_of,
     store_measured_profiles,
     stored_measurement,
@@ -134,11 +131,21 @@ class RegistryStore:
 
     def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
         """Return which wheelset ran at an axle at a time of the vehicle's clock."""
-        return mounting_at(self.connection, vehicle, axle, at_ns)
+        statement = select(MOUNTINGS).where(
+            MOUNTINGS.c.vehicle == vehicle,
+            MOUNTINGS.c.axle == axle,
+            MOUNTINGS.c.from_ns <= at_ns,
+            or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > at_ns),
+        )
+        row = self.connection.execute(statement).first()
+        return None if row is None else value_of_row(Mounting, row)
 
     def mountings_on(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
         """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start."""
-        return mountings_on(self.connection, vehicle, from_ns, to_ns)
+        within = (MOUNTINGS.c.from_ns < to_ns, or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > from_ns))
+        statement = select(MOUNTINGS).where(MOUNTINGS.c.vehicle == vehicle, *within)
+        rows = self.connection.execute(statement.order_by(MOUNTINGS.c.axle, MOUNTINGS.c.from_ns))
+        return [value_of_row(Mounting, row) for row in rows]
 
     def mountings(self, wheelset: str) -> Sequence[Mounting]:
         """Return every mounting of a wheelset, oldest first."""
@@ -160,11 +167,14 @@ class RegistryStore:
 
     def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]:
         """Return every measurement of the profiles of a wheelset, oldest first; raises DamagedError."""
-        return measured_profiles_of(self.connection, wheelset)
+        statement = select(MEASURED).where(MEASURED.c.wheelset == wheelset).order_by(MEASURED.c.at_ns)
+        return [measured_of(row) for row in self.connection.execute(statement)]
 
     def newest_measurement_of(self, wheelsets: Collection[str]) -> Mapping[str, tuple[int, float]]:
         """Return time (ns UTC) and mileage (km) of the newest measurement of the profiles of wheelsets, by serial."""
-        return newest_measurement_of(self.connection, wheelsets)
+        statement = select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km)
+        statement = statement.where(MEASURED.c.wheelset.in_(wheelsets)).order_by(MEASURED.c.at_ns)
+        return {wheelset: (int(at_ns), float(km)) for wheelset, at_ns, km in self.connection.execute(statement)}
 
     def vehicle_class(self, code: str, version: int | None = None) -> ClassOnFile | None:
         """Return the newest version of a class, or the one given; of the package where none is registered."""
@@ -182,10 +192,7 @@ class RegistryStore:
         return [found for _, found in sorted(newest_classes(self.connection).items())]
 
     def add_vehicle_class(self, vehicle_class: VehicleClass, recorded_ns: int) -> EstimatedAgain:
-        """Add a class or a new version of it; return what is estimated again: where the motion changes, every window.
-
-        The content of the newest version again changes nothing.
-        """
+        """Add a class, or a version where its content is new; return what another motion estimates again."""
         serialise(self.connection, Subject.REGISTRY)
         before = self.vehicle_class(vehicle_class.code)
         on_file = find_class(self.connection, vehicle_class.code, None)

@@ -137,11 +137,12 @@ def _look(stage: str, seen: ColumnElement[Any]) -> Select[Any]:
 def _looks(inputs: StageInputs, now_ns: int) -> Iterator[Select[Any]]:
     """Yield statements that return a row where something is due of a stage, or its settings are others."""
     found = _look(inputs.stage, cast(null(), BigInteger))
-    if inputs.kind is SubjectKind.WINDOW:
-        yield found.where(select(DUE.c.version).where(DUE.c.stage == inputs.stage).exists())
-        yield found.where(~_with_settings(inputs).exists())
-    else:
+    if inputs.facets:
         yield found.where(_due(inputs, now_ns, None).exists())
+    else:
+        yield found.where(select(DUE.c.version).where(DUE.c.stage == inputs.stage).exists())
+    if inputs.kind is SubjectKind.WINDOW:
+        yield found.where(~_with_settings(inputs).exists())
 
 
 def _with_settings(inputs: StageInputs) -> Select[Any]:

@@ -43,7 +43,7 @@ from estimation.values.signatures import (
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.trend import SuspensionFinding, TrendRecord, WearTrend
 from estimation.values.windows import Window, WindowQuality
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 
 SECOND = 1_000_000_000
 DAY = 86_400 * SECOND

@@ -10,7 +10,7 @@ from estimation.motion.hunting import find_hunting
 from estimation.values.arrays import FloatArray
 from fleet_db.telemetry import whole_counts
 from ingest.align.cycles import by_stamps, place_frames, sync_clock_of
-from ingest.align.window_samples import between_frames, gaps_of, good_samples, gridded, on_section, range_of
+from ingest.align.samples import between_frames, gaps_of, good_samples, gridded, on_section, range_of
 
 INTERVAL_NS = 4_000_000
 

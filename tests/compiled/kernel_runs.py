@@ -28,8 +28,7 @@ from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.errors import ContactError
 from estimation.estimators.interface import EstimatorParameters
-from estimation.estimators.paper_algorithm import PaperAlgorithm
-from estimation.estimators.paper_equations import PaperParameters, recursion_in_bins
+from estimation.estimators.paper_algorithm import PaperAlgorithm, PaperParameters, recursion_in_bins
 from estimation.filters import local_cubic_kernel, remove_wander
 from estimation.motion.integration import integrate_once, integrate_twice, take_out_mean
 from estimation.motion.rolling_radius_difference import sample_smoothed

@@ -18,8 +18,7 @@ from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.errors import DamagedError
 from estimation.jobs import refresh_rails
 from estimation.jobs.job import JobContext
-from estimation.jobs.rails_settings import KnownSection, RailsSettings
-from estimation.jobs.settings import JobSettings
+from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.jobs.steps import rail_cells
 from estimation.jobs.steps.membership import Membership
 from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors

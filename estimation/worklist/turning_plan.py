@@ -104,14 +104,7 @@ _MM = 1e3
 def turning_plan(
     candidates: Sequence[Candidate], limits: DiameterLimits, now_ns: int, horizon_ns: int, together_ns: int
 ) -> list[PlanLine]:
-    """Return the plan, the earliest visit first; what cannot be assessed comes last.
-
-    Args:
-        candidates: Wheelsets in service, in any order.
-        now_ns: Our time, ns UTC; what is due already is due now.
-        horizon_ns: How far ahead is planned, ns.
-        together_ns: What becomes due within this time of a visit is turned in it, ns.
-    """
+    """Return the plan, the earliest visit first; what cannot be assessed comes last."""
     lines: list[PlanLine] = []
     ordered = sorted(candidates, key=lambda one: (one.vehicle, one.axle))
     for _, of_vehicle in groupby(ordered, key=lambda one: one.vehicle):
@@ -129,24 +122,23 @@ def turning_plan(
             turned |= visit.chosen.keys()
             radii = dict(visit.radii)
     planned = {line.candidate.serial for line in lines}
-    lines += [_not_assessed(one) for one in ordered if one.unknown is not None and one.serial not in planned]
-    return sorted(lines, key=_order)
-
-
-def _order(line: PlanLine) -> tuple[bool, int, str, int]:
-    return line.turn_by_ns is None, line.turn_by_ns or 0, line.candidate.vehicle, line.candidate.axle
-
-
-def _not_assessed(one: Candidate) -> PlanLine:
-    assert one.unknown is not None
-    return PlanLine(one, Cause.NOT_ASSESSED, None, None, one.unknown.text, None, ())
+    lines += [
+        PlanLine(one, Cause.NOT_ASSESSED, None, None, one.unknown.text, None, ())
+        for one in ordered
+        if one.unknown is not None and one.serial not in planned
+    ]
+    by_place = sorted(lines, key=lambda line: (line.candidate.vehicle, line.candidate.axle))
+    return sorted(by_place, key=lambda line: (line.turn_by_ns is None, line.turn_by_ns or 0))
 
 
 def _visits(
     wheelsets: Sequence[Candidate], now_ns: int, horizon_ns: int, together_ns: int
 ) -> list[tuple[int, list[Candidate]]]:
-    """Return the visits of a vehicle: when, and what is due then."""
-    due = [(now_ns if one.over_limit else max(one.due_ns or now_ns, now_ns), one) for one in wheelsets if _is_due(one)]
+    due = [
+        (now_ns if one.over_limit else max(one.due_ns or now_ns, now_ns), one)
+        for one in wheelsets
+        if one.over_limit or one.due_ns is not None
+    ]
     visits: list[tuple[int, list[Candidate]]] = []
     for turn_by_ns, one in sorted(due, key=lambda pair: (pair[0], pair[1].axle)):
         if turn_by_ns > now_ns + horizon_ns:
@@ -156,10 +148,6 @@ def _visits(
         else:
             visits.append((turn_by_ns, [one]))
     return visits
-
-
-def _is_due(one: Candidate) -> bool:
-    return one.over_limit or one.due_ns is not None
 
 
 @dataclass(slots=True)

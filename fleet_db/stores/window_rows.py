@@ -1,4 +1,4 @@
-"""States of windows, many at once, and what would have changed those that stay as they are."""
+"""Rows of windows: read and written, and the states of many at once."""
 
 from __future__ import annotations
 
@@ -22,14 +22,37 @@ from sqlalchemy import (
 )
 
 from estimation.errors import NotFoundError
-from estimation.values.windows import DueStage, PassedOver, WindowKey, WindowMark, WindowState
-from fleet_db.due import estimated, list_due, list_to_estimate, list_waiting
-from fleet_db.rows import reason_columns, replace_all, table_of
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import (
+    NO_BLOWS,
+    NOT_HUNTING,
+    DueStage,
+    Hunting,
+    PassedOver,
+    TurnBlows,
+    Window,
+    WindowKey,
+    WindowMark,
+    WindowQuality,
+    WindowRecord,
+    WindowState,
+)
+from fleet_db.due import BATCH, estimated, list_due, list_to_estimate, list_waiting
+from fleet_db.rows import nan_if_null, null_if_nan, reason_columns, replace_all, stored_reason, table_of
 from fleet_db.subjects import Subjects
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
-BATCH = 500  # keys in a statement
+OF_WINDOW = ("wheelset", "start_ns", "length_ns", "vehicle", "axle", "track_section")
+REALS = (
+    "coverage",
+    "longest_gap_s",
+    "clipped",
+    "invalid",
+    "speed_min_m_s",
+    "speed_max_m_s",
+    "position_quality",
+)
 
 
 def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
@@ -143,3 +166,70 @@ def _states() -> Select[Any]:
 @cache
 def _tabled() -> Select[Any]:
     return select(TABLES.c.wheelset, TABLES.c.start_ns).where(keys_given(TABLES)).order_by(*TABLES.primary_key)
+
+
+def to_window_record(row: Row[Any]) -> WindowRecord:
+    """Return the value of a row of windows."""
+    return WindowRecord(
+        wheelset=row.wheelset,
+        start_ns=row.start_ns,
+        length_ns=row.length_ns,
+        vehicle=row.vehicle,
+        axle=row.axle,
+        track_section=row.track_section,
+        mileage_km=row.mileage_km,
+        quality=WindowQuality(
+            **{name: nan_if_null(getattr(row, name)) for name in REALS},
+            gaps=row.gaps,
+            sensor_fault=row.sensor_fault,
+            hunting=_hunting(row),
+            blows=_blows(row),
+        ),
+        state=WindowState(row.state),
+        reason=stored_reason(row),
+        content_digest=row.content_digest,
+        recorded_ns=row.recorded_ns,
+        implausible=implausible_reason(row),
+        samples_purged=row.samples_purged_ns is not None,
+    )
+
+
+def implausible_reason(row: Any) -> Reason | None:  # noqa: ANN401 - a row of windows, whatever was selected
+    """Return why the mileage of a row of windows is not believed; None where it is.
+
+    Args:
+        row: With the columns ``implausible`` and ``implausible_code``.
+    """
+    return None if row.implausible_code is None else Reason(ReasonCode(row.implausible_code), row.implausible)
+
+
+def _hunting(row: Row[Any]) -> Hunting:
+    if not row.hunting_share:
+        return NOT_HUNTING
+    return Hunting(row.hunting_share, row.hunting_hz or 0.0, row.hunting_amplitude_m or 0.0)
+
+
+def _blows(row: Row[Any]) -> TurnBlows:
+    if not row.blows_share:
+        return NO_BLOWS
+    return TurnBlows(row.blows_share, row.blows_m_s2 or 0.0, row.blows_turn_m or 0.0, row.blows_side or 0)
+
+
+def window_values(window: Window, mileage_km: float) -> dict[str, object]:
+    """Return what the row of a window that waits to be estimated holds of it, without its file."""
+    return {
+        **{name: getattr(window, name) for name in OF_WINDOW},
+        "mileage_km": mileage_km,
+        **{name: null_if_nan(getattr(window.quality, name)) for name in REALS},
+        "gaps": window.quality.gaps,
+        "sensor_fault": window.quality.sensor_fault,
+        "hunting_share": window.quality.hunting.share,
+        "hunting_hz": window.quality.hunting.frequency_hz,
+        "hunting_amplitude_m": window.quality.hunting.amplitude,
+        "blows_share": window.quality.blows.share,
+        "blows_m_s2": window.quality.blows.size,
+        "blows_turn_m": window.quality.blows.turn_m,
+        "blows_side": window.quality.blows.side,
+        "state": WindowState.PENDING.value,
+        **reason_columns(None),
+    }
