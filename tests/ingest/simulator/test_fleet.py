@@ -61,7 +61,7 @@ def test_the_bus_carries_the_vehicle_clock_exactly(scenario: Scenario) -> None:
         reported, scenario.start_ns(scenario.vehicles[0], 0) + 10**9 * np.arange(len(reported))
     )
     assert np.all(np.diff(sync.column("counter")) % 240 == 1)
-    assert len(sync) == 12 * 250 + 1
+    assert len(sync.index) == 12 * 250 + 1
     late = batch.t_ns[time.index] - reported
     assert np.all((late > 2.5e9) & (late < 2.502e9))
 
