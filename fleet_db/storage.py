@@ -148,7 +148,7 @@ class SqlUnitOfWork:
         self.epochs = EpochStore(connection, self.subjects)
         self.windows = WindowStore(connection, self.subjects, self.files, once)
         self.assembled = AssembledWindowStore(connection, self.subjects, self.files)
-        self.tables = BinTableStore(connection, self.subjects)
+        self.tables = BinTableStore(connection, self.subjects, once)
         self.due = WindowDueStore(connection, once)
         self.marks = StageMarkStore(connection, self.subjects, self.due)
         self.results = ResultStore(connection, self.subjects, once)

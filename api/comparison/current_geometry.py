@@ -86,7 +86,7 @@ def geometry_by(storage: Storage, context: JobContext, serial: str, estimator: s
         estimator: Name in the catalogue; the shipped one gives the geometry of the job.
     """
     with storage.read() as unit:
-        found = geometries_of(unit, serial, context)
+        found = geometries_of(unit, [serial], context)[serial]
         if estimator != SHIPPED:
             return _by_rival(unit, found, estimator_named(estimator))
         current = [record.geometry for record in found.records() if record.interval is None]
