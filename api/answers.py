@@ -70,11 +70,7 @@ def _unchanged(request: Request, tag: str) -> bool:
 def answer_bytes(
     request: Request, payload: bytes, *, media_type: str = JSON, status: int = 200, headers: Mapping[str, str] = {}
 ) -> Response:
-    """Return ``payload`` with its ETag, or 304 where the client holds it already.
-
-    Args:
-        request: The request; ``If-None-Match`` is read from it.
-    """
+    """Return ``payload`` with its ETag, or 304 where the client holds it already."""
     tag = entity_tag(payload)
     all_headers = {"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept", **headers}
     if status == HTTPStatus.OK and _unchanged(request, tag):
@@ -83,11 +79,7 @@ def answer_bytes(
 
 
 def answer(request: Request, body: BaseModel, *, status: int = 200, headers: Mapping[str, str] = {}) -> Response:
-    """Return a representation with its ETag: as JSON, or a list as the table that the client asked for.
-
-    Args:
-        request: The request; ``If-None-Match`` is read from it.
-    """
+    """Return a representation with its ETag: as JSON, or a list as the table that the client asked for."""
     item = item_of(request.scope["route"].response_model) if wants_table(request) else None
     if item is not None:
         return _answer_csv(request, table(item, getattr(body, ITEMS)), headers)
@@ -131,11 +123,7 @@ def table_payload(body: BaseModel, media_type: str, rows: tuple[Sequence[str], I
 
 
 def answer_payload(request: Request, payload: bytes, media_type: str) -> Response:
-    """Return what :func:`table_payload` gave.
-
-    Args:
-        request: The request; ``If-None-Match`` is read from it.
-    """
+    """Return what :func:`table_payload` gave."""
     return answer_bytes(request, payload, media_type=_CSV_TYPE if media_type == CSV else media_type)
 
 
@@ -156,9 +144,6 @@ def answer_page(
     """Return one page of a list, as JSON or as a table.
 
     Args:
-        request: The request; the operation and the path of the next page come from it.
-        filters: Filters of the list, each under its name; the cursor is bound to them.
-        limit: How many items at most.
         rows: Up to ``limit + 1`` records behind the cursor; one more than shown means that there is a next page.
     """
     shown, cursor, path = _shown(request, filters, limit, rows, key)
@@ -178,11 +163,7 @@ def answer_payloads(
     payload: Callable[[RecordT], bytes],
     represent: Callable[[RecordT], ItemT],
 ) -> Response:
-    """Return one page of a list whose items are kept as JSON: :func:`answer_page` for long lists that are read often.
-
-    Args:
-        payload: JSON text of the representation of a record.
-    """
+    """Return one page of a list whose items are kept as JSON, for long lists that are read often."""
     if wants_table(request):
         return answer_page(request, filters, limit, rows, key, represent)
     shown, cursor, path = _shown(request, filters, limit, rows, key)
@@ -216,11 +197,7 @@ def operation(request: Request) -> str:
 
 
 def require_match(header: str | None, current: BaseModel) -> None:
-    """Refuse a change to something that the client has not seen as it is now.
-
-    Raises:
-        ProblemError: 428 without ``If-Match``; 412 where it names another state.
-    """
+    """Refuse (428, 412) a change to something that the client has not seen as it is now."""
     if header is None:
         raise ProblemError(428, "precondition-required", "send the ETag of the resource as If-Match")
     tag = entity_tag(payload_of(current))
@@ -234,11 +211,7 @@ CACHED_BYTES = 64 << 20
 
 @dataclass(slots=True)
 class RepresentationCache:
-    """The least recently used representation is displaced first; safe for threads.
-
-    Attributes:
-        limit_bytes: Size of all representations together.
-    """
+    """The least recently used representation is displaced first; safe for threads."""
 
     limit_bytes: int = CACHED_BYTES
     _held: OrderedDict[Hashable, bytes] = field(default_factory=OrderedDict)
@@ -246,11 +219,7 @@ class RepresentationCache:
     _lock: Lock = field(default_factory=Lock)
 
     def get_or_make(self, key: Hashable, make: Callable[[], bytes]) -> bytes:
-        """Return what is kept under a key, or make it and keep it.
-
-        Args:
-            key: With the version of all that the representation shows.
-        """
+        """Return what is kept under a key, or make it and keep it."""
         with self._lock:
             known = self._held.get(key)
             if known is not None:
@@ -264,11 +233,7 @@ class RepresentationCache:
     def get_or_make_all(
         self, keys: Mapping[int, Hashable], make: Callable[[Sequence[int]], Mapping[int, bytes]]
     ) -> Mapping[int, bytes]:
-        """Return what is kept of several under one name each, and make and keep what is missing, all at once.
-
-        Args:
-            keys: By number; each with the version of all that its representation shows.
-        """
+        """Return what is kept of several under one name each, and make and keep what is missing, all at once."""
         with self._lock:
             found = {number: self._held[key] for number, key in keys.items() if key in self._held}
             for number in found:

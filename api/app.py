@@ -16,90 +16,69 @@ from fastapi import Depends, FastAPI
 from fastapi.routing import APIRoute
 from prometheus_client import CollectorRegistry
 
-from api import contract, docs_page, problems
-from api.access.guard import allow_pages, guard_of
-from api.access.plan import AccessPlan
-from api.access.scopes import authorise
-from api.feed.ending import ending
-from api.feed.places import WaitingPlaces
-from api.feed.watch import FeedWatch
-from api.head_requests import HeadMiddleware
+from api import contract, problems
+from api.access.caller import authorise
+from api.access.guard import AccessPlan, allow_pages, guard_of
+from api.feed.streams import WaitingPlaces
+from api.feed.watch import FeedWatch, ending
 from api.http_server import HttpLimits
-from api.measures import Measured
-from api.metrics import RequestMeasures, stored_measures
-from api.middleware import RequestContextMiddleware
+from api.measures import Measured, reference_measures
+from api.metrics import RequestMeasures, stored_measures, upload_measures
+from api.middleware import HeadMiddleware, RequestContextMiddleware
 from api.openapi.document import document, scopes_of
+from api.page import routes
 from api.page import routes as page
-from api.reference_measures import reference_measures
 from api.routes import (
+    access,
     accuracy,
-    alert_actions,
     alert_feed,
     alerts,
-    audit,
     chunks,
-    fleets,
+    dated_records,
+    design_contact,
     geometry,
     health,
     jobs,
-    keys,
-    life,
-    measured_profiles,
-    mountings,
+    opinions,
     plans,
-    quarantine,
-    recording_corrections,
     recordings,
     registry_assets,
     registry_decisions,
-    reprofilings,
-    sensor_changes,
-    signatures,
     tracks,
-    vehicle_classes,
     vehicles,
-    webhook_actions,
     webhooks,
-    wheelsets,
     worklist,
 )
 from api.services import Services
-from api.upload_measures import upload_measures
 from api.visible_objects import visible
+from api.webhooks.delivering import WebhookWorker
 from api.webhooks.sending import TRIALS, Sender
 from api.webhooks.targets import Targets
-from api.webhooks.worker import WebhookWorker
 
 RESOURCES = (
-    chunks,  # first: a request is compared with one path after the other, and these are the most
-    fleets,
-    vehicles,
-    vehicle_classes,
-    worklist,
-    plans,
-    wheelsets,
-    mountings,
-    reprofilings,
-    measured_profiles,
-    registry_assets,
-    sensor_changes,
-    registry_decisions,
-    geometry,
-    signatures,
-    accuracy,
-    life,
-    alert_feed,  # before the alerts, whose path it would be taken for
-    alerts,
-    alert_actions,
-    jobs,
-    tracks,
-    quarantine,
-    keys,
-    audit,
-    webhooks,
-    webhook_actions,
-    recordings,
-    recording_corrections,
+    chunks.router,  # first: a request is compared with one path after the other, and these are the most
+    vehicles.fleets_router,
+    vehicles.router,
+    worklist.router,
+    plans.router,
+    dated_records.router,
+    dated_records.vehicles_router,
+    registry_assets.router,
+    registry_decisions.router,
+    geometry.router,
+    opinions.router,
+    design_contact.router,
+    accuracy.router,
+    alert_feed.router,  # before the alerts, whose path it would be taken for
+    alerts.router,
+    alerts.actions_router,
+    jobs.router,
+    jobs.quarantine_router,
+    tracks.router,
+    access.router,
+    webhooks.router,
+    recordings.router,
+    recordings.corrections_router,
 )
 # Requests that work at the same time slow each other down: Python runs one of them, and all others wait as long.
 EMBEDDED_THREADS = 2  # of SQLite: one to read, one that may wait to write
@@ -125,14 +104,14 @@ def describe() -> FastAPI:
         lifespan=_lifespan,
         telemetry={"operation_spans": False, "exclude": _waits_for_news},
     )
-    for module in RESOURCES:
+    for router in RESOURCES:
         app.include_router(
-            module.router,
+            router,
             dependencies=[Depends(contract.media_type), Depends(authorise), Depends(visible)],
             responses=problems.described(401, 403, 406, 422, 429, 500, 503),
         )
     app.include_router(health.router)
-    app.include_router(docs_page.router)
+    app.include_router(routes.router)
     app.include_router(page.router)
     problems.install(app)
     return app
@@ -161,7 +140,7 @@ def committed_document() -> bytes:
 def build_app(
     services: Services | None,
     limits: HttpLimits | None = None,
-    access: AccessPlan | None = None,
+    plan: AccessPlan | None = None,
     sender: Sender | None = None,
 ) -> FastAPI:
     """Return the app that answers with these services, within these limits or the usual ones.
@@ -169,8 +148,6 @@ def build_app(
     Args:
         services: None while the database is waited for: all but ``/healthz`` and ``/metrics`` is refused until
             ``state.services`` is set.
-        access: Who may ask; by default whoever has a key.
-        sender: To webhooks; by default to public addresses alone.
     """
     app = describe()
     registry = CollectorRegistry(auto_describe=False)
@@ -183,7 +160,7 @@ def build_app(
     app.state.registry = registry
     app.state.document = committed_document()
     app.state.contracts = contract.contracts_of(orjson.loads(app.state.document))
-    guard = guard_of(access or AccessPlan(), lambda: app.state.services.storage)
+    guard = guard_of(plan or AccessPlan(), lambda: app.state.services.storage)
     app.state.access_book = guard.book
     limits = limits or HttpLimits()
     app.state.feed_watch = FeedWatch(lambda: None if (ours := app.state.services) is None else ours.storage, ending)

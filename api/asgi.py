@@ -18,10 +18,6 @@ def app() -> FastAPI:
 
     Linear algebra runs on one thread, as in every command: sums over several have other last bits, and a job that is
     asked for here is to give what the scheduler and its workers give.
-
-    Raises:
-        InputError, MigrationError, ParameterError, StorageError: As ``treadwatch serve``; the server ends with the
-            error.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is loaded
     from api import factory, logs  # noqa: PLC0415 - not before that

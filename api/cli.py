@@ -29,61 +29,41 @@ COMPLETED = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A subcommand: ``attribute`` of ``module`` is a function, or a Typer group of further subcommands."""
+    """A subcommand: what ``module`` of ``api.commands`` has under its name, a function or a Typer group."""
 
     name: str
     module: str
-    attribute: str
     summary: str
     reads_settings: bool = True
 
 
 COMMANDS = (
-    Command("demo", "api.commands.demo", "demo", "Run the main job end to end on the embedded default."),
-    Command(
-        "simulate", "api.commands.simulate", "simulate", "Simulate a fleet that sends CAN frames.", reads_settings=False
-    ),
-    Command("ingest", "api.commands.ingest", "ingest", "Receive CAN frames from log files or a live bus."),
-    Command("registry", "api.commands.registry", "registry", "Load, void, restore and list records of the registry."),
-    Command("reassemble", "api.commands.reassemble", "reassemble", "Make the windows of a vehicle again."),
-    Command("recordings", "api.commands.recordings", "recordings", "List and correct what was received."),
-    Command("chunk", "api.commands.chunk", "chunk", "Watch a drop folder, decode what is received, scrub raw files."),
-    Command("quarantine", "api.commands.quarantine", "quarantine", "List and retry what failed by itself."),
-    Command("estimate", "api.commands.estimate", "estimate", "Run the scheduled jobs once, now, in order."),
-    Command("serve", "api.commands.serve", "serve", "Serve the REST API."),
-    Command("keys", "api.commands.keys", "keys", "Make, list and revoke keys of the REST API."),
-    Command("webhooks", "api.commands.webhooks", "webhooks", "Make, list, try out and move webhooks."),
-    Command("schedule", "api.commands.schedule", "schedule", "Run the jobs on schedule; one per deployment."),
-    Command("worker", "api.commands.worker", "worker", "Work for a Dask scheduler, on any machine."),
-    Command("feed", "api.commands.feed", "feed", "Print what happens to alerts, or follow it.", reads_settings=False),
-    Command("rules", "api.commands.rules", "rules", "Check alert rules, and try them on what is stored."),
-    Command(
-        "contact",
-        "api.commands.contact",
-        "contact",
-        "Compute the contact geometry of a wheel on a rail.",
-        reads_settings=False,
-    ),
-    Command(
-        "vehicle", "api.commands.vehicle", "vehicle", "List, show and check vehicle classes.", reads_settings=False
-    ),
-    Command(
-        "compare", "api.commands.compare", "compare", "Compare estimators on a simulated section.", reads_settings=False
-    ),
-    Command(
-        "reproduce", "api.commands.reproduce", "reproduce", "Reproduce the published figures.", reads_settings=False
-    ),
-    Command(
-        "compile",
-        "api.commands.compile",
-        "compile_kernels",
-        "Compile every kernel, so that the first start need not.",
-    ),
-    Command("db", "api.commands.db", "db", "Upgrade, check, measure or purge the database."),
-    Command("backup", "api.commands.backup", "backup", "Back up database and files while everything runs."),
-    Command("restore", "api.commands.backup", "restore", "Restore a backup into an empty database."),
-    Command("settings", "api.commands.settings", "settings", "List the settings of a deployment with their defaults."),
-    Command("openapi", "api.commands.openapi", "openapi", "Print or write the OpenAPI document.", reads_settings=False),
+    Command("demo", "studies", "Run the main job end to end on the embedded default."),
+    Command("simulate", "studies", "Simulate a fleet that sends CAN frames.", reads_settings=False),
+    Command("ingest", "receiving", "Receive CAN frames from log files or a live bus."),
+    Command("registry", "registry", "Load, void, restore and list records of the registry."),
+    Command("reassemble", "receiving", "Make the windows of a vehicle again."),
+    Command("recordings", "receiving", "List and correct what was received."),
+    Command("chunk", "receiving", "Watch a drop folder, decode what is received, scrub raw files."),
+    Command("quarantine", "receiving", "List and retry what failed by itself."),
+    Command("estimate", "processes", "Run the scheduled jobs once, now, in order."),
+    Command("serve", "processes", "Serve the REST API."),
+    Command("keys", "clients", "Make, list and revoke keys of the REST API."),
+    Command("webhooks", "clients", "Make, list, try out and move webhooks."),
+    Command("schedule", "processes", "Run the jobs on schedule; one per deployment."),
+    Command("worker", "processes", "Work for a Dask scheduler, on any machine."),
+    Command("feed", "clients", "Print what happens to alerts, or follow it.", reads_settings=False),
+    Command("rules", "registry", "Check alert rules, and try them on what is stored."),
+    Command("contact", "studies", "Compute the contact geometry of a wheel on a rail.", reads_settings=False),
+    Command("vehicle", "registry", "List, show and check vehicle classes.", reads_settings=False),
+    Command("compare", "studies", "Compare estimators on a simulated section.", reads_settings=False),
+    Command("reproduce", "studies", "Reproduce the published figures.", reads_settings=False),
+    Command("compile", "deployment", "Compile every kernel, so that the first start need not."),
+    Command("db", "deployment", "Upgrade, check, measure or purge the database."),
+    Command("backup", "deployment", "Back up database and files while everything runs."),
+    Command("restore", "deployment", "Restore a backup into an empty database."),
+    Command("settings", "deployment", "List the settings of a deployment with their defaults."),
+    Command("openapi", "deployment", "Print or write the OpenAPI document.", reads_settings=False),
 )
 
 
@@ -124,7 +104,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
             app.command(command.name, help=command.summary)(_not_imported)
             continue
         epilog = EPILOG if command.reads_settings else None
-        target = getattr(import_module(command.module), command.attribute)
+        target = getattr(import_module(f"api.commands.{command.module}"), command.name)
         if isinstance(target, typer.Typer):
             app.add_typer(target, name=command.name, help=command.summary, epilog=epilog)
         else:

@@ -16,12 +16,7 @@ CPU_FACTS = Path("/proc/cpuinfo")
 
 
 def choose_compiled_code(environment: MutableMapping[str, str], dot_env: Path = Path(".env")) -> None:
-    """Say to numba, and to every process that this one starts, where compiled code is and for which CPU.
-
-    Args:
-        environment: Of this process; what it already says to numba stays.
-        dot_env: File of settings beside the environment.
-    """
+    """Say to numba, and to every process that this one starts, where compiled code is and for which CPU."""
     settings = _of_file(dot_env) | dict(environment)
     if settings.get(DIRECTORY):
         environment.setdefault("NUMBA_CACHE_DIR", str(Path(settings[DIRECTORY]).absolute()))
@@ -30,11 +25,7 @@ def choose_compiled_code(environment: MutableMapping[str, str], dot_env: Path = 
 
 
 def portable_cpu(machine: str | None = None, facts: Path = CPU_FACTS) -> tuple[str, str]:
-    """Return name and features of the CPU to compile for, so that other machines load the same code.
-
-    Args:
-        machine: As ``platform.machine`` names it; None: this one.
-    """
+    """Return name and features of the CPU to compile for, so that other machines load the same code."""
     try:
         lines = facts.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

@@ -13,6 +13,8 @@ from api.problems import PROBLEM_MEDIA_TYPE, ProblemError, ProblemItem, pointer
 
 JSON = "application/json"
 CSV = "text/csv"
+TABLE: dict[int | str, dict[str, Any]] = {200: {"content": {CSV: {"schema": {"type": "string"}}}}}
+"""What a route says of its answer that is also there as a table."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,12 +24,7 @@ def _digest(operation: str, filters: Mapping[str, object]) -> str:
 
 
 def encode(operation: str, filters: Mapping[str, object], key: Key) -> str:
-    """Return the cursor that stands behind ``key`` in this list under this filter.
-
-    Args:
-        operation: Name of the list's operation.
-        filters: Filters of the list, each under its name; None is no filter.
-    """
+    """Return the cursor that stands behind ``key`` in this list under this filter."""
     raw = orjson.dumps([_digest(operation, filters), key])
     return base64.urlsafe_b64encode(raw).decode().rstrip("=")
 
@@ -57,11 +52,7 @@ def decode_number(operation: str, filters: Mapping[str, object], cursor: str | N
 
 
 def number_of(key: object) -> int | None:
-    """Return the key of a list that is ordered by a number; None at its beginning.
-
-    Raises:
-        ProblemError: 400: it is no such key.
-    """
+    """Return the key of a list that is ordered by a number; None at its beginning."""
     if key is None:
         return None
     if isinstance(key, int) and is_number(key):
@@ -86,15 +77,7 @@ def decode_text(operation: str, filters: Mapping[str, object], cursor: str | Non
 
 
 def decode(operation: str, filters: Mapping[str, object], cursor: str | None) -> object:
-    """Return the key in a cursor, of any form; None at the beginning of a list.
-
-    Args:
-        operation: Name of the list's operation.
-        filters: Filters of the list, each under its name; None is no filter.
-
-    Raises:
-        ProblemError: 400: not a cursor, or a cursor of another list or filter.
-    """
+    """Return the key in a cursor, of any form; None at the beginning of a list."""
     if cursor is None:
         return None
     digest, key = _unpack(cursor)

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from fastapi import FastAPI
 
     from api.services import Services
-    from api.uploads.taking import Uploads
+    from api.uploads import Uploads
     from ingest.topic.publishing import Publisher
 
 
@@ -68,11 +68,6 @@ def once_the_database_answers(make: Callable[[], Service], settings: Settings, s
 
     Args:
         settings: Of the deployment. A file of SQLite that cannot be opened is not waited for: nobody brings it back.
-        stopping: Set by whoever ends the service.
-
-    Raises:
-        MigrationError: The database is at another migration.
-        StorageError: The file of SQLite cannot be used.
     """
     delays, waited = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S), False
     while not stopping.is_set():
@@ -120,11 +115,7 @@ def code_version() -> str:
 
 
 def process_name(number: int | None = None) -> str:
-    """Return what others read of a process of this machine where it holds something.
-
-    Args:
-        number: Of the process; None for this one.
-    """
+    """Return what others read of a process of this machine where it holds something."""
     return f"{socket.gethostname()}, process {os.getpid() if number is None else number}"
 
 
@@ -165,9 +156,6 @@ def job_context(
 
     Args:
         progress: Called with (done, total) by jobs that count.
-
-    Raises:
-        InputError: The rules file is wrong; names the file and the field.
     """
     rules = RuleBook() if settings.rules_file is None else load_rules(settings.rules_file)
     chosen = JobSettings(rules=rules, rails=rails_settings(settings))
@@ -190,11 +178,7 @@ def rails_settings(settings: Settings) -> RailsSettings:
 
 
 def retention_of(settings: Settings) -> Retention:
-    """Return how long this deployment keeps what.
-
-    Raises:
-        InputError: The retention file is wrong; names the file and the field.
-    """
+    """Return how long this deployment keeps what."""
     return Retention() if settings.retention_file is None else load_retention(settings.retention_file)
 
 
@@ -207,11 +191,7 @@ def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:
 
 
 def upkeep_jobs(settings: Settings) -> tuple[Job, ...]:
-    """Return the jobs of the schedule that estimate nothing.
-
-    Raises:
-        InputError: The retention file is wrong; names the file and the field.
-    """
+    """Return the jobs of the schedule that estimate nothing."""
     return (traced(purge_job(retention_of(settings), raw_store(settings), _sql_storage)),)
 
 
@@ -227,11 +207,7 @@ def receiver(
     """Return what takes recordings in and makes their windows.
 
     Args:
-        catalogues: Mapping files of buses of one's own; by default those of the settings.
         deleted_taken_by: Who wants recordings that were deleted to be taken in again; None where they are refused.
-
-    Raises:
-        InputError: A mapping file cannot be used.
     """
     buses = [load_own_bus(path) for path in catalogues or settings.catalogue_files]
     chosen = claim(storage, bus_choice(default_catalogue(), buses), _length_ns(settings), clock.now_ns())
@@ -264,9 +240,7 @@ def open_services(settings: Settings) -> Services:
     """Return what the routes work with; refuses where :func:`open_store` or :func:`job_context` do."""
     # the receiver and the scheduler are built in this module too and do not wait for the web framework
     from api.answers import RepresentationCache  # noqa: PLC0415 - the same
-    from api.job_runner import JobRunner  # noqa: PLC0415 - the same
-    from api.services import Services  # noqa: PLC0415 - the same
-    from api.writer_slots import PATIENCE_S, WriterSlots  # noqa: PLC0415 - the same
+    from api.services import PATIENCE_S, JobRunner, Services, WriterSlots  # noqa: PLC0415 - the same
 
     storage = replace(open_store(settings), patience_s=PATIENCE_S)
     context = job_context(settings, storage)
@@ -295,7 +269,7 @@ def backlog_watch(settings: Settings, storage: SqlStorage, raw: RawStore) -> Bac
 
 
 def _uploads(settings: Settings, storage: SqlStorage, clock: Clock, references: Publisher | None) -> Uploads:
-    from api.uploads.taking import UploadLimits, Uploads  # noqa: PLC0415 - the same
+    from api.uploads import UploadLimits, Uploads  # noqa: PLC0415 - the same
 
     patient = replace(storage, patience_s=RECEIPT_PATIENCE_S)
     limits = UploadLimits(
@@ -308,7 +282,7 @@ def _uploads(settings: Settings, storage: SqlStorage, clock: Clock, references: 
 
 def create_app(settings: Settings) -> FastAPI:
     """Return the REST application of this deployment; refuses where :func:`open_services` does."""
-    from api.access.plan import plan_of  # noqa: PLC0415 - the same
+    from api.access.guard import plan_of  # noqa: PLC0415 - the same
     from api.app import build_app  # noqa: PLC0415 - the same
     from api.http_server import limits_of  # noqa: PLC0415 - the same
     from api.webhooks.sending import sender_of  # noqa: PLC0415 - the same
@@ -325,16 +299,8 @@ def create_server(settings: Settings) -> uvicorn.Server:
 
 
 def serve(settings: Settings, stopping: Event) -> None:
-    """Serve the REST application until a signal; it listens while the server of its database is away.
-
-    Args:
-        stopping: Set by the handlers of signals that come while nothing is served.
-
-    Raises:
-        InputError, MigrationError, StorageError: As :func:`open_services`, where no wait helps; also later, once the
-            database answers. Access is open beyond loopback, and nothing says that this is meant.
-    """
-    from api.access.plan import plan_of  # noqa: PLC0415 - the same
+    """Serve the REST application until a signal; it listens while the server of its database is away."""
+    from api.access.guard import plan_of  # noqa: PLC0415 - the same
     from api.app import build_app  # noqa: PLC0415 - the same
     from api.http_server import check_address, http_server, keep_what_is_loaded, limits_of  # noqa: PLC0415 - the same
     from api.webhooks.sending import sender_of  # noqa: PLC0415 - the same

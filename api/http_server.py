@@ -83,9 +83,7 @@ class Connections:
     """The open connections of one server.
 
     Attributes:
-        limit: How many may be open.
         header_timeout_s: How long one may wait for the headers of a request.
-        cut: How many were closed, and why.
     """
 
     limit: int
@@ -236,11 +234,7 @@ class HttpServer(uvicorn.Server):
 
 
 def check_address(settings: Settings) -> None:
-    """Refuse an address on which nobody can listen, before anything is opened for it.
-
-    Raises:
-        ParameterError: The port is taken, or the address is not of this machine.
-    """
+    """Refuse an address on which nobody can listen, before anything is opened for it; names the setting."""
     try:
         found = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         for family, kind, protocol, _, address in found:
@@ -255,12 +249,7 @@ def check_address(settings: Settings) -> None:
 
 
 def http_server(app: FastAPI, settings: Settings) -> HttpServer:
-    """Return the server of an app, which answers running requests before it ends on a signal.
-
-    Args:
-        app: Its ``state.registry`` gets the measures of the connections.
-        settings: Where to listen, what a client may take, how long to wait at the end.
-    """
+    """Return the server of an app, which answers running requests before it ends on a signal."""
     connections = Connections(open_connections(settings.max_connections), settings.header_timeout_s)
     app.state.registry.register(Measured(partial(connection_measures, connections)))
     config = uvicorn.Config(

@@ -24,11 +24,7 @@ class IdempotentPost:
     request_digest: str
 
     def earlier(self, request: Request, unit: SqlUnitOfWork) -> Response | None:
-        """Return the answer that was already given under this key.
-
-        Raises:
-            ProblemError: 422: the key was used for another request.
-        """
+        """Return the answer that was already given under this key."""
         known = None if self.key is None else unit.idempotency.get(self.key)
         if known is None:
             return None
@@ -48,11 +44,7 @@ class IdempotentPost:
 
 
 def idempotent_post(request: Request, key: str | None, body: BaseModel | None = None) -> IdempotentPost:
-    """Return this POST's identity: its key, and a digest of what it asks for.
-
-    Args:
-        key: Its ``Idempotency-Key``.
-    """
+    """Return this POST's identity: its key, and a digest of what it asks for."""
     request_parts = [request.method, request.scope["path"], None if body is None else body.model_dump(mode="json")]
     identity = None if (caller := known_caller(request.scope)) is None else caller.identity
     if key is not None and identity is not None:  # another key's answers are not for this caller

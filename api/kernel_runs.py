@@ -28,7 +28,6 @@ from estimation.motion.rolling_radius_difference import sample_smoothed
 from estimation.motion.rolling_sums import ROWS, Equation, add_spectra, mirror, write_pieces
 from estimation.motion.track_lookup import evaluate, extent
 from estimation.tables.bin_table import BinParameters, fill_cells, group_of
-from estimation.tables.least_squares import collect
 from estimation.track.panel.normal_equations import add_filtered_hats
 from estimation.track.screening.agreement import cross_products, own_products
 from estimation.values.arrays import FloatArray, frozen_array
@@ -40,10 +39,9 @@ from ingest.catalogue import default_catalogue
 from ingest.codec import decode, encode
 from ingest.frames import batch_of, concatenate
 from ingest.simulator.creep_laws import Creep, CreepLaw
-from ingest.simulator.curves import Curves
 from ingest.simulator.motion import simulate_wheelset
 from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
-from ingest.simulator.track import Surface, TrackTruth
+from ingest.simulator.track import Curves, Surface, TrackTruth
 
 Results = dict[str, list[FloatArray]]
 
@@ -101,12 +99,6 @@ def _paper() -> Iterator[FloatArray]:
     features = np.column_stack([rng.standard_normal((60, 2)), np.ones(60)])
     output = features @ [3.0, -2.0, 0.5] + 0.01 * rng.standard_normal(60)
     yield recursion_in_bins(features, output, np.arange(60) % 2, 3, PaperParameters(threshold=10, forgetting=0.99))[0]
-
-
-def _moments() -> Iterator[FloatArray]:
-    rng = np.random.default_rng(5)
-    found = collect(rng.standard_normal((20, 3)), rng.standard_normal((20, 2)), np.arange(20) % 4 - 1, 3)
-    yield from (found.packed, found.weight)
 
 
 def _bin_tables() -> Iterator[FloatArray]:
@@ -169,9 +161,10 @@ def _rolling_radius() -> Iterator[FloatArray]:
     taper = frozen_array(np.hanning(40), (40,), name="taper")
     write_pieces(samples, starts, 0.02, taper, pieces, speeds)
     equation = Equation(
-        lateral_creep=7e6, spin_creep=1e4, mass=1e3, lateral_stiffness=2e5, lateral_damping=5e4, load=1e4, radius=0.45,
-        half=0.75, per_moment=9e-8, yaw_inertia=7e2, yaw_creep=8e6, yaw_stiffness=2e6, yaw_damping=1e3, pitch=4e2,
-        wheelbase=2.5, gravity=9.81, yaw_is_gyroscope=False, roll_is_gyroscope=True,
+        lateral_creep_coefficient=7e6, lateral_spin_creep_coefficient=1e4, wheelset_mass=1e3, lateral_stiffness=2e5,
+        lateral_damping=5e4, load=1e4, half_contact_distance=0.75, yaw_inertia=7e2, yaw_stiffness=2e6, yaw_damping=1e3,
+        nominal_radius=0.45, per_moment=9e-8, yaw_creep=8e6, pitch=4e2, wheelbase=2.5,
+        gravity=9.81, yaw_is_gyroscope=False, roll_is_gyroscope=True,
     )  # fmt: skip
     products, noise = np.zeros((2, 2, 6, 7, 7))
     densities = np.full(4, 1e-6), np.full(4, 1e-8)
@@ -319,7 +312,6 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _conicity,
     _paper,
     _stretches,
-    _moments,
     _bin_tables,
     _creep_filter,
     _saturation,

@@ -53,11 +53,7 @@ def fault_of(error: BaseException) -> Fault:
 
 
 def short_trace(error: BaseException, clean: Callable[[str], str] = str) -> str:
-    """Return a trace without local variables, bounded in depth and characters, the error itself first.
-
-    Args:
-        clean: Takes out of a message what must not be written, before the message is cut.
-    """
+    """Return a trace without local variables, bounded in depth and characters, the error itself first."""
     parts, one, seen = [], error, set[int]()
     for _ in range(CAUSES):
         seen.add(id(one))
@@ -96,11 +92,7 @@ class FaultLedger:
     _seen: OrderedDict[Fault, _Seen] = field(default_factory=OrderedDict)
 
     def admits(self, fault: Fault, now_s: float) -> bool:
-        """Return whether this occurrence is to be written in full; otherwise it is counted.
-
-        Args:
-            now_s: Of a clock that never goes back.
-        """
+        """Return whether this occurrence is to be written in full; otherwise it is counted."""
         known = self._seen.get(fault)
         if known is not None and now_s - known.full_at_s < FULL_AGAIN_S:
             known.repeats += 1
@@ -145,11 +137,7 @@ def password_in(url: str) -> str | None:
 
 @dataclass(frozen=True)
 class Redactor:
-    """Replaces passwords in a text.
-
-    Attributes:
-        secrets: Passwords of this deployment; each is found as it is, decoded, percent-encoded and escaped in JSON.
-    """
+    """Replaces passwords in a text."""
 
     secrets: tuple[str, ...] = ()
 

@@ -7,15 +7,13 @@ from collections.abc import Callable, Iterable, Mapping
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from ingest.topic.publishing import Publisher, Sent
+
 Numbers = Mapping[str, float] | Mapping[tuple[str, str], float] | Mapping[tuple[str, str, str], float]
 
 
 class Measured(Collector):
-    """Measures that a function reads when they are asked for.
-
-    Args:
-        read: Returns the measures of now; not called when it is registered.
-    """
+    """Measures that a function reads when they are asked for."""
 
     def __init__(self, read: Callable[[], Iterable[Metric]]) -> None:
         self._read = read
@@ -30,12 +28,7 @@ class Measured(Collector):
 
 
 def gauge(name: str, text: str, labels: str, numbers: Numbers) -> Metric:
-    """Return a gauge.
-
-    Args:
-        labels: Names of the labels, with spaces between them.
-        numbers: By the value of the label, or by those of several.
-    """
+    """Return a gauge."""
     return _filled(GaugeMetricFamily(name, text, labels=labels.split()), numbers)
 
 
@@ -48,3 +41,13 @@ def _filled(family: GaugeMetricFamily | CounterMetricFamily, numbers: Numbers) -
     for key, number in numbers.items():
         family.add_metric([key] if isinstance(key, str) else list(key), number)
     return family
+
+
+def reference_measures(publisher: Publisher | None) -> list[Metric]:
+    """Return the measures of a publisher; None where no topic is set."""
+    ended = {outcome.value: 0 if publisher is None else publisher.ended[outcome] for outcome in Sent}
+    waiting, text = 0 if publisher is None else publisher.waiting, "References that wait for a broker."
+    return [
+        counter("treadwatch_references", "References to received chunks by how they ended.", "outcome", ended),
+        GaugeMetricFamily("treadwatch_references_waiting", text, value=waiting),
+    ]

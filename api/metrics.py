@@ -1,22 +1,26 @@
-"""Measures for Prometheus: of the requests as they happen, of the fleet's data when they are asked for."""
+"""Measures of requests as they happen; of data, uploads and webhooks when they are asked for."""
 
 from __future__ import annotations
 
 import logging
 from collections import Counter as Tally
+from collections.abc import Sequence
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
-from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
-from api.measures import gauge
+from api.measures import counter, gauge
 from api.services import Services
-from api.webhooks.measures import webhook_measures
+from api.uploads import NO_STORAGE, UPLOADS_FULL, Taken
 from estimation.errors import TreadwatchError
 from estimation.values.alerts import AlertScope
 from estimation.values.runs import TRIED_AGAIN, SubjectKind
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkState
-from fleet_db.stores.backlog import Backlog, backlog_of
+from fleet_db.storage import SqlStorage
+from fleet_db.stores.window_counts import Backlog, backlog_of
+from fleet_db.webhook_records import Webhook, WebhookCount, WebhookState
+from ingest.intake.backlog import Limit, free_bytes
 
 SILENT_AFTER_NS = 86_400 * 1_000_000_000
 """A vehicle without data for longer is counted as silent."""
@@ -72,11 +76,7 @@ class RequestMeasures:
 
 
 def stored_measures(services: Services | None) -> list[Metric]:
-    """Return what is read from the database; only ``treadwatch_database_up`` while it is down.
-
-    Args:
-        services: None while the database is waited for.
-    """
+    """Return what is read from the database; only ``treadwatch_database_up`` while it is down."""
     up = GaugeMetricFamily("treadwatch_database_up", "Whether the database answers.")
     measures: list[Metric] = []
     try:
@@ -129,3 +129,79 @@ def _runs(services: Services) -> list[Metric]:
         gauge("treadwatch_job_last_start_timestamp_seconds", "Start of the last run.", "job outcome", started),
         gauge("treadwatch_job_last_duration_seconds", "Duration of the last run.", "job", took),
     ]
+
+
+def upload_measures(services: Services | None) -> list[Metric]:
+    """Return the measures of this process's uploads, and of the backlog of all."""
+    if services is None:
+        return []
+    measures = _counted(services)
+    try:
+        measures += _backlog(services)
+    except TreadwatchError as error:
+        _log.warning("the backlog of chunks cannot be measured: %s", error)
+    return measures
+
+
+def _counted(services: Services) -> list[Metric]:
+    uploads = services.uploads
+    ended = {outcome.value: uploads.ended[outcome] for outcome in Taken}
+    limits = (*(one.value for one in Limit), UPLOADS_FULL, NO_STORAGE)
+    refused = {limit: uploads.refused[limit] for limit in limits}
+    text = "Bytes of new chunks that have their receipt."
+    return [
+        GaugeMetricFamily("treadwatch_uploads_running", "Chunks that are being received.", value=uploads.running),
+        counter("treadwatch_uploads", "Uploads by how they ended.", "outcome", ended),
+        counter("treadwatch_uploads_behind", "Uploads refused with 503.", "limit", refused),
+        CounterMetricFamily("treadwatch_upload_bytes", text, value=uploads.bytes_stored),
+    ]
+
+
+def _backlog(services: Services) -> list[Metric]:
+    watch = services.uploads.backlog
+    with watch.storage.read() as unit:
+        found = unit.chunks.undecoded_size()
+    values = {
+        "treadwatch_chunks_waiting": ("Chunks with a receipt that wait to be decoded.", found.count),
+        "treadwatch_chunks_waiting_bytes": ("Their size.", found.size_bytes),
+        "treadwatch_chunks_waiting_limit": ("How many may.", watch.limits.chunks),
+        "treadwatch_chunks_waiting_limit_bytes": ("How large they may be.", watch.limits.size_bytes),
+        "treadwatch_raw_free_bytes": ("Room on the disk on which chunks are received.", free_bytes(watch.folder)),
+        "treadwatch_raw_free_limit_bytes": ("How much of it stays free.", watch.limits.free_bytes),
+    }
+    return [GaugeMetricFamily(name, text, value=value) for name, (text, value) in values.items()]
+
+
+def webhook_measures(storage: SqlStorage) -> list[Metric]:
+    """Return how many webhooks are in which state, how their attempts ended, and since when the oldest event waits."""
+    with storage.read() as unit:
+        found = unit.webhooks.counts()
+    return [_states(found), _attempts(found), _oldest_undelivered(storage, [one.webhook for one in found])]
+
+
+def _states(found: Sequence[WebhookCount]) -> Metric:
+    states = Tally(one.webhook.state for one in found)
+    numbers = {state.value: states[state] for state in WebhookState}
+    return gauge("treadwatch_webhooks", "Webhooks by state.", "state", numbers)
+
+
+def _attempts(found: Sequence[WebhookCount]) -> Metric:
+    numbers = {
+        (str(one.webhook.webhook_id), outcome): count
+        for one in found
+        for outcome, count in (("delivered", one.delivered), ("failed", one.failed))
+    }
+    return counter("treadwatch_webhook_attempts", "Attempts to hand over an event.", "webhook outcome", numbers)
+
+
+def _oldest_undelivered(storage: SqlStorage, webhooks: Sequence[Webhook]) -> Metric:
+    """Return since when events wait, also where no process delivers; of active webhooks alone."""
+    text = "When the oldest event was recorded that an active webhook has not delivered; 0 where none waits."
+    numbers = {}
+    for one in webhooks:
+        if one.state is not WebhookState.ACTIVE:
+            continue
+        with storage.seen_by(one.bound).read() as unit:
+            waits = unit.alerts.feed(one.position, 1, fleets=one.fleets, kinds=one.kinds, severities=one.severities)
+        numbers[str(one.webhook_id)] = waits[0].recorded_ns / 1e9 if waits else 0.0
+    return gauge("treadwatch_webhook_oldest_undelivered_timestamp_seconds", text, "webhook", numbers)

@@ -19,7 +19,7 @@ from api.access.guard import Access
 from api.http_server import MAX_BODY_BYTES, MAX_HEAD_BYTES, REQUESTS, HttpLimits
 from api.metrics import RequestMeasures
 from api.problems import ProblemError, from_error, problem_response
-from api.uploads.path import is_upload
+from api.uploads import is_upload
 
 ALWAYS_ANSWERED = "/healthz"
 WITHOUT_DATABASE = (ALWAYS_ANSWERED, "/metrics")
@@ -76,11 +76,7 @@ class _Answer:
 
 
 class Turn:
-    """The place of a request among those that are answered; one that waits for news gives it back meanwhile.
-
-    Args:
-        count: Called with the change of how many are being answered.
-    """
+    """The place of a request among those that are answered; one that waits for news gives it back meanwhile."""
 
     def __init__(self, count: Callable[[int], None]) -> None:
         self._count = count
@@ -161,11 +157,7 @@ class RequestContextMiddleware:
                 )
 
     async def _run(self, scope: Scope, receive: Receive, answer: _Answer) -> None:
-        """Let the application answer; a thread that is late goes on, but the client does not wait for it.
-
-        Raises:
-            ProblemError: 503: too many requests are being answered, or there was no answer in time.
-        """
+        """Let the application answer; a thread that is late goes on, but the client does not wait for it."""
         if self._running >= REQUESTS and scope["path"] != ALWAYS_ANSWERED:
             detail = f"{REQUESTS} requests are being answered; try again"
             raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "1"})
@@ -217,16 +209,7 @@ def _refuse_large_head(scope: Scope) -> None:
 
 
 async def with_body(scope: Scope, receive: Receive, timeout_s: float, most_bytes: int = MAX_BODY_BYTES) -> Receive:
-    """Wait for the whole body and return ``receive`` that hands it over.
-
-    Args:
-        scope: Of the request; ``Content-Length`` and ``Transfer-Encoding`` are read from it.
-        timeout_s: How long the whole body may take.
-        most_bytes: How large it may be.
-
-    Raises:
-        ProblemError: 413: it is too large, announced or not; 408: it is late.
-    """
+    """Wait for the whole body and return ``receive`` that hands it over."""
     headers = Headers(scope=scope)
     announced = headers.get("content-length", "0")
     if announced == "0" and "transfer-encoding" not in headers:
@@ -261,3 +244,40 @@ async def with_body(scope: Scope, receive: Receive, timeout_s: float, most_bytes
 
 def _too_large(most_bytes: int) -> ProblemError:
     return ProblemError(413, "content-too-large", f"limit max_body_kb: at most {most_bytes} bytes", headers=_CLOSING)
+
+
+class _EndOfHeadersError(OSError):
+    """The headers have been sent: what would follow, perhaps for ever, is not wanted."""
+
+
+class HeadMiddleware:
+    """ASGI middleware inside that of the request's context, so that log and measures keep the method that was asked."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer HEAD with the headers of GET; pass everything else on."""
+        if scope["type"] != "http" or scope["method"] != HTTPMethod.HEAD:
+            await self.app(scope, receive, send)
+            return
+        inner = {**scope, "method": HTTPMethod.GET.value}
+        ended = False
+
+        async def send_headers(message: Message) -> None:
+            nonlocal ended
+            if message["type"] == "http.response.start":
+                await send(message)
+            elif not ended:
+                ended = True
+                await send({"type": "http.response.body", "body": b"", "more_body": False})
+            if ended and message.get("more_body", False):
+                raise _EndOfHeadersError
+
+        try:
+            await self.app(inner, receive, send_headers)
+        except _EndOfHeadersError:
+            pass
+        finally:
+            if "route" in inner:
+                scope["route"] = inner["route"]

@@ -27,36 +27,21 @@ MeasuredTo = Annotated[Moment | None, Query(alias="to", description="Measured be
 
 
 def require_order(from_ns: int | None, to_ns: int | None, begin: str = "from", end: str = "to") -> None:
-    """Refuse a range that ends before it begins; an empty one, `[t, t)`, is allowed.
-
-    Args:
-        from_ns, to_ns: The range; None is open.
-
-    Raises:
-        ProblemError: 422.
-    """
+    """Refuse (422) a range that ends before it begins; an empty one, `[t, t)`, is allowed; None is open."""
     if from_ns is not None and to_ns is not None and from_ns > to_ns:
         item = ProblemItem(part="query", pointer=f"#/{begin}", detail=f"is after `{end}`")
         raise ProblemError(422, "invalid-request", f"{begin} is after {end}", [item])
 
 
 def not_in_the_future(as_of_ns: int | None, now_ns: int) -> None:
-    """Refuse a time in the future.
-
-    Raises:
-        ProblemError: 422.
-    """
+    """Refuse (422) a time in the future."""
     if as_of_ns is not None and as_of_ns > now_ns:
         item = ProblemItem(part="query", pointer="#/as_of", detail="is in the future")
         raise ProblemError(422, "invalid-request", "as_of is in the future", [item])
 
 
 def not_purged(as_of_ns: int | None, purged_before_ns: int | None) -> None:
-    """Refuse a time from which replaced results are not kept any more: what was known then is not known now.
-
-    Raises:
-        ProblemError: 410; names the time from which on they are kept.
-    """
+    """Refuse (410) a time from which replaced results are not kept any more: what was known then is not known now."""
     if as_of_ns is not None and purged_before_ns is not None and as_of_ns < purged_before_ns:
         kept = to_rfc3339(purged_before_ns)
         raise ProblemError(410, "history-purged", f"replaced results are kept from {kept} on, see the retention")

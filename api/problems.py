@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from http import HTTPStatus
+from http import HTTPMethod, HTTPStatus
 from typing import Any, Literal
 
 import orjson
@@ -13,8 +14,8 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
+from starlette.routing import compile_path
 
-from api.allowed_methods import allowed_methods
 from api.times import to_rfc3339
 from estimation.errors import BusyError, ConflictError, InputError, MigrationError, NotFoundError, StorageError
 from ingest.registry_entry.contents import RegistryRefusedError
@@ -251,3 +252,23 @@ def described(*statuses: int) -> dict[int | str, dict[str, Any]]:
         }
         for status in statuses
     }
+
+
+def allowed_methods(operations: Iterable[tuple[str, str]], path: str, named: str) -> str:
+    """Return the value of ``Allow`` (RFC 9110, 10.2.1) for a path; HEAD goes with GET."""
+    methods: dict[str, set[str]] = {}
+    for template, method in operations:
+        methods.setdefault(template, set()).add(method)
+    fitting = [template for template in methods if _fits(template, path)]
+    if fitting:
+        found = methods[min(fitting, key=lambda template: template.count("{"))]
+    else:
+        found = {name.strip() for name in named.split(",") if name.strip()}
+    if HTTPMethod.GET in found:
+        found = {*found, HTTPMethod.HEAD.value}
+    return ", ".join(sorted(found))
+
+
+def _fits(template: str, path: str) -> bool:
+    pattern: re.Pattern[str] = compile_path(template)[0]
+    return pattern.match(path) is not None

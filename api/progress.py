@@ -10,12 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 
 
 def bar(console: Console, *texts: str, transient: bool = False) -> Progress:
-    """Return a progress bar that counts.
-
-    Args:
-        texts: What it says before its bar, and behind it; by default the description of its task.
-        transient: Whether it goes away in the end.
-    """
+    """Return a progress bar that counts."""
     before, *behind = texts or ("{task.description}",)
     counted = (SpinnerColumn(), TextColumn(before), BarColumn(), MofNCompleteColumn())
     return Progress(*counted, *map(TextColumn, behind), TimeElapsedColumn(), console=console, transient=transient)

@@ -25,12 +25,7 @@ BY_ROLE = (
 
 
 def open_raw_store(settings: Settings, environment: Mapping[str, str] = os.environ) -> RawStore:
-    """Return the store that the settings name; a bucket is not asked yet.
-
-    Raises:
-        ParameterError: Settings contradict each other, or credentials are missing; names the variable.
-        PassingFaultError: The client library of buckets is not installed.
-    """
+    """Return the store that the settings name; a bucket is not asked yet, but its credentials must be there."""
     if settings.raw_store is None:
         return FileRawStore(settings.data_dir / "raw")
     parts = urlsplit(settings.raw_store)

@@ -5,21 +5,55 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from http import HTTPStatus
+from typing import Annotated, Literal
 
 from fastapi import Response
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from api.answers import answer, require_match
 from api.asking import AskedChange
 from api.idempotency import IdempotentPost, idempotent_post
-from api.schemas.registry_changes import RegistryChange
+from api.parameters import CODE
+from api.schemas.common import Body
 from estimation.errors import InputError
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
-from ingest.input_file import Location, dotted
-from ingest.registry_entry.contents import Entry, RegistryContents
-from ingest.registry_entry.contradiction import Rule
+from ingest.input_file import MEBIBYTE, Location, dotted
+from ingest.registry_entry.contents import Entry, RegistryContents, Rule
 from ingest.registry_entry.enter import enter
+
+TEXT = r"^[^\x00-\x08\x0b-\x1f\x7f]*$"
+
+
+MOST_KM = 1e8
+
+
+Confirmable = Literal["odometer_backwards", "odometer_jump", "unknown_profile", "unusual_gauge", "unusual_radius"]
+
+
+Key = Annotated[str, Field(pattern=CODE)]
+
+
+Note = Annotated[str, Field(max_length=2000, pattern=TEXT)]
+
+
+Kilometres = Annotated[float, Field(ge=0.0, le=MOST_KM)]
+
+
+class RegistryChange(Body):
+    """What every change of the registry may say."""
+
+    why: Note = Field(default="", description="Kept with the record in its history.", examples=["work order 4711"])
+    by: Key | None = Field(
+        default=None, description="Who; read only where access control is off.", examples=["j.smith"]
+    )
+    confirm: list[Confirmable] = Field(
+        default=[], description="Doubts of a refusal that are unfounded: it is so all the same.", examples=[[]]
+    )
+
+
+MOST_TEXT = MEBIBYTE  # of one file; a request has at most as much
+
 
 UNNAMED = "unnamed client"
 """Who changes something where access is open and nobody says who it is."""
@@ -44,11 +78,7 @@ class BodySource:
 
 @dataclass(frozen=True, slots=True)
 class RegistryRequest:
-    """A request that changes the registry.
-
-    Attributes:
-        asked: Its ``if_match`` is None in requests that create something.
-    """
+    """A request that changes the registry."""
 
     asked: AskedChange
     body: RegistryChange
@@ -58,11 +88,7 @@ class RegistryRequest:
         return Decision(self.asked.caller.acts_as(self.body.by, UNNAMED), self.body.why, now_ns)
 
     def visible(self, find: Callable[[SqlUnitOfWork], object]) -> None:
-        """Refuse what the body names and the caller does not see, as if it did not exist.
-
-        Args:
-            find: Raises where there is no such thing in a transaction that shows the caller's fleets only.
-        """
+        """Refuse what the body names and the caller does not see, as if it did not exist."""
         with self.asked.read() as unit:
             find(unit)
 
@@ -76,7 +102,6 @@ class RegistryRequest:
 
         Args:
             current: Representation of the asset that is changed, for ``If-Match``; None where there is none yet.
-            apply: Changes it; returns what is answered.
         """
         post: IdempotentPost = idempotent_post(self.asked.request, self.asked.key, self.body)
         now_ns = self.asked.services.clock.now_ns()
@@ -91,10 +116,6 @@ class RegistryRequest:
         return answer(self.asked.request, done, status=status)
 
     def enter(self, unit: SqlUnitOfWork, decision: Decision, contents: RegistryContents, source: BodySource) -> None:
-        """Enter records as a registry file does.
-
-        Raises:
-            RegistryRefusedError: They are impossible or contradict what is on file.
-        """
+        """Enter records as a registry file does."""
         confirmed = frozenset(map(Rule, self.body.confirm))
         enter(contents, unit, source, Entry(decision, decision.recorded_ns, confirmed))

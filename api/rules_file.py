@@ -32,18 +32,85 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
-from pydantic import BaseModel, Field, create_model
+from annotated_types import Interval
+from pydantic import BaseModel, create_model
+from pydantic import Field as Key
+from pydantic.types import AllowInfNan
 
-from api.rules_tables import both_units, changed, table_of
 from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.rule import AlertRule
+from estimation.alerts.rules.rule import AlertDelays, AlertRule
 from ingest.input_file import Code, InputFile, InputTable, Location, read_toml
+
+_Value = TypeVar("_Value")
+
+_USUAL_RANGE = Interval(ge=0.0, le=1e9)  # of a number whose rule gives none
+_EITHER = (("on_evaluations", "on_delay_km"), ("off_evaluations", "off_delay_km"))
+
+
+def table_of(value_type: type[Any], without: frozenset[str] = frozenset()) -> type[InputTable]:
+    """Return the schema of a table that sets fields of a dataclass; fields with a default may be left out."""
+    hints = get_type_hints(value_type, include_extras=True)
+    keys: dict[str, Any] = {
+        item.name: _key_of(item, hints[item.name]) for item in fields(value_type) if item.name not in without
+    }
+    return create_model(value_type.__name__, __base__=InputTable, **keys)
+
+
+def _key_of(item: Field[Any], hint: object) -> tuple[object, object]:
+    """Return type and default of a key, as pydantic takes them."""
+    default = ... if item.default is MISSING and item.default_factory is MISSING else None
+    if is_dataclass(hint) and isinstance(hint, type):
+        return table_of(hint) | None, default
+    if get_origin(hint) is tuple:
+        return Annotated[list[table_of(get_args(hint)[0])], Key(min_length=1)], default  # type: ignore[misc]  # of values
+    if hint in (float, int):
+        return Annotated[hint, _USUAL_RANGE], default
+    if item.default == math.inf:
+        return Annotated[hint, AllowInfNan(True)], default  # noqa: FBT003 - its own signature
+    return hint, default
+
+
+def changed(value: _Value, given: BaseModel | None) -> _Value:
+    """Return a dataclass with the fields that a table sets.
+
+    A delay that the table sets takes the place of the same delay in the other unit.
+    """
+    if given is None:
+        return value
+    found = dict(_set_fields(value, given))
+    if isinstance(value, AlertDelays):
+        for evaluations, km in _EITHER:
+            if evaluations in found:
+                found.setdefault(km, 0.0)
+    return replace(value, **found)  # type: ignore[type-var]  # a dataclass
+
+
+def both_units(given: BaseModel | None) -> str | None:
+    """Return the key of a delay in kilometres that a table of delays sets beside the same one in evaluations."""
+    if given is None:
+        return None
+    return next((km for evaluations, km in _EITHER if {evaluations, km} <= given.model_fields_set), None)
+
+
+def _set_fields(value: Any, given: BaseModel) -> Mapping[str, Any]:  # noqa: ANN401 - any dataclass or its type
+    found: dict[str, Any] = {}
+    hints = get_type_hints(value if isinstance(value, type) else type(value))
+    for name in given.model_fields_set:
+        item = getattr(given, name)
+        if isinstance(item, BaseModel):
+            item = changed(getattr(value, name), item)
+        elif isinstance(item, list):
+            element = get_args(hints[name])[0]
+            item = tuple(element(**_set_fields(element, entry)) for entry in item)
+        found[name] = float(item) if hints[name] is float else item
+    return found
+
 
 _RELATIONS = {"<=": (operator.le, "is above"), ">=": (operator.ge, "is below")}
 
@@ -104,9 +171,6 @@ class _Layer:
 def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
     """Return the rule book of a TOML file.
 
-    Args:
-        book: What it changes; the shipped rules by default.
-
     Raises:
         InputError: The file cannot be read or is no TOML; an unknown table or key; a value of the wrong type or outside
             its range; values that contradict each other, such as a clear limit on the wrong side of its raise limit;
@@ -132,12 +196,12 @@ def _schema(book: RuleBook) -> type[InputTable]:
     everywhere: dict[str, Any] = {rule.kind: (table_of(type(rule)) | None, None) for rule in book.rules}
     flood: dict[str, Any] = {_ALARM_FLOOD: (table_of(AlarmFloodRule) | None, None)}
     scoped: dict[str, Any] = {rule.kind: (table_of(type(rule), _COMPARED) | None, None) for rule in book.rules}
-    of_class = create_model("OfClass", __base__=InputTable, code=(Code, Field(alias="class")), **scoped)
+    of_class = create_model("OfClass", __base__=InputTable, code=(Code, Key(alias="class")), **scoped)
     of_fleet = create_model(
         "OfFleet",
         __base__=InputTable,
         fleet=(Code, ...),
-        code=(Code | None, Field(default=None, alias="class")),
+        code=(Code | None, Key(default=None, alias="class")),
         **scoped,
         **flood,
     )
@@ -145,19 +209,15 @@ def _schema(book: RuleBook) -> type[InputTable]:
         "Rules",
         __base__=InputTable,
         name=(Code | None, None),
-        classes=(list[of_class], Field(default=[], alias="class")),  # type: ignore[valid-type]  # made here
-        fleets=(list[of_fleet], Field(default=[], alias="fleet")),  # type: ignore[valid-type]  # made here
+        classes=(list[of_class], Key(default=[], alias="class")),  # type: ignore[valid-type]  # made here
+        fleets=(list[of_fleet], Key(default=[], alias="fleet")),  # type: ignore[valid-type]  # made here
         **everywhere,
         **flood,
     )
 
 
 def _layers(given: Any, file: InputFile) -> Iterator[_Layer]:  # noqa: ANN401 - of the schema made above
-    """Yield what the file says of classes, of fleets, and of classes in fleets: the later go before the earlier.
-
-    Raises:
-        InputError: One scope twice, or the alarm flood of a class.
-    """
+    """Yield what the file says of classes, of fleets, and of classes in fleets: the later go before the earlier."""
     classes = [_Layer(None, one.code, one, ("class", i)) for i, one in enumerate(given.classes)]
     fleets = [_Layer(one.fleet, one.code, one, ("fleet", i)) for i, one in enumerate(given.fleets)]
     seen: dict[tuple[str | None, str | None], _Layer] = {}
@@ -179,11 +239,7 @@ def _scopes(layers: Sequence[_Layer]) -> list[tuple[str | None, str | None]]:
 
 
 def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
-    """Return a book with what a layer changes.
-
-    Raises:
-        InputError: What comes out contradicts itself.
-    """
+    """Return a book with what a layer changes."""
     rules = []
     for rule in book.rules:
         table = getattr(layer.tables, rule.kind)

@@ -1,8 +1,12 @@
-"""What the routes work with: one value a process, built by the factory."""
+"""What the routes work with: one value a process, built by the factory; places to write, and jobs that are run now."""
 
 from __future__ import annotations
 
+import asyncio
+import threading
 from collections.abc import AsyncIterator, Callable, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 from typing import Annotated, cast
 
@@ -11,15 +15,99 @@ from fastapi import Depends, Request
 from api.access.caller import CallerDep
 from api.accuracy.contact_cache import ContactCache
 from api.answers import RepresentationCache
-from api.job_runner import JobRunner
-from api.uploads.taking import Uploads
-from api.writer_slots import WriterSlots
-from estimation.errors import NotFoundError
-from estimation.jobs.job import Job
+from api.uploads import Uploads
+from estimation.errors import BusyError, ConflictError, NotFoundError
+from estimation.jobs.job import Job, JobContext, run_job
 from estimation.storage import Clock
+from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 from fleet_db.raw import RawStore
+from fleet_db.session import BUSY_TIMEOUT_MS
 from fleet_db.storage import SqlStorage
 from ingest.topic.publishing import Publisher
+
+MOST_WAITING = 16
+"""Requests that may wait for a slot; more are refused at once."""
+
+PATIENCE_S = 3.0
+"""How long a request waits for a slot, and in it for other processes that write."""
+
+
+class WriterSlots:
+    """Places for requests that write: they wait on the event loop, and not for long; reads never wait for them.
+
+    A request that waits in a thread keeps the thread from those that read: two writers in a queue for a stuck one held
+    up everything on the embedded database, which has two threads.
+    """
+
+    def __init__(self, at_once: int, patience_s: float) -> None:
+        self._slots = asyncio.Semaphore(at_once)
+        self._patience_s = patience_s
+        self._most = at_once + MOST_WAITING
+        self._present = 0
+
+    @asynccontextmanager
+    async def slot(self) -> AsyncIterator[None]:
+        """Hold a place."""
+        if self._present >= self._most:
+            raise BusyError(f"{self._present} requests write or wait for it already")
+        self._present += 1
+        try:
+            await self._acquire()
+            try:
+                yield
+            finally:
+                self._slots.release()
+        finally:
+            self._present -= 1
+
+    async def _acquire(self) -> None:
+        try:
+            await asyncio.wait_for(self._slots.acquire(), self._patience_s)
+        except TimeoutError:
+            raise BusyError(f"other requests have been writing for {self._patience_s:g} s") from None
+
+
+class JobRunner:
+    """Runs one job at a time, in a thread of its own; built by the factory, closed with the app."""
+
+    def __init__(self, context: JobContext, storage: SqlStorage, holder: str) -> None:
+        self._holder = holder
+        self._stopping = threading.Event()
+        self._storage = storage
+        self._context = replace(context, stopping=self._stopping.is_set)
+        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="job")
+        self._starting = threading.Lock()
+        self._running: Future[JobRun] | None = None
+
+    def start(self, job: Job) -> JobRun:
+        """Start a run and return its record as soon as it is committed; refused while it, or another one here, runs."""
+        with self._starting:
+            self._refuse_second(job)
+            begun: Future[JobRun] = Future()
+            self._running = self._executor.submit(self._run, job, begun)
+            wait([begun, self._running], return_when=FIRST_COMPLETED)
+            return begun.result() if begun.done() else self._running.result()
+
+    def _run(self, job: Job, begun: Future[JobRun]) -> JobRun:
+        with self._storage.owned(JobTrigger.API, self._holder, self._context.lease_s) as owned:
+            patient = replace(owned, patience_s=BUSY_TIMEOUT_MS / 1000)  # requests do not wait for the job
+            return run_job(job, replace(self._context, storage=patient), JobTrigger.API, started=begun.set_result)
+
+    def _refuse_second(self, job: Job) -> None:
+        if self._running is not None and not self._running.done():
+            raise ConflictError("a job that was started here is still running", kind="job", key=job.name)
+        with self._storage.read() as unit:
+            latest = unit.jobs.page(job.name, None, 1)
+        for run in latest:
+            if run.outcome is JobOutcome.RUNNING:
+                raise ConflictError(
+                    f"job {job.name} is running (run {run.run_id})", kind="job-run", key=str(run.run_id)
+                )
+
+    def close(self) -> None:
+        """Ask the running job to stop at its next checkpoint and wait for it."""
+        self._stopping.set()
+        self._executor.shutdown(wait=True, cancel_futures=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +132,7 @@ class Services:
     contacts: ContactCache = field(default_factory=ContactCache)
 
     def job(self, name: str) -> Job:
-        """Return the job of this name.
-
-        Raises:
-            NotFoundError: There is none.
-        """
+        """Return the job of this name."""
         try:
             return self.jobs[name]
         except KeyError:
@@ -65,10 +149,6 @@ ServicesDep = Annotated[Services, Depends(services_of)]
 
 
 async def writer_slot(services: ServicesDep) -> AsyncIterator[None]:
-    """Hold a place among the requests that write; for the routes that do.
-
-    Raises:
-        BusyError: None became free in time.
-    """
+    """Hold a place among the requests that write; for the routes that do."""
     async with services.writers.slot():
         yield

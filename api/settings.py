@@ -28,11 +28,7 @@ def names_store(url: str) -> bool:
 
 
 def names_endpoint(url: str) -> bool:
-    """Return whether a URL is ``https://host:port`` or ``http://host:port``.
-
-    Args:
-        url: Of an S3-compatible store.
-    """
+    """Return whether a URL is ``https://host:port`` or ``http://host:port``."""
     parts = urlsplit(url)
     plain = "@" not in parts.netloc and not parts.path.strip("/") and not parts.query and not parts.fragment
     return parts.scheme in {"http", "https"} and bool(parts.hostname) and plain
@@ -46,9 +42,6 @@ def known_sections(text: str) -> list[tuple[str, int]]:
 
     Args:
         text: ``S1@2026-03-01,S2@2026-05-17``; a section may come several times.
-
-    Raises:
-        ValueError: An entry has no code, or no day.
     """
     found = []
     for entry in filter(None, (one.strip() for one in text.split(","))):
@@ -320,12 +313,7 @@ class Settings(BaseSettings):
 
 
 def load_settings(**overrides: object) -> Settings:
-    """Read the environment; ``overrides`` that are not None win.
-
-    Raises:
-        ParameterError: Naming the environment variable that is wrong. The value itself is not repeated: it may be a
-            secret.
-    """
+    """Read the environment; ``overrides`` that are not None win. An error names the variable, not its secret value."""
     given = {name: value for name, value in overrides.items() if value is not None}
     try:
         return Settings(**given)  # type: ignore[arg-type]
@@ -363,12 +351,7 @@ class RetentionTable(InputTable):
 
 
 def load_retention(path: Path) -> Retention:
-    """Return the retention of a TOML file.
-
-    Raises:
-        InputError: The file cannot be read or is no TOML; an unknown key; a value that is no number of days. Names the
-            file, the line and the field.
-    """
+    """Return the retention of a TOML file; an InputError names the file, the line and the field."""
     file = read_toml(path)
     given = file.parse(RetentionTable).days
     chosen = {kind.value: getattr(given, kind.value) for kind in Kept}

@@ -17,11 +17,7 @@ Client = TypeVar("Client")
 
 
 def topic_of(settings: Settings) -> Topic | None:
-    """Return the topic; None where no brokers are set.
-
-    Raises:
-        InputError: The properties file cannot be used; names the line, never a value.
-    """
+    """Return the topic; None where no brokers are set. An error in its properties names the line, never a value."""
     if settings.kafka_servers is None:
         return None
     properties = {} if settings.kafka_properties is None else load_properties(settings.kafka_properties)
@@ -29,15 +25,7 @@ def topic_of(settings: Settings) -> Topic | None:
 
 
 def publisher(settings: Settings, storage_of: Callable[[], SqlStorage | None]) -> Publisher | None:
-    """Return what publishes references to received chunks; None where no brokers are set.
-
-    Args:
-        storage_of: Returns the database, where the fleets of vehicles are; None while it is waited for.
-
-    Raises:
-        InputError: The properties cannot be used.
-        PassingFaultError: The client is not installed.
-    """
+    """Return what publishes references to received chunks; None where no brokers are set."""
 
     def fleet_of(vehicle: str) -> str:
         storage = storage_of()
@@ -52,11 +40,7 @@ def publisher(settings: Settings, storage_of: Callable[[], SqlStorage | None]) -
 
 @contextmanager
 def publishing(settings: Settings, storage_of: Callable[[], SqlStorage | None]) -> Iterator[Announce]:
-    """Yield what announces receipts on the topic, to nobody where none is set; what waits at the end is published.
-
-    Raises:
-        InputError, PassingFaultError: As :func:`publisher`.
-    """
+    """Yield what announces receipts on the topic, to nobody where none is set; what waits at the end is published."""
     references = publisher(settings, storage_of)
     if references is None:
         yield to_nobody
@@ -66,12 +50,7 @@ def publishing(settings: Settings, storage_of: Callable[[], SqlStorage | None]) 
 
 
 def with_named_setting(make: Callable[[], Client]) -> Client:
-    """Return a client; a refusal of its configuration names the setting.
-
-    Raises:
-        ParameterError: Its configuration cannot be used.
-        PassingFaultError: The library is not installed.
-    """
+    """Return a client; a refusal of its configuration names the setting."""
     try:
         return make()
     except InputError as error:

@@ -25,11 +25,7 @@ _log = logging.getLogger(__name__)
 
 
 def start_tracing() -> bool:
-    """Send traces from now on, where the environment names a collector; return whether it does.
-
-    Raises:
-        ParameterError: It names one, and the extra is not installed.
-    """
+    """Send traces from now on, where the environment names a collector; return whether it does."""
     variable = _asked_by(os.environ)
     if variable is None:
         return False

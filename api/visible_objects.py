@@ -1,7 +1,8 @@
-"""What a change names in its path must be visible to who asks, before anything is written.
+"""What a request names must be there, and visible to who asks.
 
-Writing transactions see all fleets, for numbers and locks count everything. So a caller who is bound to fleets reads
-first, in a transaction that shows those fleets only, what the path of a change names.
+Filters that name something that is not there are refused, for an empty list would look like good news. Writing
+transactions see all fleets, for numbers and locks count everything: so a caller who is bound to fleets reads first what
+the path of a change names, in a transaction that shows those fleets only.
 """
 
 from __future__ import annotations
@@ -16,6 +17,29 @@ from api.access.caller import CallerDep
 from api.services import ServicesDep
 from estimation.errors import NotFoundError
 from fleet_db.storage import SqlUnitOfWork
+
+
+def require_known(
+    unit: SqlUnitOfWork,
+    *,
+    fleet: str | None = None,
+    vehicle: str | None = None,
+    wheelset: str | None = None,
+    vehicle_class: str | None = None,
+    fleet_alert: int | None = None,
+) -> None:
+    """Refuse filters that name nothing; to be asked where a page is empty, for one with rows shows that they do."""
+    if fleet is not None and all(one.code != fleet for one in unit.registry.fleets()):
+        raise NotFoundError("fleet", fleet)
+    if vehicle is not None:
+        unit.registry.vehicle(vehicle)
+    if wheelset is not None:
+        unit.registry.wheelset(wheelset)
+    if vehicle_class is not None and unit.registry.vehicle_class(vehicle_class) is None:
+        raise NotFoundError("vehicle class", vehicle_class)
+    if fleet_alert is not None and unit.alerts.get(fleet_alert).wheelset is not None:
+        raise NotFoundError("fleet alert", str(fleet_alert))
+
 
 Find = Callable[[SqlUnitOfWork, str], object]
 _READING = frozenset({"GET", "HEAD"})
@@ -59,12 +83,7 @@ FINDERS: Mapping[str, Find] = {
 
 
 async def visible(request: Request, services: ServicesDep, caller: CallerDep) -> None:
-    """Refuse a change to something that its caller does not see, as if it did not exist.
-
-    Raises:
-        NotFoundError: The caller is bound to fleets, and it belongs to none of them.
-        LookupError: Nothing says how what the path names is found.
-    """
+    """Refuse a change to something that its caller does not see, as if it did not exist."""
     route: APIRoute = request.scope["route"]
     if caller.fleets is None or request.method in _READING or not request.path_params:
         return
@@ -79,11 +98,7 @@ async def visible(request: Request, services: ServicesDep, caller: CallerDep) ->
 
 
 def finder_of(path: str) -> tuple[str, Find]:
-    """Return the template of the first object in a path, and how it is found.
-
-    Raises:
-        LookupError: Nothing says it.
-    """
+    """Return the template of the first object in a path, and how it is found."""
     template = path[: path.index("}") + 1]
     if template not in FINDERS:
         raise LookupError(f"api/visible_objects.py does not say how {template} is found")

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
-from api.schemas.recordings import without_folders
+from api.schemas.common import without_folders
 from estimation.errors import DamagedError, NotFoundError
 from estimation.track.update import NOT_USED
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.runs import TRIED_AGAIN, JobRun, Quarantined, QuarantineState, SubjectKind
-from estimation.values.window_reasons import WindowsOfReason, WithoutEstimate, remedies
-from estimation.values.windows import WindowKey, WindowRecord, WindowState
+from estimation.values.windows import WindowKey, WindowRecord, WindowsOfReason, WindowState, WithoutEstimate, remedies
 from estimation.worklist.waiting import (
     ALIGNMENT,
     ESTIMATION,
@@ -25,7 +24,7 @@ from estimation.worklist.waiting import (
 )
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.window_reasons import COUNTED, CountedWindows, newest_by_reason, pending_by_place
+from fleet_db.stores.window_counts import COUNTED, CountedWindows, newest_by_reason, pending_by_place
 
 OF_SECTION = {ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.WAITS_FOR_POSITION}
 """Codes whose sentence names a section and what it lacks."""
@@ -44,11 +43,7 @@ class WindowReasons:
     _runs: dict[str, JobRun | None] = field(default_factory=dict)
 
     def of_records(self, records: Iterable[WindowRecord]) -> dict[WindowKey, Reason | None]:
-        """Return why each window waits or was refused; None where it is estimated.
-
-        Args:
-            records: Some thousands at most.
-        """
+        """Return why each window waits or was refused; None where it is estimated."""
         records = list(records)
         waiting = [record.key for record in records if record.state is WindowState.PENDING]
         placed = self.unit.tracks.positions(waiting) if waiting else {}
@@ -67,9 +62,6 @@ class WindowReasons:
         Args:
             of_geometry: Why its geometry holds no number; None where it has none.
             most: How many of its windows since its last reprofiling are counted at most, the newest.
-
-        Raises:
-            NotFoundError: There is no such wheelset.
         """
         record = self.unit.registry.wheelset(serial)
         counted = self._counted(record, most)

@@ -13,22 +13,24 @@ import numpy as np
 from bench.adhesion_fleet import Fleet, SensedWindow
 from bench.adhesion_friction import STEP, compare
 from bench.adhesion_stored import StoredPasses, path_of, write_passes
-from estimation.adhesion.creep_forces import ContactForces, ForceParameters, contact_forces
-from estimation.adhesion.friction import FrictionParameters, section_adhesion
+from estimation.adhesion.creep_forces import MOST_INNOVATION, ContactForces, forces_on, gear_segments
+from estimation.adhesion.friction import section_adhesion
 from estimation.adhesion.gravity import contact_angles
 from estimation.adhesion.left_out import away_from_low_adhesion
+from estimation.adhesion.parameters import FrictionParameters
 from estimation.adhesion.window_adhesion import AdhesionInputs, creep_signals, window_adhesion
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
 from estimation.motion.window_motion import window_motion
 from estimation.tables.bin_table import bin_parameters, fill_cells, merge_all
-from estimation.values.adhesion import WindowAdhesion
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import FilledCells, WheelsetGeometry
+from estimation.values.opinions import WindowAdhesion
 from estimation.values.reasons import Reason
 from estimation.values.track import TrackSectionRecord
-from estimation.values.windows import Motion
+from estimation.values.windows import Motion, Window
+from estimation.vehicle.vehicle_class import VehicleClass
 from ingest.simulator.axle_motion import contact_of, true_geometry
 from ingest.simulator.creep_laws import CreepLaw
 from ingest.simulator.scenario import Scenario
@@ -173,7 +175,7 @@ def _passes(
         windows = [fleet.windows[i].window for i in gear]
         first = parameters[windows[0].wheelset]
         began = time.process_time()
-        forces = contact_forces(windows, fleet.vehicle_class, first.signals, ForceParameters())
+        forces = contact_forces(windows, fleet.vehicle_class, first.signals)
         done.force_seconds += time.process_time() - began
         done.wheelset_seconds += sum(1e-9 * window.length_ns for window in windows)
         for place, i in enumerate(gear):
@@ -188,6 +190,17 @@ def _passes(
             found.append(window_adhesion(one.window, "", force, motion, inputs))
             _score_forces(one, force, motion, inputs, done)
     return found
+
+
+def contact_forces(
+    windows: Sequence[Window],
+    vehicle_class: VehicleClass,
+    signals: SignalParameters,
+    most_innovation: float = MOST_INNOVATION,
+) -> tuple[ContactForces, ...] | Reason:
+    """Return the forces on each wheelset of a running gear, or why they cannot be had."""
+    segments = gear_segments(windows, vehicle_class, signals)
+    return segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class, most_innovation)
 
 
 def _gears(windows: Sequence[SensedWindow]) -> list[list[int]]:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.signal import firwin
 
 from estimation.contact.geometry import ContactTable
-from estimation.motion.bogie_frame import with_frame_yaw
+from estimation.motion.axle_distance import with_frame_yaw
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment
@@ -22,13 +22,19 @@ from estimation.values.windows import Window, WindowQuality
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import Arrangement, SensorChannel, SensorLayout, VehicleClass
 from ingest.simulator.axle_motion import axle_motions, contact_of, together
-from ingest.simulator.campaign import VehicleRun, scenario_track, vehicle_run, wheelset_record
+from ingest.simulator.campaign import (
+    VehicleRun,
+    friction_factor,
+    scenario_track,
+    vehicle_run,
+    wheelset_record,
+    with_stretches,
+)
 from ingest.simulator.drawn_fleet import vehicle_parameters
 from ingest.simulator.fleet import surveyed
 from ingest.simulator.motion import STEP, WheelsetMotion
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.sensors import Channel
-from ingest.simulator.surface import friction_factor, with_stretches
 from ingest.simulator.track import TrackTruth
 
 WINDOW_S = 60.0

@@ -8,8 +8,8 @@ import numpy as np
 
 from bench.adhesion_stored import StoredPasses
 from estimation.adhesion.friction import FrictionParameters, section_adhesion
-from estimation.values.adhesion import SectionAdhesion
 from estimation.values.arrays import FloatArray, runs
+from estimation.values.opinions import SectionAdhesion
 
 LOW = 0.15
 WITHIN = 200.0  # m from the start of a stretch within which it is to be found

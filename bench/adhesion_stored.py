@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.values.adhesion import WindowAdhesion
 from estimation.values.arrays import FloatArray
-from fleet_db.packed_adhesion import pack_window_adhesion, unpack_window_adhesion
+from estimation.values.opinions import WindowAdhesion
+from fleet_db.packed_values import pack_window_adhesion, unpack_window_adhesion
 
 
 @dataclass(frozen=True, slots=True)

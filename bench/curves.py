@@ -18,7 +18,7 @@ from estimation.motion.window_motion import motion
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters
 from estimation.values.reasons import Reason
-from ingest.simulator.curves import Curve
+from ingest.simulator.track import Curve
 
 RADII_KM = (np.inf, 20.0, 10.0, 5.0, 3.0)
 BALANCED = 0.7  # share of the lateral acceleration at 20 m/s that the cant takes

@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from bench.adhesion_fleet import class_of, simulate
-from estimation.adhesion.gear_segments import gear_segments
+from estimation.adhesion.creep_forces import gear_segments
 from estimation.dampers.pooled import DamperParameters, gear_damper
 from estimation.dampers.window_damper import window_damper
 from estimation.motion.parameters import SignalParameters

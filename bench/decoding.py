@@ -16,8 +16,7 @@ import numpy as np
 
 from bench.report import BenchRow
 from estimation.values.windows import ACCELERATIONS
-from ingest.canopen import sync_counter
-from ingest.catalogue import ACCELERATION, SYNC, default_catalogue
+from ingest.catalogue import ACCELERATION, SYNC, default_catalogue, sync_counter
 from ingest.codec import Decoded, decode, encode
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.logs import read_log, write_blf

@@ -24,7 +24,7 @@ from estimation.contact.wear import TreadWear, WearFamily, wear_course, worn
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.rolling_line import SLOPES, ContactRoll, held_shares, left_in_difference
 from estimation.geometry.uncertainty import SCALE_STDS, ParameterUncertainty
-from estimation.motion.cross_level import standard_displacement
+from estimation.motion.rolling_radius_difference import standard_displacement
 from estimation.tables import bin_table
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters

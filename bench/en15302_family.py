@@ -12,14 +12,14 @@ from itertools import islice
 import numpy as np
 
 from bench.report import BenchRow
+from bench.worn_family import PAIRS, USUAL_CONICITY, wheelsets
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
-from estimation.contact.worn_family import PAIRS, USUAL_CONICITY, wheelsets
 from estimation.errors import ContactError
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
 from estimation.geometry.rolling_line import ContactRoll
 from estimation.geometry.uncertainty import SCALE_STDS, DisplacementError
-from estimation.motion.cross_level import standard_displacement
+from estimation.motion.rolling_radius_difference import standard_displacement
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import FloatArray
 

@@ -13,10 +13,10 @@ from estimation.motion.without_blows import blows_unless_hunting
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import TurnBlows
 from ingest.simulator.axle_motion import axle_motions, contact_of
-from ingest.simulator.blows import TrackBlows, WheelFlat, with_flat, with_track_blows
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.motion import STEP, WheelsetMotion
+from ingest.simulator.running import TrackBlows, WheelFlat, with_flat, with_track_blows
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
 from ingest.simulator.sensor_errors import Vibration, draw_node_errors

@@ -30,13 +30,13 @@ from estimation.values.runs import JobTrigger
 from fleet_db.migrate import upgrade
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import (
-    AlertRow,
+from fleet_db.tables.alerts import AlertRow
+from fleet_db.tables.registry import WheelsetRow
+from fleet_db.tables.track import TrackSectionRow
+from fleet_db.tables.windows import (
     RailCellRow,
     SectionAdhesionRow,
-    TrackSectionRow,
     WearSignatureRow,
-    WheelsetRow,
     WindowAdhesionRow,
     WindowDamperRow,
     WindowRow,

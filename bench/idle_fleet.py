@@ -16,7 +16,8 @@ from sqlalchemy import Connection, Insert, Table, case, func, insert, literal, s
 
 from api.settings import Settings
 from bench.idle_opinions import DAY_NS, KEPT_BYTES, opinions_copied, put_friction
-from bench.wheelset_year import SERIAL, At, WheelsetYear, recorded
+from bench.wheelset_recording import recorded
+from bench.wheelset_year import SERIAL, At, WheelsetYear
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
@@ -24,25 +25,17 @@ from estimation.jobs.stages import ALL_STAGES
 from estimation.jobs.steps.epoch_inputs import FileLookup, given
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
+from estimation.values.results import Mark
 from estimation.values.runs import JobTrigger
-from estimation.values.subjects import Mark
 from estimation.values.track import AlignmentSource, FoldState, TrackEpoch
 from fleet_db.due import DUE
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.tables import (
-    ChunkRow,
-    MountingRow,
-    ResultRow,
-    RollingSumsRow,
-    RollUpRow,
-    RollUpStateRow,
-    TrackEpochRow,
-    TrackEpochWindowRow,
-    WindowBinTableRow,
-    WindowPositionRow,
-    WindowRow,
-)
+from fleet_db.tables.recordings import ChunkRow
+from fleet_db.tables.registry import MountingRow
+from fleet_db.tables.results import ResultRow
+from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, WindowPositionRow
+from fleet_db.tables.windows import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 
 DAYS = 38
 FLEETS, AXLES = 10, 4

@@ -21,8 +21,8 @@ from bench.limits_shapes import CLASSES, curve_of
 from bench.report import BenchRow, printed
 from bench.results_page import ended
 from bench.world import seed_range
+from bench.worn_family import AMPLITUDES, DISPLACEMENT
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.worn_family import AMPLITUDES, DISPLACEMENT
 
 TITLE = "Alerts at the conicity limit"
 SHAPES, WHEELSETS, SEEDS = 300, 850, (11,)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from estimation.contact.worn_family import DISPLACEMENT
+from bench.worn_family import DISPLACEMENT
 from estimation.values.arrays import FloatArray
 
 LENGTH, STEP, STARTS = 3000.0, 0.1, 200.0  # m

@@ -16,9 +16,9 @@ from scipy.interpolate import CubicSpline
 from bench.report import BenchRow
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.motion.bogie_frame import with_frame_yaw
+from estimation.motion.axle_distance import with_frame_yaw
 from estimation.motion.parameters import WindowParameters
-from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
+from estimation.tables.bin_table import bin_parameters, cells_of_window, merge_all
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
@@ -117,7 +117,7 @@ def _estimated(
     """Return errors of the conicity and whether the intervals cover, or the code for which nothing is published."""
     parameters = WindowParameters(vehicle_class)
     bins = bin_parameters(parameters)
-    found = [tabulate_window(window, track, parameters) for window in windows]
+    found = [cells_of_window(window, track, parameters) for window in windows]
     refused = [one for one in found if isinstance(one, Reason)]
     if len(refused) == len(found):
         return str(refused[0].code)

@@ -21,9 +21,9 @@ from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.values.quantities import Estimate
 from estimation.values.rails import SECTION_RAILS
 from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.profile_files import section_at
 from ingest.simulator.scenario import DAY_NS, Scenario, VehiclePlan
 from ingest.simulator.scenario_file import load_scenario
+from ingest.simulator.wear import section_at
 
 CAMPAIGNS = 5
 DAYS_BETWEEN = 200.0  # every campaign is in a period of its own

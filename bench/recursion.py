@@ -8,8 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 import padasip
 
+from bench.moments import collect
 from bench.report import BenchRow
-from estimation.tables.least_squares import collect, solve
+from estimation.tables.least_squares import solve
 
 SAMPLES = 1_000_000
 BINS = 32

@@ -14,11 +14,17 @@ from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.rolling_radius import check_radius, rolling_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, MOST_SHARE
-from estimation.motion.axle_distance import bogie_runs_backwards, check_axle_distance, runs_backwards, turned_over
-from estimation.motion.bogie_frame import check_frame_sensors, with_frame_yaw
+from estimation.motion.axle_distance import (
+    bogie_runs_backwards,
+    check_axle_distance,
+    check_frame_sensors,
+    runs_backwards,
+    turned_over,
+    with_frame_yaw,
+)
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
-from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
+from estimation.tables.bin_table import bin_parameters, cells_of_window, merge_all
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -127,7 +133,7 @@ def _judged(
     behind = offsets[axle]
     ahead = 0.0 if vehicle_class.bogie is None else offsets[1 - axle] - behind
     windows = [_loaded(own, other, ahead, behind) for own, other in pairs]
-    tables = [one if isinstance(one, Reason) else tabulate_window(one, case.track, parameters) for one in windows]
+    tables = [one if isinstance(one, Reason) else cells_of_window(one, case.track, parameters) for one in windows]
     refused = Counter(one.code for one in tables if isinstance(one, Reason))
     against = sum(count for code, count in refused.items() if code in CONTRADICTIONS)
     good = [one for one in tables if not isinstance(one, Reason)]

@@ -16,9 +16,9 @@ from bench.signal_cases import AMPLITUDES, COURSES, Run, simulate, wheelsets
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.settings import EstimationSettings
+from estimation.motion.checks import usable_samples
 from estimation.motion.integration import integrate
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.usable_samples import usable_samples
 from estimation.motion.window_motion import motion
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters

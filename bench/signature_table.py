@@ -11,7 +11,7 @@ from bench.report import BenchRow
 from bench.signature_cost import EACH, WHEELSETS
 from bench.signature_foreign import KINDS as KINDS_FOREIGN
 from bench.signature_pipeline import KINDS
-from estimation.signatures.retirement import LARGEST
+from estimation.signatures.library import LARGEST
 
 CHOSEN = (0, 1, 2, 3, 4, 5, 6, 7, 9, 10)  # seeds that the limits on roughness and tamping were chosen on
 ON_FILE = {"measured": "measured profiles (std 0.003)", "estimated": "estimates (std 0.01, half of it in common)"}

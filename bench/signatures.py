@@ -29,9 +29,8 @@ from bench.signature_rivals import trained
 from bench.signature_table import rows_of, summary
 from bench.world import seed_range
 from estimation.signatures.answer import judged, most_likely
-from estimation.signatures.library import Library, library
+from estimation.signatures.library import Library, current, library
 from estimation.signatures.parameters import SignatureParameters
-from estimation.signatures.retirement import current
 from estimation.values.reasons import Reason
 from estimation.values.signatures import ConicitySource, Signature
 

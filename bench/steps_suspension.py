@@ -8,7 +8,7 @@ import numpy as np
 
 from bench.report import BenchRow
 from bench.steps_lives import BEGIN_NS, DAY_NS
-from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
+from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspension_change_finding
 from estimation.trend.suspension import suspension_histories
 from estimation.values.trend import SuspensionFinding
 

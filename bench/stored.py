@@ -19,7 +19,8 @@ from pathlib import Path
 from api.factory import job_context, open_store
 from api.settings import Settings
 from bench.report import BenchRow
-from bench.wheelset_year import HOURS_A_DAY, SERIAL, WINDOWS_A_DAY, WheelsetYear, recorded
+from bench.wheelset_recording import recorded
+from bench.wheelset_year import HOURS_A_DAY, SERIAL, WINDOWS_A_DAY, WheelsetYear
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.retention import Retention
 from fleet_db.keeping.stored_bytes import database_size

@@ -12,13 +12,12 @@ from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import USUAL_CUTOFF, ParameterUncertainty, alignment_std
 from estimation.motion.track_lookup import alignment_at
-from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
-from estimation.track.passes import PositionParameters, journeys
-from estimation.track.screening.screen import PassStatus
+from estimation.tables.bin_table import bin_parameters, cells_of_window, merge_all
+from estimation.track.passes import PassStatus, PositionParameters, journeys
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import NOT_USED, AlignmentUpdate, UpdateOutcome, update_alignment
 from estimation.values.arrays import FloatArray
-from estimation.values.geometry import BinTable
+from estimation.values.geometry import FilledCells
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
@@ -175,7 +174,7 @@ def _conicities(fleet: Fleet, update: AlignmentUpdate) -> tuple[list[Conicity], 
             if isinstance(place, Reason):
                 reasons[place.code] = reasons.get(place.code, 0) + 1
                 continue
-            table = tabulate_window(window, track, fleet.parameters, place)
+            table = cells_of_window(window, track, fleet.parameters, place)
             if isinstance(table, Reason):
                 reasons[table.code] = reasons.get(table.code, 0) + 1
             else:
@@ -186,7 +185,7 @@ def _conicities(fleet: Fleet, update: AlignmentUpdate) -> tuple[list[Conicity], 
 
 
 def _compared(
-    fleet: Fleet, track: TrackAlignment, serial: str, tables: Sequence[BinTable], true: FloatArray
+    fleet: Fleet, track: TrackAlignment, serial: str, tables: Sequence[FilledCells], true: FloatArray
 ) -> list[Conicity]:
     bins = bin_parameters(fleet.parameters)
     uncertainty = ParameterUncertainty.of(fleet.parameters.vehicle_class).on([track], serial)

@@ -39,7 +39,7 @@ from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import ChunkRow
+from fleet_db.tables.recordings import ChunkRow
 from tests.postgres_server import SAFE, stoppable_server
 
 TITLE = "Chunks to bin tables, without a pause"

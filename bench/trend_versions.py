@@ -14,12 +14,13 @@ from sqlalchemy import insert, select
 from api.factory import job_context, open_store
 from api.settings import Settings
 from bench.report import BenchRow
-from bench.wheelset_year import SERIAL, WheelsetYear, recorded
+from bench.wheelset_recording import recorded
+from bench.wheelset_year import SERIAL, WheelsetYear
 from estimation.values.trend import TREND
 from fleet_db.migrate import upgrade
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import ResultRow
+from fleet_db.tables.results import ResultRow
 from tests.postgres_server import SAFE, stoppable_server
 
 VERSIONS, AT_ONCE, ROUNDS, READS = 70_000, 5_000, 11, 40

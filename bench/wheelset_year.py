@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 from sqlalchemy import update
 
-from api.factory import SystemClock, raw_store
-from api.settings import Settings
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.values.geometry import BinTable
@@ -20,12 +16,7 @@ from estimation.values.windows import Window, WindowPosition, WindowRecord, Wind
 from fleet_db.keeping.retention import DAY_NS
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.tables import ChunkRow
-from ingest.catalogue import default_catalogue
-from ingest.receiver import Receiver
-from ingest.registry_file import load_registry
-from ingest.simulator.fleet import run_fleet
-from ingest.simulator.scenario_file import load_scenario
+from fleet_db.tables.recordings import ChunkRow
 
 WINDOWS_A_DAY = 4
 DAYS_A_RUN = 5  # of the jobs
@@ -40,35 +31,6 @@ class Original:
     window: Window
     table: BinTable
     version: int | None
-
-
-def recorded(context: JobContext, storage: SqlStorage, settings: Settings) -> Sequence[Original]:
-    """Return the windows of the first vehicle's first campaign of demo_single on surveyed track, estimated."""
-    plan = load_scenario("demo_single")
-    plan = replace(
-        plan,
-        vehicles=plan.vehicles[:1],
-        sessions=replace(plan.sessions, campaigns=1),
-        section=replace(plan.section, surveyed=True),
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        report = run_fleet(plan, Path(folder), workers=1)
-        with storage.write() as unit:
-            load_registry(report.registry, unit, 1)
-        receiver = Receiver(
-            storage, raw_store(settings), default_catalogue(), SystemClock(), window_length_s=settings.window_length_s
-        )
-        for recording in report.recordings:
-            receiver.receive_file(recording.path, recording.vehicle)
-    for name in ("refresh_alignment", "estimate_windows"):
-        run_job(job_named(name), context, JobTrigger.CLI)
-    with storage.read() as unit:
-        found = [
-            Original(unit.windows.load(SERIAL, record.start_ns), table, version)
-            for record, table, version in unit.tables.stream(SERIAL, 0, None)
-        ]
-    assert found, "no window of the recording was estimated"
-    return found
 
 
 @dataclass(slots=True)
@@ -126,7 +88,7 @@ class WheelsetYear:
         assert record is not None
         unit.tables.put(SERIAL, start_ns, one.table, one.version, record.content_digest)
         unit.windows.mark(SERIAL, start_ns, WindowState.ESTIMATED)
-        unit.tracks.put_position(WindowPosition(SERIAL, start_ns, record.content_digest, one.version))
+        unit.tracks.put_positions([WindowPosition(SERIAL, start_ns, record.content_digest, one.version)])
         return EpochMember(record, "c" * 64, "a" * 64)
 
 

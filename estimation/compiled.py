@@ -92,11 +92,7 @@ def numba_config() -> Any:  # noqa: ANN401 - a module whose names are made when 
 
 
 class KernelCache:
-    """The compiled signatures of one function, as numba's dispatcher asks for them.
-
-    Args:
-        function: The function, not compiled.
-    """
+    """The compiled signatures of one function, as numba's dispatcher asks for them."""
 
     def __init__(self, function: FunctionType, options: list[tuple[str, bool | str]]) -> None:
         self._function = function

@@ -115,12 +115,7 @@ class PassingFaultError(TreadwatchError):
     """The machine cannot do it now, and nothing is wrong with the input.
 
     No space, no mount, no permission, no memory or process to be had, a missing extra: the same again succeeds once
-    the fault is mended.
-
-    Args:
-        reason: What could not be done, in one sentence, without the place.
-        file: The file it was to be done with, if any.
-        code: What is waited for: one of ``estimation.values.runs.PASSING``.
+    the fault is mended. ``code`` says what is waited for: one of ``estimation.values.runs.PASSING``.
     """
 
     def __init__(self, reason: str, *, file: Path | str | None = None, code: str = "waits_for_storage") -> None:

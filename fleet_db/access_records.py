@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from estimation.values.served import Served
+from estimation.values.fields import Served
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +32,7 @@ class ApiKey:
     ] = None
 
     def usable(self, now_ns: int) -> bool:
-        """Return whether it is neither revoked nor expired.
-
-        Args:
-            now_ns: Our time, ns UTC.
-        """
+        """Return whether it is neither revoked nor expired."""
         return self.revoked_ns is None and (self.expires_ns is None or now_ns < self.expires_ns)
 
 

@@ -12,13 +12,14 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Select, and_, bindparam, select, tuple_, update
 
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.windows import DueStage, WindowKey
 from fleet_db.due import BATCH, list_due
 from fleet_db.rows import table_of
 from fleet_db.subjects import Subjects
-from fleet_db.tables import TrackEpochRow, TrackEpochWindowRow, WindowPositionRow, WindowRow
+from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, WindowPositionRow
+from fleet_db.tables.windows import WindowRow
 
 EPOCHS, MEMBERS, WINDOWS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow), table_of(WindowRow)
 POSITIONS = table_of(WindowPositionRow)

@@ -14,12 +14,7 @@ from estimation.values.reasons import ReasonCode
 
 
 def write_atomically(path: Path, content: bytes, *, durable: bool) -> None:
-    """Write ``content`` beside ``path`` and rename it into place.
-
-    Args:
-        durable: Whether file and directory are on the disk before this returns. Without it the file is whole for every
-            reader at once, and after a loss of power it may be missing or empty.
-    """
+    """Write ``content`` beside ``path`` and rename it into place, whole for every reader; ``durable``: on the disk."""
     if not path.parent.is_dir():
         path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=".writing-", dir=path.parent)
@@ -49,14 +44,7 @@ def sync_directory(directory: Path) -> None:
 
 @contextmanager
 def passing_faults(path: Path) -> Iterator[None]:
-    """Turn errors of the system into ours.
-
-    Args:
-        path: The file or folder of ours that is worked on.
-
-    Raises:
-        PassingFaultError: No space, no mount, no permission, a failing disk, no memory; names the path.
-    """
+    """Turn errors of the system (no space, no mount, no permission) at a path of ours into PassingFaultError."""
     try:
         yield
     except OSError as error:

@@ -27,11 +27,7 @@ TryVehicle = Callable[[str], AbstractContextManager[bool]]
 
 @contextmanager
 def decoding_locks(storage: SqlStorage, holder: str) -> Iterator[TryVehicle]:
-    """Yield what locks a vehicle.
-
-    Raises:
-        StorageError: The database cannot be reached.
-    """
+    """Yield what locks a vehicle."""
     file = sqlite_file(storage.engine)
     if file is not None:
         yield partial(_file_lock, file)

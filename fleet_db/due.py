@@ -32,25 +32,17 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.values.adhesion import CREEP
+from estimation.values.opinions import CREEP
 from estimation.values.quantities import Status
+from estimation.values.results import Due, Mark, StageInputs
 from estimation.values.runs import FAILED
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
-from estimation.values.subjects import Due, Mark, StageInputs
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import by_wheelset, reason_columns, table_of
-from fleet_db.tables import (
-    TrackAlignmentRow,
-    TrackVersionRow,
-    WearSignatureRow,
-    WindowAdhesionRow,
-    WindowDueRow,
-    WindowPositionRow,
-    WindowRow,
-)
-from fleet_db.tables.windows import PENDING
+from fleet_db.tables.track import TrackAlignmentRow, TrackVersionRow, WindowPositionRow
+from fleet_db.tables.windows import PENDING, WearSignatureRow, WindowAdhesionRow, WindowDueRow, WindowRow
 
 DUE, WINDOWS = table_of(WindowDueRow), table_of(WindowRow)
 OF_WINDOWS = table_of(WearSignatureRow)

@@ -22,7 +22,7 @@ import numpy.typing as npt
 import zstandard
 
 from estimation.errors import DamagedError, StorageError
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 
 MAGIC = b"TWPK"
 FORMAT = 1
@@ -67,16 +67,7 @@ def pack(kind: str, version: int, scalars: Mapping[str, JsonValue], arrays: Mapp
 
 
 def unpack(blob: bytes, kind: str, *, where: str) -> Unpacked:
-    """Return what ``pack`` put into ``blob``; arrays are read-only.
-
-    Args:
-        blob: From ``pack``.
-        kind: What the blob must be.
-        where: Name of the place it was read from, for messages.
-
-    Raises:
-        DamagedError: The blob is cut, damaged, or of another kind or a later format; ``where`` names it.
-    """
+    """Return what ``pack`` put into ``blob``, arrays read-only; DamagedError names ``where`` it was read from."""
     if blob[: len(MAGIC)] != MAGIC or blob[len(MAGIC) : len(MAGIC) + 1] != bytes([FORMAT]):
         raise DamagedError(f"{where}: not packed arrays of format {FORMAT}")
     try:
@@ -139,7 +130,7 @@ def fields_of(value: object, *, without: Collection[str] = ()) -> tuple[dict[str
     """Return the fields of a frozen value: JSON and arrays under their names, in the order of the class."""
     scalars: dict[str, JsonValue] = {}
     arrays: dict[str, Array] = {}
-    for name, hint in _hints(cast("Hashable", type(value))).items():
+    for name, hint in hints_of(cast("Hashable", type(value))).items():
         if name in without:
             continue
         item = getattr(value, name)
@@ -151,18 +142,10 @@ def fields_of(value: object, *, without: Collection[str] = ()) -> tuple[dict[str
 
 
 def value_of(kind: type[V], scalars: Mapping[str, Any], arrays: Mapping[str, Array], **given: object) -> V:
-    """Return the value whose fields were stored.
-
-    Args:
-        scalars, arrays: What ``fields_of`` returned; names that are no field are ignored.
-        given: Fields that were not stored this way; they win.
-
-    Raises:
-        StorageError: A field is missing or does not fit its type.
-    """
+    """Return the value of what ``fields_of`` returned; ``given`` wins. Raises StorageError where a field is missing."""
     stored = dict(given)
     try:
-        for name in _hints(cast("Hashable", kind)):
+        for name in hints_of(cast("Hashable", kind)):
             if name not in given:
                 read = _field_reader(cast("Hashable", kind), name)
                 stored[name] = arrays[name] if read is None else read(scalars[name])
@@ -172,11 +155,7 @@ def value_of(kind: type[V], scalars: Mapping[str, Any], arrays: Mapping[str, Arr
 
 
 def to_json(item: object) -> JsonValue:
-    """Return a field as JSON.
-
-    Raises:
-        TypeError: Its type has no place in JSON.
-    """
+    """Return a field as JSON; raises TypeError where its type has no place in it."""
     if isinstance(item, Enum):
         item = item.value
     elif is_dataclass(item):
@@ -195,15 +174,7 @@ def to_json(item: object) -> JsonValue:
 
 
 def from_json(stored: Any, hint: Any) -> Any:  # noqa: ANN401 - the type is what the hint says
-    """Return a field from JSON.
-
-    Args:
-        stored: What ``to_json`` returned.
-        hint: The type of the field, as the class declares it.
-
-    Raises:
-        StorageError: ``stored`` does not fit.
-    """
+    """Return a field of the type ``hint`` from what ``to_json`` returned; raises StorageError where it does not fit."""
     return _reader(hint)(stored)
 
 
@@ -232,7 +203,7 @@ def _collection_reader(origin: object, read: Callable[[Any], Any]) -> Callable[[
 
 
 def _value_reader(kind: type[Any]) -> Callable[[Any], Any]:
-    readers = [_reader(one) for one in _hints(cast("Hashable", kind)).values()]
+    readers = [_reader(one) for one in hints_of(cast("Hashable", kind)).values()]
 
     def read(stored: Any) -> Any:  # noqa: ANN401 - as ``from_json``
         return kind(*[reader(one) for reader, one in zip(readers, stored, strict=True)])
@@ -262,12 +233,12 @@ def _number(stored: object) -> float:
 @cache
 def _field_reader(kind: Hashable, name: str) -> Callable[[Any], Any] | None:
     """Return what reads a field of a dataclass from JSON; None where it is an array."""
-    hint = _hints(kind)[name]
+    hint = hints_of(kind)[name]
     return None if get_origin(hint) is np.ndarray else _reader(hint)
 
 
 @cache
-def _hints(kind: Hashable) -> Mapping[str, Any]:
+def hints_of(kind: Hashable) -> Mapping[str, Any]:
     """Return the types of the fields of a dataclass, in the order of its fields."""
     hints = get_type_hints(kind)
     return {field.name: hints[field.name] for field in fields(cast("Any", kind))}

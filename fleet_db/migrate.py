@@ -25,12 +25,7 @@ FROM_LATER = "this version does not know it: run the later one it is of"
 
 
 def check_head(engine: Engine) -> None:
-    """Refuse a database that is not at the head of this version's migrations.
-
-    Raises:
-        MigrationError: It is elsewhere, or has never been migrated; the message gives the command to run.
-        StorageError: It cannot be reached.
-    """
+    """Refuse a database that is not at the head of this version's migrations, with the command to run."""
     file = sqlite_file(engine)
     if file is not None and not file.exists():
         raise MigrationError(None, head())
@@ -41,11 +36,7 @@ def check_head(engine: Engine) -> None:
 
 
 def check_upgradable(connection: Connection) -> None:
-    """Refuse a database that no upgrade of this version leads from.
-
-    Raises:
-        MigrationError: It is from before the first release, or of a later version.
-    """
+    """Refuse a database that no upgrade leads from: from before the first release, or of a later version."""
     found = revision_of(connection)
     if found is not None and found not in known_revisions():
         raise refusal(found)
@@ -84,13 +75,7 @@ def known_revisions() -> tuple[str, ...]:
 
 
 def upgrade(url: str) -> str:
-    """Create the database file if there is none, run every missing migration in one transaction; return the head.
-
-    Raises:
-        ParameterError: ``url`` names no database that can be used.
-        MigrationError: The database is from before the first release, or of a later version.
-        StorageError: It cannot be reached.
-    """
+    """Create the database file if there is none, run every missing migration in one transaction; return the head."""
     engine = database_engine(url)
     file = sqlite_file(engine)
     if file is not None:

@@ -1,4 +1,4 @@
-"""What is stored whole in one blob: trends, geometries, alignments, layouts, bin tables, profiles of wheels.
+"""What is stored whole in one blob: trends, geometries, alignments, bin tables, profiles, creep, dampers, signatures.
 
 A value is packed by its own fields (``fleet_db.fields``); here is only what is stored otherwise than declared. The
 same value is the same blob: versions of a track are compared by it.
@@ -11,21 +11,26 @@ from functools import lru_cache
 from typing import Any, TypeVar, cast
 
 import numpy as np
+import orjson
 
 from estimation.contact.profiles import Profile
+from estimation.values.alerts import WorklistRow
 from estimation.values.arrays import BoolArray
+from estimation.values.fields import JsonValue
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinValues, FilledCells, WheelsetGeometry
-from estimation.values.json_value import JsonValue
+from estimation.values.opinions import DamperSums, FrictionSums, SectionAdhesion, WindowAdhesion, WindowDamper
 from estimation.values.roll_up import RollingSums
+from estimation.values.signatures import AxlePosition, Place, Signature
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings, TrackLayout
-from fleet_db.fields import Array, fields_of, pack, to_json, unpack, value_of
+from fleet_db.fields import Array, fields_of, from_json, pack, to_json, unpack, value_of
 
 V = TypeVar("V")
 VERSION = 1
 ALIGNMENTS = 4  # that are kept unpacked, some megabytes each
 GEOMETRY, LAYOUT, BIN_TABLE = "wheelset_geometry", "track_layout", "bin_table"
 WHEEL_PAIR, ALIGNMENT = "wheel_pair", "track_alignment"
-ROLLING_SUMS = "rolling_sums"
+ROLLING_SUMS, SIGNATURES = "rolling_sums", "wear_signatures"
+WINDOW_ADHESION, SECTION_ADHESION, WINDOW_DAMPER = "window_adhesion", "section_adhesion", "window_damper"
 STATUSES = {status.value: status for status in BinStatus}
 PROFILE_ARRAYS = ("y", "z", "slope")
 
@@ -38,11 +43,7 @@ def pack_value(value: object) -> bytes:
 
 
 def unpack_value(kind: type[V], blob: bytes, *, where: str) -> V:
-    """Return the value of a class, bit for bit.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the value of a class, bit for bit; DamagedError names ``where`` it was read from, here and below."""
     if issubclass(kind, WheelsetGeometry):
         return cast("V", unpack_geometry(blob, where=where))
     packed = unpack(blob, kind.__name__, where=where)
@@ -67,11 +68,7 @@ def pack_geometry(geometry: WheelsetGeometry) -> bytes:
 
 
 def unpack_geometry(blob: bytes, *, where: str) -> WheelsetGeometry:
-    """Return the geometry, bit for bit.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the geometry, bit for bit."""
     packed = unpack(blob, GEOMETRY, where=where)
     statuses, arrays = packed.scalars["combinations"], packed.arrays
     combinations = {
@@ -87,15 +84,7 @@ def pack_layout(layout: TrackLayout) -> bytes:
 
 
 def unpack_layout(blob: bytes, version: int, *, where: str) -> TrackLayout:
-    """Return the layout as ``version``, bit for bit.
-
-    Args:
-        blob: From ``pack_layout``.
-        where: Name of the place it was read from, for messages.
-
-    Raises:
-        DamagedError: The blob is damaged; ``where`` names it.
-    """
+    """Return the layout as ``version``, bit for bit."""
     packed = unpack(blob, LAYOUT, where=where)
     return value_of(TrackLayout, packed.scalars, packed.arrays, version=version)
 
@@ -111,15 +100,7 @@ def pack_alignment(alignment: TrackAlignment) -> bytes:
 
 @lru_cache(maxsize=ALIGNMENTS)
 def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment:
-    """Return the alignment as ``version``, bit for bit; the same again is the same object, and so is what it gives.
-
-    Args:
-        blob: From ``pack_alignment``.
-        where: Name of the place it was read from, for messages.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the alignment as ``version``, bit for bit; the same again is the same object, and so is what it gives."""
     packed = unpack(blob, ALIGNMENT, where=where)
     stored = packed.scalars.get("findings")
     findings = None if stored is None else _unpack_findings(stored, packed.arrays)
@@ -164,11 +145,7 @@ def pack_wheel_pair(left: Profile, right: Profile) -> bytes:
 
 
 def unpack_wheel_pair(blob: bytes, *, where: str) -> tuple[Profile, Profile]:
-    """Return the left and the right profile, bit for bit.
-
-    Raises:
-        DamagedError: The blob is damaged; ``where`` names it.
-    """
+    """Return the left and the right profile, bit for bit."""
     packed = unpack(blob, WHEEL_PAIR, where=where)
     left, right = (
         Profile("wheel", packed.scalars[side], *(packed.arrays[f"{side}_{name}"] for name in PROFILE_ARRAYS))
@@ -202,24 +179,12 @@ def pack_bin_table(table: BinTable | FilledCells) -> bytes:
 
 
 def unpack_bin_table(blob: bytes, *, where: str) -> BinTable:
-    """Return the table, bit for bit.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the table, bit for bit."""
     return unpack_filled_cells(blob, where=where).table()
 
 
 def unpack_filled_cells(blob: bytes, *, where: str) -> FilledCells:
-    """Return the filled cells of a packed bin table, bit for bit.
-
-    Args:
-        blob: From ``pack_bin_table``.
-        where: Name of the place it was read from, for messages.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the filled cells of a packed bin table, bit for bit."""
     packed = unpack(blob, BIN_TABLE, where=where)
     edges, rows = packed.arrays["edges"], packed.arrays["cells"].T
     groups = packed.scalars["groups"]
@@ -246,14 +211,110 @@ def pack_rolling_sums(parts: Sequence[RollingSums]) -> bytes:
 
 
 def unpack_rolling_sums(blob: bytes, *, where: str) -> tuple[RollingSums, ...]:
-    """Return the sums of each part of a window, bit for bit.
-
-    Args:
-        blob: From ``pack_rolling_sums``.
-        where: Name of the place it was read from, for messages.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the sums of each part of a window, bit for bit."""
     arrays = unpack(blob, ROLLING_SUMS, where=where).arrays
     return tuple(RollingSums(*both) for both in zip(arrays["products"], arrays["noise"], strict=True))
+
+
+def pack_window_adhesion(found: WindowAdhesion) -> bytes:
+    """Return the creep of a window as one blob."""
+    scalars, _ = fields_of(found, without={"sums"})
+    arrays = {} if found.sums is None else fields_of(found.sums)[1]
+    return pack(WINDOW_ADHESION, VERSION, scalars, arrays)
+
+
+def unpack_window_adhesion(blob: bytes, *, where: str) -> WindowAdhesion:
+    """Return the creep of a window, bit for bit."""
+    packed = unpack(blob, WINDOW_ADHESION, where=where)
+    sums = value_of(FrictionSums, {}, packed.arrays) if packed.arrays else None
+    return value_of(WindowAdhesion, packed.scalars, {}, sums=sums)
+
+
+def pack_section_adhesion(found: SectionAdhesion) -> bytes:
+    """Return the friction of a section as one blob."""
+    return pack(SECTION_ADHESION, VERSION, *fields_of(found))
+
+
+def unpack_section_adhesion(blob: bytes, *, where: str) -> SectionAdhesion:
+    """Return the friction of a section, bit for bit."""
+    packed = unpack(blob, SECTION_ADHESION, where=where)
+    return value_of(SectionAdhesion, packed.scalars, packed.arrays)
+
+
+def pack_window_damper(found: WindowDamper) -> bytes:
+    """Return what a window says as one blob; the products are symmetric, and half of them is kept."""
+    scalars, _ = fields_of(found, without={"sums"})
+    if found.sums is None:
+        return pack(WINDOW_DAMPER, VERSION, scalars, {})
+    products = found.sums.products
+    rows, columns = np.tril_indices(products.shape[-1])
+    scalars |= {"samples": float(found.sums.samples).hex(), "curved": found.sums.curved}
+    return pack(WINDOW_DAMPER, VERSION, scalars, {"products": products[:, rows, columns]})
+
+
+def unpack_window_damper(blob: bytes, *, where: str) -> WindowDamper:
+    """Return what a window says, bit for bit."""
+    packed = unpack(blob, WINDOW_DAMPER, where=where)
+    if not packed.arrays:
+        return value_of(WindowDamper, packed.scalars, {}, sums=None)
+    half = packed.arrays["products"]
+    size = round((np.sqrt(8.0 * half.shape[-1] + 1.0) - 1.0) / 2.0)
+    rows, columns = np.tril_indices(size)
+    products = np.zeros((len(half), size, size))
+    products[:, rows, columns] = half
+    products[:, columns, rows] = half
+    sums = DamperSums(products, float.fromhex(packed.scalars["samples"]), packed.scalars["curved"])
+    return value_of(WindowDamper, packed.scalars, {}, sums=sums)
+
+
+def pack_signatures(found: Sequence[Signature]) -> bytes:
+    """Return the signatures of a window as one blob."""
+    if not found:
+        return pack(SIGNATURES, VERSION, {}, {})
+    scalars: dict[str, JsonValue] = {
+        "vehicle": found[0].vehicle,
+        "vehicle_class": found[0].vehicle_class,
+        "position": found[0].position.value,
+        "places": [None if one.place is None else [one.place.section, one.place.cell] for one in found],
+    }
+    arrays = {
+        "order": np.array([one.order for one in found], dtype=np.int64),
+        "speed": np.array([one.speed for one in found]),
+        "peak_wavelength": np.array([one.peak_wavelength for one in found]),
+        "spectra": np.stack([one.spectra for one in found]),
+    }
+    return pack(SIGNATURES, VERSION, scalars, arrays)
+
+
+def unpack_signatures(blob: bytes, wheelset: str, start_ns: int) -> tuple[Signature, ...]:
+    """Return the signatures of a window, bit for bit."""
+    packed = unpack(blob, SIGNATURES, where=f"signatures of {wheelset}@{start_ns}")
+    if not packed.arrays:
+        return ()
+    scalars, arrays = packed.scalars, packed.arrays
+    return tuple(
+        Signature(
+            wheelset=wheelset,
+            vehicle=scalars["vehicle"],
+            vehicle_class=scalars["vehicle_class"],
+            position=AxlePosition(scalars["position"]),
+            start_ns=start_ns,
+            order=int(arrays["order"][number]),
+            place=None if place is None else Place(*place),
+            speed=float(arrays["speed"][number]),
+            spectra=arrays["spectra"][number],
+            peak_wavelength=float(arrays["peak_wavelength"][number]),
+        )
+        for number, place in enumerate(scalars["places"])
+    )
+
+
+def to_document(row: WorklistRow) -> str:
+    """Return a row of the worklist as JSON."""
+    return orjson.dumps(to_json(row)).decode()
+
+
+def from_document(document: str) -> WorklistRow:
+    """Return the row of a JSON text that :func:`to_document` made."""
+    row: WorklistRow = from_json(orjson.loads(document), WorklistRow)
+    return row

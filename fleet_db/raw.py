@@ -49,11 +49,7 @@ class IncomingFile:
         return self._hash.hexdigest()
 
     def write(self, piece: bytes | bytearray) -> None:
-        """Write the next piece.
-
-        Raises:
-            PassingFaultError: No space, or the disk failed.
-        """
+        """Write the next piece. Raises PassingFaultError."""
         with passing_faults(self._directory), memoryview(piece) as left:
             file = self._file or self._made()
             written = 0
@@ -63,11 +59,7 @@ class IncomingFile:
         self.size_bytes += len(piece)
 
     def finish(self) -> None:
-        """Put what was written on the disk, where it is to be durable, and close the file.
-
-        Raises:
-            PassingFaultError: The disk failed; nothing that was written counts.
-        """
+        """Put what was written on the disk, where it is to be durable, and close the file. Raises PassingFaultError."""
         with passing_faults(self._directory):
             file = self._file or self._made()  # of no bytes
             if self._durable:
@@ -97,11 +89,7 @@ class IncomingFile:
 
 
 def pieces_of(source: Path) -> Iterator[bytes]:
-    """Yield the bytes of a file of others.
-
-    Raises:
-        InputError: It cannot be read; names it.
-    """
+    """Yield the bytes of a file of others; raises InputError where it cannot be read."""
     try:
         with source.open("rb") as stream:
             while piece := stream.read(PIECE_BYTES):
@@ -162,11 +150,7 @@ class RawStore(ABC):
 
     @abstractmethod
     def place(self, digest: str, suffix: str) -> str:
-        """Return the path or URL of a recording, for messages.
-
-        Raises:
-            ParameterError: ``digest`` is no sha256 in hexadecimal, or ``suffix`` no plain ending.
-        """
+        """Return the path or URL of a recording, for messages; raises as :func:`recording_name`."""
 
     @abstractmethod
     def incoming(self, suffix: str) -> IncomingFile:
@@ -174,14 +158,7 @@ class RawStore(ABC):
 
     @abstractmethod
     def put(self, files: Sequence[IncomingFile]) -> None:
-        """Put finished files under their digests.
-
-        Args:
-            files: They may be moved.
-
-        Raises:
-            PassingFaultError: They cannot be put now; some of them may be there all the same.
-        """
+        """Put finished files, which may be moved, under their digests. Raises PassingFaultError: some may be there."""
 
     @abstractmethod
     def file_of(self, placed: IncomingFile) -> Path:
@@ -206,11 +183,7 @@ class RawStore(ABC):
 
     @abstractmethod
     def whole(self, digest: str, suffix: str, size_bytes: int) -> AbstractContextManager[Path]:
-        """Open a block with a file of this machine that holds a recording, compared with its digest.
-
-        Raises:
-            LostRecordingError, PassingFaultError: As :meth:`check`.
-        """
+        """Open a block with a file of this machine that holds a recording; raises as :meth:`check`."""
 
     @abstractmethod
     def remove(self, digest: str, suffix: str) -> None:
@@ -222,17 +195,7 @@ class RawStore(ABC):
 
     @abstractmethod
     def remove_old(self, item: RawItem, least_age_s: float) -> int | None:
-        """Remove something that was listed unless it has been written again since.
-
-        Args:
-            least_age_s: Age that it must have now, s.
-
-        Returns:
-            int | None: Its size; None if it stays, or is gone.
-
-        Raises:
-            PassingFaultError: It cannot be removed now.
-        """
+        """Remove something listed that is this old now; return its size, None if it stays. Raises PassingFaultError."""
 
     @abstractmethod
     def total(self, enough: int) -> RawTotal:
@@ -296,14 +259,7 @@ class RawStore(ABC):
 
 
 def recording_name(digest: str, suffix: str) -> str:
-    """Return the name of a recording in its store, with its folder.
-
-    Args:
-        digest, suffix: Of its bytes and its format.
-
-    Raises:
-        ParameterError: ``digest`` is no sha256 in hexadecimal, or ``suffix`` no plain ending.
-    """
+    """Return the name of a recording in its store, with its folder; raises ParameterError of any other text."""
     if len(digest) != hashlib.sha256().digest_size * 2 or set(digest) - set("0123456789abcdef"):
         raise ParameterError(f"{digest!r} is no sha256", field="digest")
     if not (suffix.startswith(".") and suffix[1:].isalnum()):
@@ -328,10 +284,6 @@ def damaged(place: Path | str) -> LostRecordingError:
 
 
 def check_size(found: int, size_bytes: int | None, place: Path | str) -> None:
-    """Raise LostRecordingError where a recording has another size than it must have.
-
-    Args:
-        found, size_bytes: As it is; as it must be, None where that is not known.
-    """
+    """Raise LostRecordingError where a recording has another size than it must have, if that is known."""
     if size_bytes is not None and found != size_bytes:
         raise LostRecordingError(f"has {found} bytes, not {size_bytes}", file=place)

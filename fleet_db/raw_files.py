@@ -28,12 +28,7 @@ from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 
 class FileRawStore(RawStore):
-    """Recordings under one folder.
-
-    Args:
-        directory: The folder; made with the first recording. Recordings are received in it, and get their names by a
-            rename.
-    """
+    """Recordings under one folder, received in it and named by a rename; it is made with the first one."""
 
     def __init__(self, directory: Path) -> None:
         super().__init__(receiving=directory)
@@ -159,11 +154,7 @@ class FileRawStore(RawStore):
 
 
 def unlink_old(path: Path, least_age_s: float) -> int | None:
-    """Delete a file unless it has been written or used again since it was found; return its size, None if it stays.
-
-    Args:
-        least_age_s: Age that it must have now.
-    """
+    """Delete a file unless it was written or used again less than this age ago; return its size, None if it stays."""
     try:
         found = path.stat()
         if found.st_mtime > time.time() - least_age_s:
@@ -204,12 +195,7 @@ LOOKED_FOR = 10  # so many of the oldest and of the newest receipts are looked f
 
 
 def check_raw_store(storage: SqlStorage, raw: RawStore, now_ns: int) -> str:
-    """Return the mark of the store of raw recordings; mark it at its first use.
-
-    Raises:
-        PassingFaultError: The store is not that of this database: not mounted, or another one; or it cannot be read or
-            written.
-    """
+    """Return the mark of the raw store, made at its first use; PassingFaultError: it is not that of this database."""
     found = raw.read_mark()
     with storage.read() as unit:
         known = unit.raw_marks.get()

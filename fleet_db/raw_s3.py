@@ -34,11 +34,7 @@ NAMES = 1 << 32  # so many beginnings of a digest, of eight digits, there are
 
 
 class S3RawStore(RawStore):
-    """Recordings in a bucket.
-
-    Args:
-        receiving: Folder of this machine, in which recordings are received, and copies are made to be read.
-    """
+    """Recordings in a bucket; they are received, and copied to be read, in a folder of this machine."""
 
     def __init__(self, bucket: S3Bucket, receiving: Path) -> None:
         super().__init__(receiving)

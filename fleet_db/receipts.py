@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated
 
+from estimation.values.fields import Served
 from estimation.values.reasons import Reason
-from estimation.values.served import Served
 
 
 class ChunkState(StrEnum):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 
 
 class RecordKind(StrEnum):

@@ -3,14 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from enum import Enum
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast, get_args, get_origin
 
-from sqlalchemy import ColumnElement, Connection, Insert, Select, Table, Update, and_, bindparam, or_, select, update
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Insert,
+    Row,
+    Select,
+    Table,
+    Update,
+    and_,
+    bindparam,
+    delete,
+    or_,
+    select,
+    update,
+)
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.fields import hints_of
 from fleet_db.tables import Base
 
 V = TypeVar("V")
@@ -32,6 +48,20 @@ def key_given(table: Table) -> ColumnElement[bool]:
 def key_of(table: Table, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the parameters for ``key_given``."""
     return {f"key_{column.name}": values[column.name] for column in table.primary_key}
+
+
+def row_of(connection: Connection, table: Table, *key: object) -> dict[str, Any] | None:
+    """Return the row with a primary key, whose columns are in the order of the table; None where there is none."""
+    given = {f"key_{column.name}": value for column, value in zip(table.primary_key, key, strict=True)}
+    row = connection.execute(_by_key(table), given).mappings().first()
+    return None if row is None else {str(name): value for name, value in row.items()}
+
+
+def delete_row(connection: Connection, table: Table, *key: object) -> None:
+    """Delete the row with a primary key, whose columns are in the order of the table."""
+    connection.execute(
+        delete(table).where(*(column == value for column, value in zip(table.primary_key, key, strict=True)))
+    )
 
 
 def upsert(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:
@@ -70,22 +100,13 @@ def insert_all_new(connection: Connection, table: Table, rows: Sequence[Mapping[
 
 
 def on_sections(column: ColumnElement[str | None], sections: Collection[str]) -> ColumnElement[bool]:
-    """Return the condition that a column names one of some sections.
-
-    Args:
-        column: Code of a section, or null.
-        sections: Codes; the empty text stands for null.
-    """
+    """Return the condition that a column names one of some sections; the empty text stands for null."""
     named = column.in_(sorted(set(sections) - {""}))
     return or_(named, column.is_(None)) if "" in sections else named
 
 
 def by_wheelset(rows: Iterable[Any], value: Callable[[Any], V]) -> dict[str, list[V]]:
-    """Return the values of rows by their wheelset, in their order.
-
-    Args:
-        value: Returns that of a row.
-    """
+    """Return the values of rows by their wheelset, in their order."""
     found: dict[str, list[V]] = {}
     for row in rows:
         found.setdefault(row.wheelset, []).append(value(row))
@@ -124,6 +145,61 @@ def _update(table: Table, names: tuple[str, ...]) -> Update:
     return update(table).where(key_given(table)).values({name: bindparam(name) for name in names})
 
 
+def value_of_row(kind: type[V], row: Row[Any] | Mapping[str, Any], **given: object) -> V:
+    """Return the value of a class whose fields are columns of a row; ``given`` are those that are none."""
+    columns = row._mapping if isinstance(row, Row) else row  # noqa: SLF001 - SQLAlchemy's public accessor
+    values = dict(given)
+    for name, read in _column_readers(cast("Hashable", kind)).items():
+        if name in given or name not in columns:
+            continue
+        if read is stored_reason:
+            code = columns["reason_code"]
+            values[name] = None if code is None else Reason(ReasonCode(code), columns["reason"])
+        else:
+            values[name] = columns[name] if read is None else read(columns[name])
+    return kind(**values)
+
+
+def columns_of(value: object, *without: str) -> dict[str, Any]:
+    """Return the fields of a value as columns: what JSON has no type for as lists, a reason as text and code."""
+    columns: dict[str, Any] = {}
+    for name, read in _column_readers(cast("Hashable", type(value))).items():
+        item = getattr(value, name)
+        if name in without:
+            continue
+        if read is stored_reason:
+            columns |= reason_columns(item)
+        elif isinstance(item, Enum):
+            columns[name] = item.value
+        elif isinstance(item, frozenset):
+            columns[name] = sorted(item)
+        elif isinstance(item, tuple):
+            columns[name] = list(item)
+        else:
+            columns[name] = dict(item) if isinstance(item, Mapping) else item
+    return columns
+
+
+@cache
+def _column_readers(kind: Hashable) -> Mapping[str, Callable[[Any], Any] | None]:
+    """Return what makes the fields of a class of their columns; None where they are the same."""
+    return {name: _column_reader(hint) for name, hint in hints_of(kind).items()}
+
+
+def _column_reader(hint: Any) -> Callable[[Any], Any] | None:  # noqa: ANN401 - a type as it is declared
+    declared = next((part for part in get_args(hint) if part is not type(None)), hint) if _optional(hint) else hint
+    plain = get_origin(declared) or declared
+    if plain is Reason:
+        return stored_reason
+    if not isinstance(plain, type) or not issubclass(plain, Enum | tuple | frozenset):
+        return None
+    return lambda stored: None if stored is None else plain(stored)
+
+
+def _optional(hint: Any) -> bool:  # noqa: ANN401 - the same
+    return type(None) in get_args(hint)
+
+
 def reason_columns(reason: Reason | None) -> dict[str, str | None]:
     """Return the values of the columns ``reason`` (empty where there is none) and ``reason_code`` (then null)."""
     if reason is None:
@@ -132,9 +208,5 @@ def reason_columns(reason: Reason | None) -> dict[str, str | None]:
 
 
 def stored_reason(row: Any) -> Reason | None:  # noqa: ANN401 - a row of any table with both columns
-    """Return the reason of a row; None where it has none.
-
-    Args:
-        row: With the columns ``reason`` and ``reason_code``.
-    """
+    """Return the reason of a row by its columns ``reason`` and ``reason_code``; None where it has none."""
     return None if row.reason_code is None else Reason(ReasonCode(row.reason_code), row.reason)

@@ -66,14 +66,7 @@ class ObjectFacts:
 
 
 class S3Bucket:
-    """Objects below the prefix of a place.
-
-    Args:
-        place: Of the bucket; it must be there already.
-
-    Raises:
-        PassingFaultError: The client library is not installed.
-    """
+    """Objects below the prefix of a place, whose bucket must be there already."""
 
     def __init__(self, place: S3Place) -> None:
         self.place = place
@@ -105,11 +98,7 @@ class S3Bucket:
             yield self._part(name, first, min(first + PART_BYTES, facts.size_bytes), facts.e_tag)
 
     def put(self, name: str, source: Path) -> None:
-        """Put the content of a file; large ones in parts. The object is there whole or not at all.
-
-        Raises:
-            PassingFaultError: It cannot be put now.
-        """
+        """Put the content of a file, whole or not at all; large ones in parts. Raises PassingFaultError."""
         large = source.stat().st_size > PART_BYTES
         with self._faults(name):
             try:

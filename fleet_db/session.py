@@ -9,14 +9,13 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Self, TypeVar, cast
+from typing import Any
 
-import psycopg
 import sqlalchemy
 from sqlalchemy import URL, Connection, Dialect, Engine, event
 from sqlalchemy.exc import (
@@ -31,10 +30,6 @@ from sqlalchemy.pool import ConnectionPoolEntry
 
 from estimation.errors import ConflictError, ParameterError, StorageError
 from fleet_db.visibility import narrow_statements
-
-Returned = TypeVar("Returned")
-Waiting = Generator[Any, Any, Returned]
-"""Of the driver: yields what it waits for on the socket, is sent what came, nothing at each of its intervals."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,88 +55,6 @@ class ServerLimits:
             "keepalives_count": 3,
             "tcp_user_timeout": round(2000 * self.silence_s),  # ms
         }
-
-
-class EndedPipelineCursor(psycopg.Cursor[Any]):
-    """A cursor that asks for something plain after it has sent several rows.
-
-    The driver sends them in a pipeline, after which the server does not end a transaction in which nothing happens any
-    more until it has answered something else: a process that stands still there would keep its locks from all others.
-    """
-
-    def executemany(self, query: Any, params_seq: Iterable[Any], *, returning: bool = False) -> None:  # noqa: ANN401
-        """Execute a statement for each row."""
-        super().executemany(query, params_seq, returning=returning)
-        with psycopg.Cursor(self.connection) as plain:
-            plain.execute("SELECT 1")
-
-
-class WatchedConnection(psycopg.Connection[Any]):
-    """A connection that ends with an error where the server is silent, and does not answer at another one either."""
-
-    answered_s = float("-inf")
-    """When the server answered it last, on the monotonic clock, in seconds."""
-    _limits: ServerLimits | None = None
-    _again: Callable[[], psycopg.Connection[Any]]
-
-    @classmethod
-    def open(cls, limits: ServerLimits, *positional: Any, **named: Any) -> Self:  # noqa: ANN401 - the driver's own
-        """Return a connection within these limits.
-
-        Args:
-            positional, named: Of ``psycopg.connect``.
-
-        Raises:
-            psycopg.OperationalError: Nothing answered in time, or it refused.
-        """
-        connection = cls.connect(*positional, **named)
-        connection.watch(limits, lambda: psycopg.connect(*positional, **named))
-        return connection
-
-    def watch(self, limits: ServerLimits, connect_again: Callable[[], psycopg.Connection[Any]]) -> None:
-        """Look at the silence of the server from now on."""
-        self._limits, self._again = limits, connect_again
-
-    def wait(self, gen: Waiting[Returned], *positional: Any, **named: Any) -> Returned:  # noqa: ANN401 - the driver's own
-        """Wait as the driver does, and look at the silence meanwhile.
-
-        Raises:
-            psycopg.OperationalError: The server was silent for too long and is not there, or the statement took too
-                long.
-        """
-        watched = gen if self._limits is None else self._watch(gen, self._limits)
-        return super().wait(watched, *positional, **named)
-
-    def _watch(self, gen: Waiting[Returned], limits: ServerLimits) -> Waiting[Returned]:
-        began_s = said_s = time.monotonic()
-        # the server ends a statement that is late by itself, and has this long to say so
-        late_s = None if limits.statement_s is None else limits.statement_s + limits.silence_s
-        try:
-            wanted = next(gen)
-            while True:
-                came = yield wanted
-                now_s = time.monotonic()
-                if came:
-                    said_s = now_s
-                elif late_s is not None and now_s - began_s >= late_s:
-                    self._give_up(f"no end of a statement after {now_s - began_s:.0f} s")
-                elif now_s - said_s >= limits.silence_s:
-                    self._ask_whether_there(now_s - said_s)
-                    said_s = time.monotonic()
-                wanted = gen.send(came)
-        except StopIteration as end:
-            self.answered_s = time.monotonic()
-            return cast("Returned", end.value)
-
-    def _ask_whether_there(self, silent_s: float) -> None:
-        try:
-            self._again().close()
-        except psycopg.Error:  # without its cause: it may repeat the password
-            self._give_up(f"no answer for {silent_s:.0f} s, and none to a new connection")
-
-    def _give_up(self, why: str) -> None:
-        self.pgconn.finish()
-        raise psycopg.OperationalError(f"the server is silent: {why}") from None
 
 
 RETRY_S = 1.0
@@ -305,6 +218,9 @@ def _begin_sqlite(connection: Connection) -> None:
 def _postgresql_engine(url: URL, limits: ServerLimits) -> Engine:
     if "@" in f"{url.host}{url.database}":  # the rest of a password, which messages about host and name would repeat
         raise ParameterError("has an @ in its password: write it as %40", field="database_url")
+    # the driver takes memory that a deployment on SQLite does not have to spend
+    from fleet_db.watched_connection import EndedPipelineCursor, WatchedConnection  # noqa: PLC0415
+
     engine = sqlalchemy.create_engine(
         url.set(drivername="postgresql+psycopg"),
         pool_size=10,
@@ -312,7 +228,7 @@ def _postgresql_engine(url: URL, limits: ServerLimits) -> Engine:
         connect_args={**limits.options(), "cursor_factory": EndedPipelineCursor},
         json_serializer=to_json,
     )
-    guard_connecting(engine, partial(WatchedConnection.open, limits))
+    guard_connecting(engine, partial(WatchedConnection.open, limits.silence_s, limits.statement_s))
     event.listen(engine, "checkout", partial(_check_idle, engine.dialect))
     event.listen(engine, "connect", partial(_prepare_postgresql, limits))
     return engine

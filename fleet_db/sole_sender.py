@@ -14,13 +14,7 @@ from fleet_db.session import sqlite_file, translate_errors
 
 @contextmanager
 def sending_alone(engine: Engine, holder: str) -> Iterator[Callable[[], bool] | None]:
-    """Hold the lock of the one sender of a database; yield what tells whether it is still held.
-
-    None is yielded where another process sends.
-
-    Raises:
-        StorageError: The database cannot be reached.
-    """
+    """Hold the lock of the one sender of a database; yield what tells if it is held, None where another one sends."""
     file = sqlite_file(engine)
     if file is not None:
         with locked_file(file.with_name(f"{file.name}.webhooks-lock")) as locked:

@@ -32,43 +32,34 @@ from fleet_db.session import (
     sqlite_file,
     translate_errors,
 )
+from fleet_db.stores.access import ApiKeyStore, AuditStore, IdempotencyStore
 from fleet_db.stores.adhesion import AdhesionStore
 from fleet_db.stores.alerts import AlertStore
-from fleet_db.stores.api_keys import ApiKeyStore
 from fleet_db.stores.assembled import AssembledWindowStore
-from fleet_db.stores.audit import AuditStore
 from fleet_db.stores.bin_tables import BinTableStore
-from fleet_db.stores.chunks import ChunkStore
+from fleet_db.stores.chunks import ChunkStore, RawScrubStore, RecordingChangeStore
 from fleet_db.stores.corrections import CorrectionStore
-from fleet_db.stores.dampers import DamperStore
-from fleet_db.stores.feed_branches import FeedBranchStore
 from fleet_db.stores.geometries import GeometryStore
-from fleet_db.stores.idempotency import IdempotencyStore
-from fleet_db.stores.jobs import JobRunStore
+from fleet_db.stores.installation import FeedBranchStore, RawMarkStore, RecordedTimeStore, StoredSettingStore
+from fleet_db.stores.jobs import JobRunStore, WorkClaimStore
 from fleet_db.stores.plausibility import PlausibilityStore
 from fleet_db.stores.quarantine import QuarantineStore
 from fleet_db.stores.rails import RailsStore
-from fleet_db.stores.raw_marks import RawMarkStore
-from fleet_db.stores.raw_scrubs import RawScrubStore
-from fleet_db.stores.recorded_times import RecordedTimeStore
-from fleet_db.stores.recording_changes import RecordingChangeStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RegistryHistoryStore
 from fleet_db.stores.results import ResultStore
 from fleet_db.stores.roll_ups import RollUpStore
 from fleet_db.stores.sensor_changes import SensorChangeStore
-from fleet_db.stores.settings import StoredSettingStore
 from fleet_db.stores.signatures import SignatureStore
 from fleet_db.stores.stage_marks import StageMarkStore
 from fleet_db.stores.stale_spans import StaleSpanStore
-from fleet_db.stores.suspension import SuspensionStore
+from fleet_db.stores.suspension import DamperStore, SuspensionStore
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.vehicle_classes import Shipped, no_class
 from fleet_db.stores.webhooks import WebhookStore
 from fleet_db.stores.windows import WindowStore
-from fleet_db.stores.work_claims import WorkClaimStore
 from fleet_db.stores.worklist import WorklistStore
 from fleet_db.stores.worklist_inputs import WorklistReader
 from fleet_db.subjects import Subjects
@@ -78,7 +69,7 @@ from fleet_db.visibility import VISIBLE
 
 @dataclass(slots=True)
 class SqlUnitOfWork:
-    """One transaction over all stores; the jobs see of it what ``estimation.storage.UnitOfWork`` lists."""
+    """One transaction over all stores."""
 
     connection: Connection
     files: WindowFiles
@@ -188,7 +179,7 @@ class SqlUnitOfWork:
 
 @dataclass(frozen=True, slots=True)
 class SqlStorage:
-    """Implements ``estimation.storage.Storage``.
+    """Transactions: `write` commits on a clean exit and rolls back on an exception; `read` sees one snapshot.
 
     Args:
         engine: From ``fleet_db.session.database_engine``; migrated (``fleet_db.migrate.check_head``).

@@ -14,13 +14,17 @@ from functools import cache
 from sqlalchemy import ColumnElement, Connection, Insert, bindparam, exists, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.values.dampers import GEAR_DAMPERS
+from estimation.values.opinions import GEAR_DAMPERS
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.trend import SUSPENSION, TREND
 from estimation.worklist.row import FACETS as SHOWN
 from fleet_db.rows import table_of
-from fleet_db.tables import MountingRow, ResultRow, SubjectVersionRow, TrackEpochWindowRow, WindowRow
+from fleet_db.tables.operation import SubjectVersionRow
+from fleet_db.tables.registry import MountingRow
+from fleet_db.tables.results import ResultRow
+from fleet_db.tables.track import TrackEpochWindowRow
+from fleet_db.tables.windows import WindowRow
 
 VERSIONS, MOUNTINGS, RESULTS = table_of(SubjectVersionRow), table_of(MountingRow), table_of(ResultRow)
 MEMBERS, WINDOWS = table_of(TrackEpochWindowRow), table_of(WindowRow)
@@ -46,11 +50,7 @@ class Subjects:
     _shown: set[str] = field(default_factory=set)
 
     def raised(self, kind: SubjectKind, subject: str | None, facet: str) -> None:
-        """Raise the version of a facet: the stages that read it are due once this transaction is committed.
-
-        Args:
-            subject: Its code or serial; None is what is on no section.
-        """
+        """Raise the version of a facet: the stages that read it are due after this transaction; None is no section."""
         self._raised.add((str(kind), subject or "", str(facet)))
         if kind is SubjectKind.WHEELSET and subject is not None and facet in SHOWN:
             self.show(subject)
@@ -66,11 +66,7 @@ class Subjects:
         return taken
 
     def windows(self, wheelset: str, hunting_in: str | None = None) -> None:
-        """Let the windows of a wheelset have another version: their states, qualities or mileages.
-
-        Args:
-            hunting_in: Vehicle of one of them in which the wheelset hunts, or did before it was replaced or removed.
-        """
+        """Let the windows of a wheelset, and hunting of a vehicle in which it hunts or did, have another version."""
         self.raised(SubjectKind.WHEELSET, wheelset, Facet.WINDOWS)
         if hunting_in is not None:
             self.raised(SubjectKind.VEHICLE, hunting_in, Facet.HUNTING)
@@ -80,11 +76,7 @@ class Subjects:
         self.raised(SubjectKind.WHEELSET, wheelset, Facet.TABLES)
 
     def places(self, section: str | None) -> None:
-        """Let windows, bin tables, positions or epochs of a section have another version.
-
-        Args:
-            section: None is what is on no section.
-        """
+        """Let windows, tables, positions or epochs of a section, None: of none, have another version."""
         self.raised(SubjectKind.SECTION, section, Facet.PLACES)
 
     def growth(self, facets: Collection[str], subject: tuple[SubjectKind, str] | None = None) -> int:

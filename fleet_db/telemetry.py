@@ -22,7 +22,7 @@ import numpy.typing as npt
 from estimation.compiled import compiled
 from estimation.errors import DamagedError, StorageError
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.values.windows import ACCELERATIONS, NO_BLOWS, NOT_HUNTING, Hunting, TurnBlows, Window, WindowQuality
 from fleet_db.atomic_files import passing_fault, passing_faults, write_atomically
 from fleet_db.fields import Array, from_json, pack, to_json, unpack
@@ -54,11 +54,7 @@ class WindowFiles:
             return False
 
     def save(self, window: Window, digest: str) -> int:
-        """Write the file of ``window``, whose content digest is ``digest``; return its size in bytes.
-
-        Raises:
-            PassingFaultError: It cannot be written now: no space, no permission.
-        """
+        """Write the file of ``window``, whose content digest is ``digest``; return its size in bytes."""
         blob = pack_window(window)
         path = self.path(digest)
         with passing_faults(path):
@@ -113,11 +109,7 @@ def pack_window(window: Window) -> bytes:
 
 
 def unpack_window(blob: bytes, *, where: str) -> Window:
-    """Return the window, bit for bit.
-
-    Raises:
-        DamagedError: The blob is damaged; ``where`` names it.
-    """
+    """Return the window, bit for bit."""
     packed = unpack(blob, KIND, where=where)
     scalars, arrays = packed.scalars, packed.arrays
     steps: Any = from_json(scalars["resolution"], tuple[float, ...])
@@ -147,11 +139,7 @@ def _counts(values: FloatArray, step: float) -> Array:
 
 @compiled(nogil=True)
 def whole_counts(values: FloatArray, bits: IntArray, step: float) -> tuple[npt.NDArray[np.int16], bool]:
-    """Return values (n,) as counts of ``step``, and whether those give back the same bits.
-
-    Args:
-        values, bits: (n,) as numbers, and their bits; NaN as numpy has it is missing.
-    """
+    """Return values (n,) as counts of ``step``, NaN as missing, and whether those give back the same bits."""
     counts = np.full(len(values), MISSING, np.int16)
     same = True
     for i in range(len(values)):

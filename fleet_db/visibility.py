@@ -28,7 +28,9 @@ from sqlalchemy.sql import Executable, visitors
 from sqlalchemy.sql.selectable import Alias, Join
 
 from fleet_db.rows import table_of
-from fleet_db.tables import AlertRow, ChunkRow, VehicleRow, WebhookFleetRow, WheelsetRow
+from fleet_db.tables.alerts import AlertRow, WebhookFleetRow
+from fleet_db.tables.recordings import ChunkRow
+from fleet_db.tables.registry import VehicleRow, WheelsetRow
 
 Fleets = frozenset[str]
 Columns = Any  # the columns of a table or of an alias of it
@@ -210,11 +212,7 @@ def _narrow(
 
 
 def narrowed(statement: Any, fleets: Fleets) -> Any:  # noqa: ANN401 - any statement
-    """Return a statement whose SELECTs, also in subqueries, see only the records of these fleets.
-
-    Raises:
-        LookupError: It reads a table that is not listed in this module.
-    """
+    """Return a statement that sees, also in subqueries, only these fleets; LookupError: a table not listed here."""
 
     def narrow(found: Select[Any]) -> None:
         criteria = [

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated
 
-from estimation.values.served import Served
+from estimation.values.fields import Served
 
 
 class WebhookState(StrEnum):

@@ -6,15 +6,15 @@ It reads raw recordings, so it is defined here and joins the other jobs where al
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.runner import run as run_stage
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.held import HeldRecordings, missing
-from ingest.intake.decoding import decode_received
+from ingest.held import ASSEMBLY, HeldRecordings, missing
+from ingest.intake.backlog import decode_received
 from ingest.receiver import ChunkReceipt, Receiver
-
-NAME = "assemble_windows"
 
 
 def assemble_windows(
@@ -40,9 +40,11 @@ def assemble_windows(
         receiver = receiver_of(context)
         receipts = [one.record for one in receiver.decode(waiting) if isinstance(one, ChunkReceipt)]
         counts["decoded"] = sum(record.state is ChunkState.DECODED for record in receipts)
-        counts["decoded"] += decode_received(storage_of(context), receiver, NAME, context.checkpoint).decoded
-        changes = receiver.reassembler.work_off(checkpoint=context.checkpoint)
-        counts |= {name: getattr(changes, name) for name in ("new", "changed", "removed", "healed", "quarantined")}
-        return counts
+        counts["decoded"] += decode_received(storage_of(context), receiver, ASSEMBLY, context.checkpoint).decoded
+        receiver.reassembler.lost.look()
+        made = run_stage(receiver.reassembler.stage, replace(context, executor=None))  # workers have no recordings
+        return counts | {name: count for name, count in made.items() if name not in {"vehicles", "results"}}
 
-    return Job(NAME, "Assemble windows again whose recordings, registry or files have changed", every_s=60.0, run=run)
+    return Job(
+        ASSEMBLY, "Assemble windows again whose recordings, registry or files have changed", every_s=60.0, run=run
+    )

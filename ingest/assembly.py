@@ -15,28 +15,24 @@ from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.clock import (
     CONTEXT_NS,
-    AlignCounts,
     AlignedFrames,
-    TickedValues,
     merge_aligned,
+    values_near,
 )
-from ingest.align.nearby import values_near
 from ingest.align.windows import (
     MountedWindow,
     RegistryLookup,
     VehicleSamples,
     WindowCounts,
-    add_counts,
     vehicle_samples,
     windows_of,
 )
-from ingest.catalogue import Catalogue
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.intake import check_alone
 from ingest.frames import count_dropped
 from ingest.own_bus.bus import OwnBus
-from ingest.own_bus.samples import own_samples
-from ingest.plausibility.vehicle_clock import clock_verdict
+from ingest.own_bus.decoding import own_samples
+from ingest.plausibility import clock_verdict
 from ingest.recordings import (
     RECORDER_FIRST,
     RECORDER_LAST,
@@ -54,13 +50,8 @@ class SpanAssembly:
     """The windows of a vehicle that overlap a span of its clock, and everything that went into them.
 
     Attributes:
-        from_ns, to_ns: Start of the first window of the span, end of its last.
-        windows: All that recordings and registry give in the span, but for those of ``kept``.
-        kept: Spans in which a recording cannot be read any more: what is stored of them stays.
-        lost: Receipts of those whose raw file is lost or damaged, and was not purged.
         again: Receipts of recordings that the vehicle's bus, another one now, places elsewhere than when they were
             decoded, or cannot read.
-        counts: What was left out.
     """
 
     vehicle: str
@@ -68,9 +59,9 @@ class SpanAssembly:
     to_ns: int
     sources: frozenset[str]
     lookup: RegistryLookup
-    windows: tuple[MountedWindow, ...]
-    kept: tuple[Span, ...]
-    lost: tuple[ChunkRecord, ...]
+    windows: tuple[MountedWindow, ...]  # all that recordings and registry give in the span, but for those of ``kept``
+    kept: tuple[Span, ...]  # spans in which a recording cannot be read any more: what is stored of them stays
+    lost: tuple[ChunkRecord, ...]  # receipts of those whose raw file is lost or damaged, and was not purged
     again: tuple[ChunkRecord, ...]
     counts: Mapping[str, int]
 
@@ -80,11 +71,7 @@ class SpanAssembly:
 
 
 def registry_lookup(unit: SqlUnitOfWork, vehicle: VehicleRecord, from_ns: int, to_ns: int) -> RegistryLookup:
-    """Return what the registry contains of a vehicle over a span of its clock.
-
-    Args:
-        from_ns, to_ns: The span, its end excluded.
-    """
+    """Return what the registry contains of a vehicle over a span of its clock."""
     sections = unit.tracks.sections()
     return RegistryLookup(
         vehicle,
@@ -105,9 +92,6 @@ def needed_range(first_ns: int, last_ns: int, length_ns: int) -> tuple[int, int,
 
     ``first`` and ``last`` bound the windows that these frames can change; recordings in ``[from, to)`` are needed to
     assemble those windows.
-
-    Args:
-        first_ns, last_ns: First and last frame.
     """
     first, last = first_ns - CONTEXT_NS, last_ns + CONTEXT_NS
     from_ns = first // length_ns * length_ns - CONTEXT_NS
@@ -140,11 +124,7 @@ class Assembler:
         return tuple(_receipt_after(*each, _span(each[1], aligned)) for each in coming)
 
     def check_no_logs(self, unit: SqlUnitOfWork, vehicle: str, span: Span) -> None:
-        """Raise where logs are in the windows that an exchange of this span of the vehicle's clock touches.
-
-        Raises:
-            ConflictError: There are.
-        """
+        """Raise where logs are in the windows that an exchange of this span of the vehicle's clock touches."""
         _, _, from_ns, to_ns = needed_range(*span, self.length_ns)
         _check_one_kind(vehicle, EXCHANGE_SUFFIX, unit.chunks.overlapping(vehicle, from_ns, to_ns))
 
@@ -152,9 +132,6 @@ class Assembler:
         """Raise where logs of a bus and exchanges would share a window with a recording that was just placed.
 
         Two exchanges may share a window, but no instant.
-
-        Raises:
-            ConflictError: They would.
         """
         if record.first_ns is not None and record.last_ns is not None:
             _, _, from_ns, to_ns = needed_range(record.first_ns, record.last_ns, self.length_ns)
@@ -177,14 +154,14 @@ class Assembler:
         """Return the receipts of all recordings that the windows of a vehicle in a span depend on.
 
         Args:
-            span: ``[from, to)`` of its clock, at the edges of windows.
             coming: Receipts of recordings that are about to be decoded, with their place.
         """
         decoded = unit.chunks.overlapping(vehicle, span[0] - CONTEXT_NS, span[1] + CONTEXT_NS)
         found = {other.digest: other for other in (*decoded, *coming)}
         for source in list(found.values()):
-            if not self._has_own_time(source):  # its place is known by those beside it
-                beside = decoded_beside(unit, vehicle, source.digest, self._recorder_ns(source))
+            if not source.counts[OWN_TIME]:  # its place is known by those beside it
+                recorder_ns = source.counts[RECORDER_FIRST], source.counts[RECORDER_LAST]
+                beside = decoded_beside(unit, vehicle, source.digest, recorder_ns)
                 found |= {other.digest: other for other in beside}
         return [found[digest] for digest in sorted(found)]
 
@@ -200,13 +177,10 @@ class Assembler:
         """Assemble all windows of a vehicle that overlap a span of its clock.
 
         Args:
-            span: ``[from, to)``, ns.
-            coming: Receipts of recordings that are about to be decoded, with their place.
             keep_unreadable: Whether what is stored of a recording that cannot be read any more stays, and the others go
                 on.
 
         Raises:
-            NotFoundError: The registry does not know the vehicle.
             StorageError: A recording that is needed cannot be read any more.
         """
         on_file = unit.registry.vehicle(vehicle)
@@ -219,20 +193,17 @@ class Assembler:
         lost = tuple(source for source in unreadable if source.purged_ns is None)
         windows: list[MountedWindow] = []
         counts: Counter[str] = Counter()
-        for of_kind in _by_kind(sources, loaded):
-            made, left_out = self._windows(of_kind, lookup, (first, end))
-            windows += made
-            counts.update(left_out)
+        for exchanges in (False, True):  # they never share a window
+            readable = [source for source in sources if source.digest in loaded]
+            of_kind = [loaded[s.digest] for s in readable if (s.suffix == EXCHANGE_SUFFIX) == exchanges]
+            if of_kind:
+                made, left_out = self._windows(of_kind, lookup, (first, end))
+                windows += made
+                counts.update(left_out)
         spared = SpanAssembly(
             vehicle, first, end, frozenset(r.digest for r in sources), lookup, (), kept, lost, again, counts
         )
         return replace(spared, windows=tuple(w for w in windows if not spared.keeps(w.window.start_ns, self.length_ns)))
-
-    def _has_own_time(self, source: ChunkRecord) -> bool:
-        return bool(source.counts[OWN_TIME])
-
-    def _recorder_ns(self, source: ChunkRecord) -> Span:
-        return source.counts[RECORDER_FIRST], source.counts[RECORDER_LAST]
 
     def _loaded(
         self, sources: Sequence[ChunkRecord], *, keep_unreadable: bool
@@ -267,46 +238,29 @@ class Assembler:
     def _windows(
         self, recordings: Sequence[Recording], lookup: RegistryLookup, span: Span
     ) -> tuple[list[MountedWindow], dict[str, int]]:
-        messages = merge_aligned(align_recordings(recordings, span))
-        samples, counts = _samples(lookup.vehicle.code, recordings[0].catalogue, messages, span)
+        messages, catalogue = merge_aligned(align_recordings(recordings, span)), recordings[0].catalogue
+        near, vehicle = values_near(messages, span, catalogue.sample_interval_ns), lookup.vehicle.code
+        if isinstance(catalogue, OwnBus):
+            samples, counts = own_samples(vehicle, catalogue, near)
+        else:
+            samples, counts = vehicle_samples(vehicle, catalogue, near)
         windows, made = [], WindowCounts()
         for outcome in windows_of(samples, _starts(samples, span, self.length_ns), self.length_ns, lookup):
             if isinstance(outcome, MountedWindow):
                 windows.append(outcome)
             else:
-                made = add_counts(made, outcome)
+                made += outcome
         made = replace(made, windows=len(windows))
         return windows, {**_nonzero(asdict(counts)), **asdict(made)}
 
 
-def _by_kind(sources: Iterable[ChunkRecord], loaded: Mapping[str, Recording]) -> list[list[Recording]]:
-    """Return the recordings that could be read, logs and exchanges apart: they never share a window."""
-    logs: list[Recording] = []
-    exchanges: list[Recording] = []
-    for source in sources:
-        if source.digest in loaded:
-            (exchanges if source.suffix == EXCHANGE_SUFFIX else logs).append(loaded[source.digest])
-    return [found for found in (logs, exchanges) if found]
-
-
 def _starts(samples: VehicleSamples, span: Span, length_ns: int) -> list[int]:
-    """Return the starts of the windows of a span that any wheelset has samples in."""
     found: set[int] = set()
     for node in samples.nodes.values():
         low, high = np.searchsorted(node.block.t_ns, span)
         numbers = node.block.t_ns[low:high] // length_ns
         found.update((numbers[np.diff(numbers, prepend=-1) != 0] * length_ns).tolist())
     return sorted(found)
-
-
-def _samples(
-    vehicle: str, catalogue: Catalogue, messages: Mapping[int, TickedValues], span: Span
-) -> tuple[VehicleSamples, AlignCounts]:
-    """Return the samples of a vehicle that windows of a span can be made of, and counts of what is near it."""
-    near = values_near(messages, span, catalogue.sample_interval_ns)
-    if isinstance(catalogue, OwnBus):
-        return own_samples(vehicle, catalogue, near)
-    return vehicle_samples(vehicle, catalogue, near)
 
 
 def _check_one_kind(vehicle: str, suffix: str, sources: Iterable[ChunkRecord]) -> None:
@@ -335,7 +289,6 @@ def _span(recording: Recording, aligned: Iterable[AlignedFrames]) -> Span | None
 
 
 def _receipt_after(record: ChunkRecord, recording: Recording, span: Span | None) -> ChunkRecord:
-    """Return the receipt of a recording that was just placed at ``span`` on the vehicle's clock, or not at all."""
     first, last = recording.recorder_ns
     counts = {
         "frames": 0,

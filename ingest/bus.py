@@ -17,13 +17,8 @@ import can
 import numpy as np
 
 from estimation.errors import ConflictError, ParameterError
-from ingest.canopen import SYNC_ID
-from ingest.frames import (
-    ERROR_FLAG,
-    EXTENDED_FLAG,
-    REMOTE_FLAG,
-    FrameBatch,
-)
+from ingest.catalogue import SYNC_ID
+from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 
 VIRTUAL = "virtual"
 MULTICAST = "udp_multicast"
@@ -55,17 +50,13 @@ def open_bus(interface: str, channel: str, **options: Any) -> can.BusABC:  # noq
         raise ParameterError(f"{interface} bus {channel!r} cannot be opened: {error}", field="channel") from error
     if interface != VIRTUAL:
         with socket.socket(fileno=os.dup(bus.fileno())) as end:
-            _enlarge(end)
+            try:
+                end.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BYTES)
+            except OSError:
+                end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
             if interface == MULTICAST:
                 _hear_own_group_alone(end)
     return bus
-
-
-def _enlarge(end: socket.socket) -> None:
-    try:
-        end.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BYTES)
-    except OSError:
-        end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
 
 
 def _hear_own_group_alone(end: socket.socket) -> None:
@@ -91,25 +82,18 @@ def send(
     """Send frames at the pace of their time stamps, the first at once; return how many were sent.
 
     The frames of a cycle go out right behind their SYNC: a pause between them could grow beyond the cycle.
-
-    Args:
-        batch: Frames in the order of time.
-        stop: Ends the sending when set, within a frame.
-
-    Raises:
-        ConflictError: The bus refused a frame.
     """
     if len(batch) == 0:
         return 0
-    begin = clock_s()
+    begin, ended = clock_s(), stop or threading.Event()
     due = begin + (batch.t_ns - batch.t_ns[0]) * 1e-9
     sync = np.maximum.accumulate(np.where(batch.arbitration_id == SYNC_ID, np.arange(len(batch)), -1))
     due[sync >= 0] = due[sync[sync >= 0]]
     for position, message in enumerate(messages_of(batch)):
         ahead = float(due[position]) - clock_s()
         if ahead > 0.0:
-            _pause(stop, ahead)
-        if stop is not None and stop.is_set():
+            ended.wait(ahead)
+        if ended.is_set():
             return position
         try:
             bus.send(message)
@@ -132,10 +116,3 @@ def messages_of(batch: FrameBatch) -> Iterator[can.Message]:
             dlc=length,
             data=None if remote else data[:length].tobytes(),
         )
-
-
-def _pause(stop: threading.Event | None, seconds: float) -> None:
-    if stop is None:
-        time.sleep(seconds)
-    else:
-        stop.wait(seconds)

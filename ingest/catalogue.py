@@ -17,9 +17,11 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from estimation.errors import CatalogueError
-from ingest.bounded_file import SETTINGS_BYTES, read_text_within
+from estimation.values.arrays import IntArray
+from ingest.input_file import SETTINGS_BYTES, read_text_within
 
 NO_SCALE = "a scale of 0: every value would be the offset"
 VEHICLE_NODE = 16
@@ -77,11 +79,7 @@ class MessagePlan:
     signals: tuple[SignalPlan, ...]
 
     def signal(self, name: str) -> SignalPlan:
-        """Return the plan of one signal.
-
-        Raises:
-            CatalogueError: The message has no such signal.
-        """
+        """Return the plan of one signal."""
         for plan in self.signals:
             if plan.name == name:
                 return plan
@@ -111,11 +109,7 @@ class Catalogue:
         return tuple(sorted(p.node for p in self.messages.values() if p.kind == ACCELERATION and p.node is not None))
 
     def find(self, kind: str, node: int | None = None) -> MessagePlan:
-        """Return the message of a kind and node.
-
-        Raises:
-            CatalogueError: There is none.
-        """
+        """Return the message of a kind and node."""
         for plan in self.messages.values():
             if plan.kind == kind and plan.node == node:
                 return plan
@@ -146,11 +140,7 @@ def default_catalogue() -> Catalogue:
 
 
 def parse_dbc(path: Path) -> Any:  # noqa: ANN401 - cantools is untyped
-    """Return a DBC file as cantools reads it.
-
-    Raises:
-        CatalogueError: The file cannot be read, or is no DBC file.
-    """
+    """Return a DBC file as cantools reads it."""
     import cantools  # noqa: PLC0415 - a slow import, needed only to read a catalogue
 
     try:
@@ -239,3 +229,37 @@ def _check_needed(catalogue: Catalogue, path: Path) -> None:
 def resolution(plan: MessagePlan) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return the value of one count of each signal, (m,)."""
     return np.array([signal.scale for signal in plan.signals])
+
+
+SYNC_ID = 0x080
+TIME_ID = 0x100
+
+SYNC_PERIOD = 240
+"""The counter runs 1..240 (CiA 301, object 1019h)."""
+
+NANOSECONDS = 1_000_000_000
+DAY_MS = 86_400_000
+EPOCH_DAYS = 5113
+"""Days from 1970-01-01 to 1984-01-01, where CANopen's TIME_OF_DAY begins."""
+
+
+def sync_counter(tick: npt.ArrayLike) -> IntArray:
+    """Return the counter that the SYNC number ``tick`` (sampling intervals since 1970-01-01) carries: 1..240."""
+    return np.asarray(tick, dtype=np.int64) % SYNC_PERIOD + 1
+
+
+def time_of_day(t_ns: npt.ArrayLike) -> tuple[IntArray, IntArray]:
+    """Return ``(milliseconds after midnight, days since 1984-01-01)`` of vehicle times in ns UTC, truncated."""
+    milliseconds = np.asarray(t_ns, dtype=np.int64) // 1_000_000
+    return milliseconds % DAY_MS, milliseconds // DAY_MS - EPOCH_DAYS
+
+
+def vehicle_time_ns(milliseconds: npt.ArrayLike, days: npt.ArrayLike) -> IntArray:
+    """Return the vehicle time in ns UTC of a TIME frame.
+
+    Args:
+        milliseconds: (n,) after midnight.
+        days: (n,) since 1984-01-01.
+    """
+    whole_days = np.asarray(days, dtype=np.int64) + EPOCH_DAYS
+    return (whole_days * DAY_MS + np.asarray(milliseconds, dtype=np.int64)) * 1_000_000

@@ -6,9 +6,9 @@ The two loops that touch every frame are compiled: frames by identifier, and raw
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -64,12 +64,6 @@ def gather_by_identifier(
     """Return positions and payload words of the good frames, by identifier, each in the order of the batch.
 
     ``starts`` is the cumulative sum of what :func:`count_by_identifier` returns.
-
-    Args:
-        arbitration_id, dlc: (n,) as in a batch.
-        lengths: (2048,) bytes that a frame must have, -1 for unknown identifiers.
-        words: (n,) payloads.
-        starts: (2049,) cumulative sum of what :func:`count_by_identifier` returns.
     """
     place = starts.copy()
     index = np.empty(starts[-1], np.int64)
@@ -88,13 +82,7 @@ def gather_by_identifier(
 def scaled(
     raw: npt.NDArray[np.signedinteger[Any]], low: IntArray, high: IntArray, scale: FloatArray, offset: FloatArray
 ) -> FloatArray:
-    """Return ``raw * scale + offset`` (n, m), NaN where ``raw`` is outside ``low..high`` (each (m,)).
-
-    Args:
-        raw: (n, m) raw values.
-        low, high: (m,) limits of each signal.
-        scale, offset: (m,) conversion of each signal.
-    """
+    """Return ``raw * scale + offset`` (n, m), NaN where ``raw`` is outside ``low..high`` (each (m,))."""
     n, m = raw.shape
     values = np.empty((n, m))
     for i in range(n):
@@ -106,12 +94,7 @@ def scaled(
 
 @compiled(nogil=True)
 def count_within(raw: npt.NDArray[np.signedinteger[Any]], low: IntArray, high: IntArray) -> int:
-    """Count the raw values (n, m) inside ``low..high`` (each (m,)).
-
-    Args:
-        raw: (n, m) raw values.
-        low, high: (m,) limits of each signal.
-    """
+    """Count the raw values (n, m) inside ``low..high`` (each (m,))."""
     n, m = raw.shape
     count = 0
     for i in range(n):
@@ -124,8 +107,17 @@ def count_within(raw: npt.NDArray[np.signedinteger[Any]], low: IntArray, high: I
 RawArray = npt.NDArray[np.signedinteger[Any]]
 
 
+class Counts:
+    """Counts that can be added, field by field."""
+
+    __slots__: tuple[str, ...] = ()
+
+    def __add__(self, other: Self) -> Self:
+        return type(self)(*(getattr(self, name) + getattr(other, name) for name in self.__slots__))
+
+
 @dataclass(frozen=True, slots=True)
-class FrameCounts:
+class FrameCounts(Counts):
     """What became of the frames of a batch; every frame is in exactly one of the first seven after ``frames``.
 
     ``invalid_values`` and ``clipped_values`` count signal values, not frames.
@@ -140,10 +132,6 @@ class FrameCounts:
     error_frames: int = 0
     invalid_values: int = 0
     clipped_values: int = 0
-
-    def __add__(self, other: FrameCounts) -> FrameCounts:
-        own, others = asdict(self), asdict(other)
-        return FrameCounts(**{name: own[name] + others[name] for name in own})
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,11 +188,7 @@ class Decoded:
 
 
 def raw_limits(plan: MessagePlan, *, with_clipped: bool) -> tuple[IntArray, IntArray]:
-    """Return the lowest and highest raw values (m,) that are values, with or without those that stand for clipping.
-
-    Args:
-        with_clipped: Whether a value that stands for clipping is inside.
-    """
+    """Return the lowest and highest raw values (m,) that are values, with or without those that stand for clipping."""
     low = [s.raw_minimum + (s.clips and s.signed and not with_clipped) for s in plan.signals]
     high = [s.raw_maximum - (s.clips and not with_clipped) for s in plan.signals]
     return np.array(low, dtype=np.int64), np.array(high, dtype=np.int64)
@@ -215,9 +199,6 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
 
     Frames that are no data frames with an 11-bit identifier of the catalogue and the length it gives are counted by
     reason and left out.
-
-    Args:
-        batch: Frames in any order.
     """
     lengths = np.full(STANDARD_IDENTIFIERS, -1, dtype=np.int16)
     for arbitration_id, plan in catalogue.messages.items():
@@ -233,13 +214,14 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
         if span.stop > span.start:
             messages[arbitration_id] = MessageValues(plan, index[span], unpack(plan, words[span]))
     invalid, clipped = _count_values(messages)
-    error, remote, extended = _count_strange(batch.arbitration_id, len(batch) - wrong - unknown - int(starts[-1]))
+    strange = len(batch) - wrong - unknown - int(starts[-1])  # without an 11-bit identifier
+    error, remote = _count_flagged(batch.arbitration_id) if strange else (0, 0)
     counts = FrameCounts(
         frames=len(batch),
         decoded=int(starts[-1]),
         unknown_identifiers=unknown,
         wrong_lengths=wrong,
-        extended_frames=extended,
+        extended_frames=strange - error - remote,
         remote_frames=remote,
         error_frames=error,
         invalid_values=invalid,
@@ -248,18 +230,13 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
     return Decoded(MappingProxyType(messages), counts)
 
 
-def _count_strange(arbitration_id: npt.NDArray[np.uint32], count: int) -> tuple[int, int, int]:
-    """Return how many error, remote and extended data frames are among the ``count`` without 11-bit identifier."""
-    if count == 0:
-        return 0, 0, 0
+def _count_flagged(arbitration_id: npt.NDArray[np.uint32]) -> tuple[int, int]:
     error = (arbitration_id & ERROR_FLAG) != 0
     remote = ~error & ((arbitration_id & REMOTE_FLAG) != 0)
-    errors, remotes = int(np.count_nonzero(error)), int(np.count_nonzero(remote))
-    return errors, remotes, count - errors - remotes
+    return int(np.count_nonzero(error)), int(np.count_nonzero(remote))
 
 
 def _count_values(messages: Mapping[int, MessageValues]) -> tuple[int, int]:
-    """Return how many values are invalid, and how many clipped."""
     total = valid = within = 0
     for values in messages.values():
         inside = count_within(values.raw, *raw_limits(values.plan, with_clipped=False))
@@ -273,11 +250,7 @@ def _count_values(messages: Mapping[int, MessageValues]) -> tuple[int, int]:
 
 
 def unpack(plan: MessagePlan, words: npt.NDArray[np.uint64]) -> RawArray:
-    """Return the raw values (n, m) in payloads given as little-endian 64-bit words (n,).
-
-    Args:
-        words: (n,) payloads as little-endian 64-bit words.
-    """
+    """Return the raw values (n, m) in payloads given as little-endian 64-bit words (n,)."""
     if plan.four_int16:
         return words.view("<i2").reshape(-1, 4)
     raw = np.empty((len(words), len(plan.signals)), dtype=np.int64)
@@ -297,7 +270,6 @@ def encode(
     available" where the catalogue has a code for that, else 0.
 
     Args:
-        t_ns: (n,) time of each frame.
         values: (n,) or one value per signal, in the units of the catalogue.
 
     Raises:
@@ -314,24 +286,18 @@ def encode(
             raw = np.zeros(n, dtype=np.int64)
         words |= (raw.astype(np.uint64) & np.uint64((1 << signal.bits) - 1)) << np.uint64(signal.start_bit)
     data = words.view(np.uint8).reshape(n, DATA_BYTES)
-    if any(name in values and plan.signal(name).raw_invalid is None and _any_nan(values[name]) for name in values):
+    if any(
+        plan.signal(name).raw_invalid is None and np.isnan(np.asarray(given)).any() for name, given in values.items()
+    ):
         raise ParameterError("NaN in a signal that cannot say 'not available'", field=plan.name)
     return batch_of(plan.arbitration_id, t_ns, data, plan.length, channel)
 
 
 def raw_of(signal: SignalPlan, values: FloatArray) -> IntArray:
-    """Return the raw values (n,) of a signal: rounded to the nearest count, clipped, NaN as "not available".
-
-    Args:
-        values: (n,) in the units of the catalogue.
-    """
+    """Return the raw values (n,) of a signal: rounded to the nearest count, clipped, NaN as "not available"."""
     counts = np.rint((values - signal.offset) / signal.scale)
     missing = np.isnan(counts)
     raw = np.clip(np.where(missing, 0.0, counts), signal.raw_minimum, signal.raw_maximum).astype(np.int64)
     if signal.raw_invalid is not None:
         raw[missing] = signal.raw_invalid
     return raw
-
-
-def _any_nan(values: npt.ArrayLike) -> bool:
-    return bool(np.isnan(np.asarray(values, dtype=np.float64)).any())

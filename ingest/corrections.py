@@ -20,9 +20,9 @@ from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import STAGE
-from ingest.align.clock import CONTEXT_NS, TIME_REACH_NS
+from ingest.align.clock import CONTEXT_NS
 from ingest.assembly import OWN_TIME, WAITING
-from ingest.recordings import ALWAYS, RECORDER_FIRST, RECORDER_LAST
+from ingest.recordings import ALWAYS, RECORDER_FIRST, RECORDER_LAST, is_beside
 
 STANDING = tuple(state for state in ChunkState if state is not ChunkState.DELETED)
 _log = logging.getLogger(__name__)
@@ -59,7 +59,6 @@ class RecordingCorrections:
         was wrong then: the vehicle's is checked against that of now in this case.
 
         Raises:
-            NotFoundError: There is none of that digest.
             ConflictError: It is decoded, or set aside, or its raw bytes were purged.
         """
         return self._correct(digest, RecordingAction.RETRY, author, our_clock_was_behind=our_clock_was_behind)
@@ -78,7 +77,6 @@ class RecordingCorrections:
         One that was set aside stays so.
 
         Raises:
-            NotFoundError: There is none of that digest, or no such vehicle.
             ConflictError: It is of that vehicle already, or its raw bytes were purged.
         """
         return self._correct(digest, RecordingAction.REASSIGN, author, vehicle)
@@ -89,7 +87,6 @@ class RecordingCorrections:
         Its raw file is removed. Where that cannot be done now, the next purge removes it.
 
         Raises:
-            NotFoundError: There is none of that digest.
             ConflictError: It was deleted already, or a backup is being made.
         """
         with keeping_alone(self.storage.engine):
@@ -121,10 +118,7 @@ class RecordingCorrections:
             if before.purged_ns is not None and action not in {RecordingAction.SET_ASIDE, RecordingAction.DELETE}:
                 raise _conflict(before, "has no raw bytes any more: they were purged")
             now_ns = self.clock.now_ns()
-            if action is RecordingAction.DELETE:
-                after = _deleted(before, author, now_ns)
-            else:
-                after = _after(before, action, vehicle or before.vehicle)
+            after = _after(before, action, author, vehicle or before.vehicle, now_ns)
             if our_clock_was_behind:
                 after = replace(after, clock_checked_ns=now_ns)
             _make_stale(unit, before, after, action)
@@ -153,10 +147,6 @@ def receipt_of(unit: SqlUnitOfWork, digest: str) -> ChunkRecord:
 
     Args:
         digest: All of its digest, or the begin of it that no other recording has.
-
-    Raises:
-        NotFoundError: There is none.
-        ConflictError: Several digests begin so.
     """
     found = unit.chunks.beginning(digest)
     if not found:
@@ -166,19 +156,17 @@ def receipt_of(unit: SqlUnitOfWork, digest: str) -> ChunkRecord:
     return found[0]
 
 
-def _after(before: ChunkRecord, action: RecordingAction, vehicle: str) -> ChunkRecord:
+def _after(before: ChunkRecord, action: RecordingAction, author: Author, vehicle: str, now_ns: int) -> ChunkRecord:
+    if action is RecordingAction.DELETE:
+        at = datetime.fromtimestamp(now_ns // SECOND_NS, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        reason = Reason(ReasonCode.DELETED, f"deleted at {at} by {author.actor}: {author.why}")
+        return replace(before, state=ChunkState.DELETED, reason=reason, first_ns=None, last_ns=None, purged_ns=now_ns)
     if action is RecordingAction.SET_ASIDE or (
         action is RecordingAction.REASSIGN and before.state is ChunkState.SET_ASIDE
     ):
         reason = Reason(ReasonCode.SET_ASIDE, "set aside by hand")
         return replace(before, vehicle=vehicle, state=ChunkState.SET_ASIDE, reason=reason)
     return replace(before, vehicle=vehicle, state=ChunkState.STORED, reason=None, first_ns=None, last_ns=None)
-
-
-def _deleted(before: ChunkRecord, author: Author, now_ns: int) -> ChunkRecord:
-    at = datetime.fromtimestamp(now_ns // SECOND_NS, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    reason = Reason(ReasonCode.DELETED, f"deleted at {at} by {author.actor}: {author.why}")
-    return replace(before, state=ChunkState.DELETED, reason=reason, first_ns=None, last_ns=None, purged_ns=now_ns)
 
 
 def _make_stale(unit: SqlUnitOfWork, before: ChunkRecord, after: ChunkRecord, action: RecordingAction) -> None:
@@ -208,19 +196,13 @@ def _placed_by(unit: SqlUnitOfWork, record: ChunkRecord) -> Sequence[ChunkRecord
     near = [record]
     while near:
         one = near.pop()
-        beside = [other for other in without if other not in found and _touch(one, other)]
+        if RECORDER_FIRST not in one.counts:
+            continue
+        ends = one.counts[RECORDER_FIRST], one.counts[RECORDER_LAST]
+        beside = [other for other in without if other not in found and is_beside(other, one.digest, ends)]
         found += beside
         near += beside
     return found
-
-
-def _touch(one: ChunkRecord, other: ChunkRecord) -> bool:
-    if RECORDER_FIRST not in one.counts:
-        return False
-    return (
-        one.counts[RECORDER_FIRST] <= other.counts[RECORDER_LAST] + TIME_REACH_NS
-        and other.counts[RECORDER_FIRST] <= one.counts[RECORDER_LAST] + TIME_REACH_NS
-    )
 
 
 def _conflict(record: ChunkRecord, why: str) -> ConflictError:

@@ -37,11 +37,7 @@ def kernel() -> FloatArray:
 
 
 def derivative(values: FloatArray, interval_s: float, times: int = 1) -> FloatArray:
-    """Return the derivative (n,) of uniform samples; NaN where a sample in its reach is NaN or missing.
-
-    Args:
-        values: (n,) every ``interval_s``.
-    """
+    """Return the derivative (n,) of uniform samples; NaN where a sample in its reach is NaN or missing."""
     result = values
     for _ in range(times):
         padded = np.pad(result, REACH, constant_values=np.nan)
@@ -55,8 +51,6 @@ def derivative_with_gaps(
     """Return the derivative (n,) at samples with gaps between them; NaN near to a gap that is not bridged.
 
     Args:
-        tick: (n,) sampling instants, increasing.
-        values: (n,) samples; NaN where not valid.
         bridged: Samples in a row that may be missing or not valid: for the derivative of their neighbours a straight
             line stands for them. Their own derivative is NaN.
     """
@@ -72,9 +66,5 @@ def derivative_with_gaps(
 
 
 def clipped_reach(flags: BoolArray, times: int = 1) -> BoolArray:
-    """Return which derivatives (n,) a flagged sample of the signal is part of.
-
-    Args:
-        flags: (n,) samples that are clipped.
-    """
+    """Return which derivatives (n,) a flagged sample of the signal is part of."""
     return np.asarray(np.convolve(flags, np.ones(2 * REACH * times + 1, np.int64), mode="same") > 0)

@@ -38,9 +38,8 @@ from pydantic import (
 from pydantic_core import core_schema
 
 from estimation.errors import ParameterError
-from estimation.values.file_units import FileDefault, FileForm, FileUnit, Key
-from estimation.values.json_value import JsonValue
-from estimation.values.utc_text import utc_text
+from estimation.values.fields import FileDefault, FileForm, FileUnit, JsonValue, Key
+from estimation.values.reasons import utc_text
 from ingest.input_file import (
     Code,
     FreeText,
@@ -113,11 +112,7 @@ class ValueTable(InputTable):
 
 
 def read_value(file: InputFile, value_type: type[T], location: Location = ()) -> T:
-    """Return the content of a file, or what is at a place of it, as a frozen value.
-
-    Raises:
-        InputError: As ``InputFile.parse``.
-    """
+    """Return the content of a file, or what is at a place of it, as a frozen value."""
     value: T = file.parse(table_of(value_type), location).value  # type: ignore[arg-type]
     return value
 

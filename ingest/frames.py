@@ -11,11 +11,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from estimation.values.arrays import BoolArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FrozenArrays, IntArray
 
 EXTENDED_FLAG = 0x8000_0000
 
@@ -25,7 +26,7 @@ ERROR_FLAG = 0x2000_0000
 
 
 @dataclass(frozen=True, slots=True)
-class FrameBatch:
+class FrameBatch(FrozenArrays):
     """Frames of one bus, in the order they were recorded.
 
     ``arbitration_id`` carries SocketCAN's flags in its upper bits (EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG).
@@ -33,19 +34,10 @@ class FrameBatch:
     """
 
     channel: str
-    t_ns: IntArray  # (n,)
-    arbitration_id: npt.NDArray[np.uint32]  # (n,)
-    dlc: npt.NDArray[np.uint8]  # (n,)
-    data: npt.NDArray[np.uint8]  # (n, 8)
-
-    def __post_init__(self) -> None:
-        n = len(self.t_ns)
-        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, (n,), np.int64, name="t_ns"))
-        object.__setattr__(
-            self, "arbitration_id", frozen_array(self.arbitration_id, (n,), np.uint32, name="arbitration_id")
-        )
-        object.__setattr__(self, "dlc", frozen_array(self.dlc, (n,), np.uint8, name="dlc"))
-        object.__setattr__(self, "data", frozen_array(self.data, (n, 8), np.uint8, name="data"))
+    t_ns: Annotated[IntArray, "n"]
+    arbitration_id: Annotated[npt.NDArray[np.uint32], "n"]
+    dlc: Annotated[npt.NDArray[np.uint8], "n"]
+    data: Annotated[npt.NDArray[np.uint8], "n", 8]
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -57,11 +49,7 @@ _NUMBERED = re.compile(r"[A-Za-z_]*(\d+)")
 
 
 def channel_name(number: int) -> str:
-    """Return the name of a bus: BLF, ASC and MF4 count from 1, and ``can0`` is number 1.
-
-    Args:
-        number: Number of the bus, from 1; 0 is taken as 1.
-    """
+    """Return the name of a bus: BLF, ASC and MF4 count from 1, and ``can0`` is number 1."""
     return f"can{max(number - 1, 0)}"
 
 
@@ -81,10 +69,7 @@ def batch_of(
     """Return frames that all carry one identifier.
 
     Args:
-        arbitration_id: Identifier of every frame.
-        t_ns: (n,) time of each frame.
         data: (n, 8) payload, zero beyond ``length``.
-        length: Number of data bytes of every frame.
     """
     n = len(t_ns)
     return FrameBatch(
@@ -116,11 +101,7 @@ def from_owned_arrays(
 
 
 def take(batch: FrameBatch, index: IntArray | BoolArray | slice) -> FrameBatch:
-    """Return the frames that ``index`` (positions, a mask or a slice) picks, in its order.
-
-    Args:
-        index: (k,) positions, (n,) a mask, or a slice.
-    """
+    """Return the frames that ``index`` (positions, a mask or a slice) picks, in its order."""
     return from_owned_arrays(
         batch.channel, batch.t_ns[index], batch.arbitration_id[index], batch.dlc[index], batch.data[index]
     )
@@ -158,10 +139,6 @@ def merge(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBat
     The order is by time, then identifier (as arbitration on the bus would have it: SYNC before what it causes), then
     length and payload. A frame that occurs twice with the same time, identifier and payload is the same frame, and
     is kept once.
-
-    Args:
-        batches: Batches in any order.
-        channel: Name of the bus; by default that of the first batch.
     """
     joined = concatenate(batches, channel)
     if np.all(joined.t_ns[1:] > joined.t_ns[:-1]):
@@ -189,7 +166,6 @@ def between(batch: FrameBatch, from_ns: int, to_ns: int) -> FrameBatch:
     """Return the frames of a time-ordered batch with ``from_ns <= t < to_ns``.
 
     Args:
-        batch: Frames in the order of time.
         from_ns, to_ns: Span of the recorder's clock, ns.
     """
     first, last = np.searchsorted(batch.t_ns, [from_ns, to_ns])
@@ -205,12 +181,7 @@ _MOST = 0xFFFF_FFFF
 
 
 def dropped_marker(t_ns: int, frames: int, channel: str) -> FrameBatch:
-    """Return the one frame which says that frames are missing behind a time.
-
-    Args:
-        t_ns: Stamp of the last frame before the gap, ns.
-        frames: How many are missing, at least 1.
-    """
+    """Return the one frame which says that frames are missing behind a time."""
     payload = bytes([_COUNTED, _OVERFLOW, 0, 0]) + min(frames, _MOST).to_bytes(4, "little")
     data = np.frombuffer(payload, np.uint8).reshape(1, -1)
     return batch_of(OVERFLOW_ID, np.array([t_ns], np.int64), data, len(payload), channel)

@@ -9,20 +9,17 @@ changed meanwhile reaches them.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from estimation.errors import PassingFaultError, TreadwatchError
-from estimation.failures import after_failure
-from estimation.jobs.isolation import fails_alone
 from estimation.storage import Clock
 from estimation.values.reasons import Reason
-from estimation.values.runs import Quarantined, SubjectKind, resolved
+from estimation.values.runs import Quarantined, SubjectKind, after_failure, resolved
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import STAGE
-from fleet_db.stores.stale_spans import StaleSpan
 from ingest.assembly import extent
 
 ASSEMBLY = "assemble_windows"
@@ -64,7 +61,6 @@ class HeldRecordings:
         return [record for record, early in self._held() if not early and record.state is ChunkState.STORED]
 
     def _held(self) -> list[tuple[ChunkRecord, bool]]:
-        """Return the recordings in quarantine, and whether it is too early for another attempt."""
         now_ns = self.clock.now_ns()
         with self.storage.read() as unit:
             found = [(unit.chunks.get(item.key), item) for item in unit.quarantine.held(STAGE)]
@@ -72,54 +68,20 @@ class HeldRecordings:
 
     def release(self, digest: str) -> None:
         """End the quarantine of a recording, if it was in one."""
-        release_recording(self.storage, digest, STAGE)
+        release(self.storage, (SubjectKind.RECORDING, digest, STAGE))
 
 
-def release_recording(storage: SqlStorage, digest: str, stage: str) -> None:
-    """End the quarantine of a recording in a stage, if it was in one."""
+Subject = tuple[SubjectKind, str, str]
+"""Kind, key and stage of what is in quarantine."""
+
+
+def release(storage: SqlStorage, subject: Subject) -> None:
+    """End the quarantine of a subject, if it was in one."""
     with storage.read() as unit:
-        item = unit.quarantine.get(SubjectKind.RECORDING, digest, stage)
+        item = unit.quarantine.get(*subject)
     if item is not None and item != resolved(item):
         with storage.write() as unit:
             unit.quarantine.put(resolved(item))
-
-
-@dataclass(frozen=True, slots=True)
-class HeldVehicles:
-    """The quarantine of vehicles whose windows could not be assembled again."""
-
-    storage: SqlStorage
-    clock: Clock
-
-    def waits(self, vehicle: str, spans: Sequence[StaleSpan]) -> bool:
-        """Whether it is too early for another attempt at the stale spans of a vehicle."""
-        item = self._item(vehicle)
-        return item is not None and item.waits(_inputs(spans), self.clock.now_ns())
-
-    def hold(self, vehicle: str, spans: Sequence[StaleSpan], error: Exception) -> None:
-        """Keep a failure at the stale spans of a vehicle, where others may succeed."""
-        unexpected = None if isinstance(error, TreadwatchError) else error
-        _log.warning("windows of vehicle %s could not be assembled again: %s", vehicle, error, exc_info=unexpected)
-        if fails_alone(error):
-            subject = (SubjectKind.VEHICLE, vehicle, ASSEMBLY)
-            item = after_failure(self._item(vehicle), subject, _inputs(spans), error, self.clock.now_ns())
-            with self.storage.write() as unit:
-                unit.quarantine.put(item)
-
-    def release(self, vehicle: str) -> None:
-        """End the quarantine of a vehicle, if it was in one."""
-        item = self._item(vehicle)
-        if item is not None and item != resolved(item):
-            with self.storage.write() as unit:
-                unit.quarantine.put(resolved(item))
-
-    def _item(self, vehicle: str) -> Quarantined | None:
-        with self.storage.read() as unit:
-            return unit.quarantine.get(SubjectKind.VEHICLE, vehicle, ASSEMBLY)
-
-
-def _inputs(spans: Sequence[StaleSpan]) -> str:
-    return f"{len(spans)} spans up to {max(span.id for span in spans)}"
 
 
 CAUSE = "its raw file is there again"
@@ -174,7 +136,6 @@ class LostRecordings:
                         _hold(unit, record, fault, now_ns)
 
     def _resolve(self, item: Quarantined, *found: ChunkRecord) -> None:
-        """End the quarantine of a recording, and let the windows of one that was found be made again."""
         with self.storage.write() as unit:
             for record in found:
                 for from_ns, to_ns in extent(record):

@@ -11,8 +11,13 @@ A file that has a schema subclasses ``InputTable`` for its tables (TOML) or obje
 
 from __future__ import annotations
 
+import ctypes
 import json
+import os
 import re
+import resource
+import signal
+import sys
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,7 +29,59 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from estimation.errors import InputError
-from ingest.bounded_file import SETTINGS_BYTES, read_text_within
+
+MEBIBYTE = 1 << 20
+SETTINGS_BYTES = 64 * MEBIBYTE
+"""Of a TOML, JSON or DBC file: a registry of ten thousand vehicles has 40 MiB."""
+
+TABLE_BYTES = 256 * MEBIBYTE
+"""Of a table of text: an hour at 250 Hz with 25 columns has 225 MiB."""
+
+PROFILE_BYTES = 16 * MEBIBYTE
+
+
+def read_text_within(
+    path: Path, most: int, error_type: type[InputError], *, encoding: str = "utf-8", errors: str = "strict"
+) -> str:
+    """Return the content of a text file, without the byte order mark that some editors put first.
+
+    Args:
+        most: Bytes that it may have.
+
+    Raises:
+        InputError: As ``error_type``: the file cannot be read, is too large, or no text.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(most + 1)
+    except OSError as error:
+        raise error_type(f"cannot be read: {error.strerror or error}", file=path) from error
+    if len(content) > most:
+        raise error_type(f"has more than {most / MEBIBYTE:.0f} MiB, the limit for such a file", file=path)
+    try:
+        return content.decode(encoding, errors).removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    except UnicodeDecodeError as error:
+        raise error_type("is no text file", file=path) from error
+
+
+PR_SET_PDEATHSIG = 1
+
+
+def end_with(parent: int) -> None:
+    """Let this process end when the one that started it ends."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:  # it had ended before
+            os._exit(0)
+
+
+def limit_memory(more_bytes: int) -> None:
+    """Let this process have so many bytes of address space more than it has now."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    space = pages * resource.getpagesize() + more_bytes
+    resource.setrlimit(resource.RLIMIT_AS, (space, space))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
 
 Location = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -98,11 +155,7 @@ class InputFile:
     container: str = "a table"  # what the format calls keys with values
 
     def error(self, reason: str, location: Location = ()) -> InputError:
-        """Return the error that names file, line and field.
-
-        Args:
-            location: Keys and indices from the root of the file to the field; empty for the whole file.
-        """
+        """Return the error that names file, line and field."""
         written = (self.lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in self.lines)
         return self.error_type(reason, file=self.path, line=next(written, None), field=dotted(location) or None)
 
@@ -143,23 +196,12 @@ class InputFile:
 
 
 def read_toml(path: Path, error_type: type[InputError] = InputError) -> InputFile:
-    """Return the content of a TOML file.
-
-    Args:
-        error_type: The error to raise, here and when the content is parsed.
-
-    Raises:
-        InputError: As ``error_type``: the file cannot be read, or is no TOML.
-    """
+    """Return the content of a TOML file."""
     return parse_toml(read_text_within(path, SETTINGS_BYTES, error_type), path, error_type)
 
 
 def parse_toml(text: str, path: Path, error_type: type[InputError] = InputError) -> InputFile:
-    """Return the content of a TOML text.
-
-    Raises:
-        InputError: As ``error_type``: it is no TOML.
-    """
+    """Return the content of a TOML text."""
     try:
         return InputFile(path, tomllib.loads(text), key_lines(text), error_type)
     except tomllib.TOMLDecodeError as error:
@@ -169,11 +211,7 @@ def parse_toml(text: str, path: Path, error_type: type[InputError] = InputError)
 
 
 def read_json(path: Path, error_type: type[InputError] = InputError) -> InputFile:
-    """Return the content of a JSON file that holds one object.
-
-    Raises:
-        InputError: As ``error_type``: the file cannot be read, is no JSON, or holds something else than an object.
-    """
+    """Return the content of a JSON file that holds one object."""
     text = read_text_within(path, SETTINGS_BYTES, error_type)
     try:
         values = json.loads(text)
@@ -244,7 +282,6 @@ _REASONS: Mapping[str, str] = {
 
 
 def _reason(error: ErrorDetails, model: type[BaseModel], container: str) -> str:
-    """Return the sentence for an error of pydantic."""
     if error["type"] == "extra_forbidden":
         return f"unknown key; known here: {', '.join(_known_keys(model, error['loc']))}"
     sentence = _REASONS.get(error["type"])
@@ -254,7 +291,6 @@ def _reason(error: ErrorDetails, model: type[BaseModel], container: str) -> str:
 
 
 def _known_keys(model: type[BaseModel], location: Location) -> list[str]:
-    """Return the keys of the table that holds the last part of ``location``."""
     for part in location[:-1]:
         known = {item.alias or name: item for name, item in model.model_fields.items()}
         if part in known:

@@ -1,27 +1,33 @@
-"""Reassembly: windows are made again where recordings, the registry, or their own files are no longer what they were.
+"""Stage: windows are made again where recordings, the registry, or their own files are no longer what they were.
 
-Whoever changes what windows are made from leaves a stale span in the same transaction. :class:`Reassembler` works them
-off: piece by piece, each piece committed with the part of the spans that it covers, so that a kill costs one piece.
+Whoever changes what windows are made from leaves a stale span in the same transaction: it names which part of a vehicle
+is due. It is worked off piece by piece, each committed with the part of the spans that it covers, so that a kill costs
+one piece.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 
-from estimation.errors import NotFoundError, StoppedError, StorageError, TreadwatchError
-from estimation.failures import first_line
-from estimation.jobs.isolation import fails_alone
+from estimation.errors import NotFoundError, StorageError, TreadwatchError
+from estimation.jobs.isolation import Isolation, fails_alone
+from estimation.jobs.job import JobContext
+from estimation.jobs.runner import run
+from estimation.jobs.settings import JobSettings
+from estimation.jobs.stage import Counted, Outcome, Stage
 from estimation.storage import Clock
+from estimation.values.runs import SubjectKind, first_line
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import decode_again
-from fleet_db.stores.stale_spans import StaleSpan
+from fleet_db.stores.stale_spans import EARLIEST_NS, StaleSpan
 from ingest.align.clock import CONTEXT_NS
 from ingest.assembly import Assembler, SpanAssembly, extent
-from ingest.held import HeldVehicles, LostRecordings
+from ingest.held import ASSEMBLY, LostRecordings
 from ingest.recordings import Span
-from ingest.span_commit import NO_CHANGES, SpanChanges, commit, still_so
+from ingest.span_commit import SpanChanges, commit, still_so
 
 MOST_FRAMES = 1_000_000
 """Frames of the recordings of one piece, unless one recording has more."""
@@ -29,11 +35,23 @@ MOST_FRAMES = 1_000_000
 MOST_RECORDINGS = 500
 """Recordings of one piece."""
 
-ATTEMPTS_BESIDE_OTHERS = 3
 ASKED = "asked for"
 OTHER_BUS = "was decoded with another bus than its vehicle has now"
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """The next piece of what is stale of a vehicle.
+
+    Attributes:
+        spans: That touch each other; it is at their begin.
+        assembly: None where they hold neither a recording nor a window, or the registry does not know the vehicle.
+    """
+
+    spans: Sequence[StaleSpan]
+    assembly: SpanAssembly | None = field(metadata={"made_from": False})
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +67,22 @@ class Reassembler:
         """Recordings that were missing when windows were to be made of them again."""
         return LostRecordings(self.storage, self.assembler.recordings.raw, self.clock)
 
+    @property
+    def stage(self) -> Stage[Piece, None]:
+        """What is done of each vehicle."""
+        return Stage(
+            name=ASSEMBLY,
+            job=ASSEMBLY,
+            kind=SubjectKind.VEHICLE,
+            facets=(),
+            settings=lambda _: None,
+            load=self._load,
+            compute=lambda piece: Outcome(more=piece.assembly is not None),
+            counted=Counted(looked="vehicles", changed="results", more=("new", "changed", "removed", "healed")),
+            store=self._store,
+            at_once=1,
+        )
+
     def reassemble(self, vehicle: str, from_ns: int | None, to_ns: int | None) -> SpanChanges:
         """Make the windows of a vehicle in ``[from_ns, to_ns)`` again, and all that is stale of it; None is open.
 
@@ -61,75 +95,67 @@ class Reassembler:
             unit.stale_spans.add(vehicle, from_ns, to_ns, ASKED)
         return self.work_off(vehicle)
 
-    def work_off(self, vehicle: str | None = None, checkpoint: Callable[[int, int], None] | None = None) -> SpanChanges:
-        """Work off the stale spans of one vehicle or of all; one that fails does not keep the others waiting.
-
-        A vehicle that fails goes to quarantine. Among all it is left out until it is due again, or more is stale of it.
-
-        Args:
-            vehicle: Code of the only one, due or not.
-            checkpoint: Called after each piece with the number of spans that are done and of all.
+    def work_off(self, vehicle: str | None = None) -> SpanChanges:
+        """Work off the stale spans of all vehicles, each alone, or of one whatever quarantine says of it.
 
         Raises:
-            TreadwatchError: The one vehicle failed; or raw recordings or database cannot be reached, after all others
-                are done. What is left stays stale.
+            TreadwatchError: The one vehicle failed, or raw recordings or database cannot be reached. What is left stays
+                stale.
         """
         self.lost.look(vehicle)
-        with self.storage.read() as unit:
-            spans = unit.stale_spans.all(vehicle)
-        changes, done = NO_CHANGES, 0
-        failed: list[TreadwatchError] = []
-        held = HeldVehicles(self.storage, self.clock)
-        for code in dict.fromkeys(span.vehicle for span in spans):
-            own = [span for span in spans if span.vehicle == code]
-            if vehicle is None and held.waits(code, own):
-                changes += SpanChanges(quarantined=1)
-                continue
-            pieces = self._pieces(code, own)
-            while (made := _next(pieces)) is not None:
-                if isinstance(made, Exception):
-                    held.hold(code, own, made)
-                    changes += SpanChanges(quarantined=1)
-                    failed += _raised(made, alone=vehicle is not None)
-                    break
-                changes += made
-                if checkpoint is not None:
-                    checkpoint(done, len(spans))
-            else:
-                held.release(code)
-            done += len(own)
-        if failed:
-            raise failed[0]
-        return changes
+        context = JobContext(self.storage, self.clock, "", JobSettings())
+        counts = run(self.stage, context) if vehicle is None else self._now(vehicle, context)
+        return SpanChanges(**{each.name: counts.get(each.name, 0) for each in fields(SpanChanges)})
 
-    def _pieces(self, vehicle: str, spans: Sequence[StaleSpan]) -> Iterator[SpanChanges]:
-        for part in joined(spans):
-            yield from self._work_off(vehicle, part)
-
-    def _work_off(self, vehicle: str, spans: Sequence[StaleSpan]) -> Iterator[SpanChanges]:
-        """Work off spans of a vehicle that touch each other, piece by piece."""
-        from_ns, to_ns = spans[0].from_ns, max(span.to_ns for span in spans)
-        while True:
-            with self.storage.read() as unit:
-                piece = self._next_piece(unit, vehicle, (from_ns, to_ns)) if _on_file(unit, vehicle) else None
-            if piece is None:
+    def _now(self, vehicle: str, context: JobContext) -> Counter[str]:
+        counts: Counter[str] = Counter()
+        isolation = Isolation(context, ASSEMBLY)
+        more = True
+        try:
+            while more:
+                with self.storage.read() as unit:
+                    loaded = self._load(unit, [vehicle], context)
+                made = {code: (piece, self.stage.compute(piece)) for code, piece in loaded.items()}
                 with self.storage.write() as unit:
-                    unit.stale_spans.remove(spans)
-                return
-            yield self._assemble(vehicle, piece, spans)
-            from_ns = piece[1]
+                    counts.update(self._store(unit, context, made))
+                more = any(outcome.more for _, outcome in made.values())
+        except Exception as error:
+            if fails_alone(error):
+                isolation.keep(SubjectKind.VEHICLE, vehicle, "", error)
+            raise error if isinstance(error, TreadwatchError) else StorageError(first_line(error)) from error
+        isolation.release(SubjectKind.VEHICLE, vehicle)
+        return counts
 
-    def _assemble(self, vehicle: str, piece: Span, spans: Sequence[StaleSpan]) -> SpanChanges:
-        for _ in range(ATTEMPTS_BESIDE_OTHERS):
-            with self.storage.read() as unit:
-                assembly = self.assembler.assemble(unit, vehicle, piece, keep_unreadable=True)
-            with self.storage.write() as unit:
-                unit.assemble_alone(vehicle)
-                if still_so(unit, self.assembler, assembly):
-                    return self._commit(unit, assembly, spans)
-        with self.storage.write() as unit:
+    def _load(self, unit: SqlUnitOfWork, vehicles: Sequence[str], _: JobContext) -> Mapping[str, Piece]:
+        """Return the next piece of each vehicle of which something is stale."""
+        pieces = {}
+        for vehicle in vehicles:
+            spans = first_group(unit.stale_spans.all(vehicle))
+            if spans:
+                within = (spans[0].from_ns, max(span.to_ns for span in spans))
+                part = self._next_piece(unit, vehicle, within) if _on_file(unit, vehicle) else None
+                pieces[vehicle] = Piece(spans, None if part is None else self._assembled(unit, vehicle, part))
+        return pieces
+
+    def _assembled(self, unit: SqlUnitOfWork, vehicle: str, part: Span) -> SpanAssembly:
+        return self.assembler.assemble(unit, vehicle, part, keep_unreadable=True)
+
+    def _store(
+        self, unit: SqlUnitOfWork, _: JobContext, made: Mapping[str, tuple[Piece, Outcome[None]]]
+    ) -> Mapping[str, int]:
+        """Store pieces; one is assembled again where recordings or the registry have changed meanwhile."""
+        counts: Counter[str] = Counter()
+        for vehicle, (piece, _outcome) in made.items():
             unit.assemble_alone(vehicle)
-            return self._commit(unit, self.assembler.assemble(unit, vehicle, piece, keep_unreadable=True), spans)
+            assembly = piece.assembly
+            if assembly is None:
+                unit.stale_spans.remove(piece.spans)
+                continue
+            if not still_so(unit, self.assembler, assembly):
+                assembly = self._assembled(unit, vehicle, (assembly.from_ns, assembly.to_ns))
+            changes = self._commit(unit, assembly, piece.spans)
+            counts.update({name: getattr(changes, name) for name in self.stage.counted.more})
+        return counts
 
     def _commit(self, unit: SqlUnitOfWork, assembly: SpanAssembly, spans: Sequence[StaleSpan]) -> SpanChanges:
         unit.stale_spans.advance(spans, assembly.to_ns)
@@ -164,22 +190,16 @@ class Reassembler:
         return None if begin >= end else (begin, end)
 
 
-def joined(spans: Sequence[StaleSpan]) -> list[list[StaleSpan]]:
-    """Return stale spans of one vehicle in groups that touch each other, by their begin.
-
-    Args:
-        spans: In any order.
-    """
-    groups: list[list[StaleSpan]] = []
-    end = 0
-    for span in sorted(spans, key=lambda one: (one.from_ns, one.id)):
-        if groups and span.from_ns <= end:
-            groups[-1].append(span)
-            end = max(end, span.to_ns)
-        else:
-            groups.append([span])
-            end = span.to_ns
-    return groups
+def first_group(spans: Sequence[StaleSpan]) -> list[StaleSpan]:
+    """Return those of the stale spans of a vehicle, in any order, that touch the first one or each other behind it."""
+    group: list[StaleSpan] = []
+    end_ns = EARLIEST_NS
+    for span in sorted(spans, key=lambda span: (span.from_ns, span.id)):
+        if group and span.from_ns > end_ns:
+            break
+        group.append(span)
+        end_ns = max(end_ns, span.to_ns)
+    return group
 
 
 def _on_file(unit: SqlUnitOfWork, vehicle: str) -> bool:
@@ -189,20 +209,3 @@ def _on_file(unit: SqlUnitOfWork, vehicle: str) -> bool:
     except NotFoundError:
         return False
     return True
-
-
-def _next(pieces: Iterator[SpanChanges]) -> SpanChanges | Exception | None:
-    """Return what the next piece changed, or why it could not be assembled; None behind the last."""
-    try:
-        return next(pieces, None)
-    except StoppedError:
-        raise
-    except Exception as error:  # noqa: BLE001 - it is kept with the vehicle
-        return error
-
-
-def _raised(error: Exception, *, alone: bool) -> list[TreadwatchError]:
-    """Return what is raised of a failure at a vehicle: the one that was asked for, or where no other can succeed."""
-    if not alone and fails_alone(error):
-        return []
-    return [error if isinstance(error, TreadwatchError) else StorageError(first_line(error))]

@@ -49,11 +49,7 @@ def read_or_raise(recording: Recording | Exception) -> Recording:
 
 
 def check_undecided(unit: SqlUnitOfWork, receipts: Iterable[ChunkRecord]) -> None:
-    """Raise where a recording was reassigned, deleted, set aside or rejected while its windows were assembled.
-
-    Raises:
-        ConflictError: One was; names it.
-    """
+    """Raise where a recording was reassigned, deleted, set aside or rejected while its windows were assembled."""
     for receipt in receipts:
         now = unit.chunks.get(receipt.digest)
         if now is None or now.vehicle != receipt.vehicle or now.state in UNDECODABLE:
@@ -84,33 +80,18 @@ class DeletedRecordings:
         return found if found is not None and found.state is ChunkState.DELETED else None
 
     def admit(self, digest: str) -> None:
-        """Refuse a recording that was deleted, before its bytes are stored.
-
-        Raises:
-            ConflictError: It was deleted; says when, by whom and why, and how to take it in again.
-        """
+        """Refuse a recording that was deleted, before its bytes are stored."""
         deleted = self.receipt(digest)
         if deleted is not None:
             raise _refusal(deleted)
 
     def refuse(self, found: ChunkRecord) -> None:
-        """Refuse a recording whose receipt says that it was deleted, where that is not wanted again.
-
-        Raises:
-            ConflictError: It was, and is not.
-        """
+        """Refuse a recording whose receipt says that it was deleted, where that is not wanted again."""
         if self.taken_by is None and found.state is ChunkState.DELETED:
             raise _refusal(found)
 
     def take_again(self, unit: SqlUnitOfWork, deleted: ChunkRecord, record: ChunkRecord) -> None:
-        """Put a new receipt in the place of that of a deleted recording, with its record.
-
-        Args:
-            deleted, record: The receipt that there is, and the new one.
-
-        Raises:
-            ConflictError: It is not asked for: the recording was deleted meanwhile.
-        """
+        """Put a new receipt in the place of that of a deleted recording, with its record."""
         if self.taken_by is None:
             raise _refusal(deleted)
         unit.chunks.update(record)
@@ -172,17 +153,12 @@ WAITING = Reason(ReasonCode.WAITS_FOR_DECODING, "it is received and waits to be 
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """What a sender says of a chunk.
+    """What a sender says of a chunk."""
 
-    Attributes:
-        vehicle: Code of the vehicle; it need not be registered yet.
-        sender: Who sent it, or the folder it came through.
-    """
-
-    vehicle: str
+    vehicle: str  # code of the vehicle; it need not be registered yet
     suffix: str
     file_name: str
-    sender: str | None
+    sender: str | None  # who sent it, or the folder it came through
 
     def receipt(self, digest: str, size_bytes: int, now_ns: int) -> ChunkRecord:
         """Return its receipt."""

@@ -85,7 +85,7 @@ class Receiver:
         self._buses = catalogue if isinstance(catalogue, BusChoice) else BusChoice(catalogue, {})
         self._clock = clock
         self._announce = announce
-        self._recordings = Recordings(raw, self._bus_of)
+        self._recordings = Recordings(raw, lambda vehicle: self._buses.of_vehicle(self._class_of, vehicle))
         self._held = HeldRecordings(storage, clock)
         self._deleted = DeletedRecordings(storage, deleted_taken_by)
         self._mark: str | None = None
@@ -103,19 +103,13 @@ class Receiver:
                 unless its suffix already says that it is no log.
             NotFoundError: The registry does not know the vehicle. The recording is kept, and decoded once it does.
             ConflictError: The same recording was received from another vehicle, or was deleted.
-            PassingFaultError: Its bytes cannot be stored now: nothing is.
         """
         return self.accept(self._store_and_read(path, vehicle))
 
     def receive_exchange(self, description: Path) -> ChunkReceipt:
         """Take in one exchange of runs; nothing of it is stored unless all of it is good.
 
-        Args:
-            description: Its TOML file, beside its table.
-
         Raises:
-            ExchangeError: Something in it is missing, impossible, or contradicts itself or the registry; names file,
-                line and field.
             ConflictError: Logs of the vehicle's bus are in the same windows, or another exchange has the same time.
         """
         with self._storage.read() as unit:
@@ -170,7 +164,6 @@ class Receiver:
 
         Raises:
             ConflictError: The same recording was received from another vehicle.
-            PassingFaultError: It cannot be stored now: nothing is.
         """
         self._check_raw()
         deleted = self._deleted.receipt(hashlib.sha256(content).hexdigest())
@@ -184,7 +177,12 @@ class Receiver:
             raise LogFileError(str(record.reason))
         if record.state is not ChunkState.STORED:
             return ChunkReceipt(record, known=True, windows_changed=0)
-        return self._decoded(record, self._loaded(record), known=False)
+        recording: Recording | Exception
+        try:
+            recording = self._recordings.load(record)
+        except Exception as error:  # noqa: BLE001 - it is kept with the recording
+            recording = error
+        return self._decoded(record, recording, known=False)
 
     def decode_stored(
         self, digest: str | None = None, vehicle: str | None = None
@@ -197,7 +195,6 @@ class Receiver:
 
         Args:
             digest: Of the only recording to decode, due or not.
-            vehicle: The only one whose recordings are decoded.
         """
         try:
             self._check_raw()
@@ -219,12 +216,6 @@ class Receiver:
             except Exception as error:  # noqa: BLE001 - whatever fails at one recording, the others go on
                 yield error
 
-    def _loaded(self, record: ChunkRecord) -> Recording | Exception:
-        try:
-            return self._recordings.load(record)
-        except Exception as error:  # noqa: BLE001 - it is kept with the recording
-            return error
-
     def _decoded(
         self, record: ChunkRecord, recording: Recording | Exception, *, known: bool, path: Path | None = None
     ) -> ChunkReceipt:
@@ -233,7 +224,10 @@ class Receiver:
         try:
             record, changed = self._decode(record, read_or_raise(recording))
         except LogFileError as error:
-            self._reject(record, error)
+            text = error.reason if error.line is None else f"line {error.line}: {error.reason}"
+            rejected = replace(record, state=ChunkState.REJECTED, reason=Reason(ReasonCode.LOG_DAMAGED, text))
+            with self._storage.write() as unit:
+                unit.chunks.update(rejected)
             self._held.release(record.digest)
             raise LogFileError(error.reason, file=path or error.file, line=error.line) from error
         except NotFoundError:
@@ -268,9 +262,6 @@ class Receiver:
             return 0
         return self.reassembler.reassemble(record.vehicle, record.first_ns, to_ns).windows
 
-    def _bus_of(self, vehicle: str) -> Catalogue:
-        return self._buses.of_vehicle(self._class_of, vehicle)
-
     def _class_of(self, vehicle: str) -> str | None:
         try:
             with self._storage.read() as unit:
@@ -290,7 +281,6 @@ class Receiver:
         return ReceivedFile(path, vehicle, digest, recording)
 
     def _receipt(self, path: Path, vehicle: str, digest: str) -> tuple[ChunkRecord, bool]:
-        """Return the committed receipt, and whether it had been there before."""
         suffix = _suffix_of(path)
         chunk = Chunk(vehicle, suffix, str(path), sender=None)
         record = replace(chunk.receipt(digest, self._raw.size(digest, suffix), self._clock.now_ns()), reason=None)
@@ -301,13 +291,7 @@ class Receiver:
         self._announce(found)
         return found, known
 
-    def _reject(self, record: ChunkRecord, error: LogFileError) -> None:
-        text = error.reason if error.line is None else f"line {error.line}: {error.reason}"
-        with self._storage.write() as unit:
-            unit.chunks.update(replace(record, state=ChunkState.REJECTED, reason=Reason(ReasonCode.LOG_DAMAGED, text)))
-
     def _decode(self, record: ChunkRecord, recording: Recording) -> tuple[ChunkRecord, int]:
-        """Assemble the windows that a stored recording touches; return its new receipt and how many changed."""
         with trace.get_tracer("treadwatch").start_as_current_span("recording") as span:
             decoded, changed = self._decode_it(record, recording)
             span.set_attributes({"treadwatch.frames": decoded.frames, "treadwatch.windows_changed": changed})
@@ -332,7 +316,6 @@ class Receiver:
             raise
 
     def _still_so(self, unit: SqlUnitOfWork, record: ChunkRecord, recording: Recording, made: Decoded) -> bool:
-        """Whether everything that a recording was assembled with is as it was."""
         if made.assembly is not None and not still_so(unit, self._assembler, made.assembly, made.receipts):
             return False
         return self._assembler.placed(unit, record, recording) == made.receipts

@@ -14,8 +14,7 @@ from fleet_db.atomic_files import passing_faults
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
-from ingest.align.clock import TIME_REACH_NS, AlignedFrames, align_to_clock, check_sync_rate
-from ingest.align.nearby import frames_near
+from ingest.align.clock import TIME_REACH_NS, AlignedFrames, align_to_clock, check_sync_rate, frames_near
 from ingest.catalogue import Catalogue
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.bundle import read_bundle
@@ -79,16 +78,13 @@ class Recordings:
     _kept: OrderedDict[str, Recording] = field(default_factory=OrderedDict)
 
     def read(self, path: Path, digest: str, vehicle: str) -> Recording:
-        """Read a recording of a vehicle from a file that has this digest.
-
-        Raises:
-            LogFileError: The file is no log that can be read, or its SYNC comes at another rate than in the catalogue.
-            PassingFaultError: The file is not there, or cannot be read now.
-        """
+        """Read a recording of a vehicle from a file that has this digest."""
         with passing_faults(path), path.open("rb"):
             pass
         if path.suffix == EXCHANGE_SUFFIX:
-            return _read_exchange(path, digest)
+            file, run, facts = read_bundle(path)
+            frames = aligned_run(run, facts, file.run.position_quality)
+            return Recording(digest, empty_batch(), frames, exchange_catalogue(), rows=len(run.tick))
         catalogue = self.catalogue_of(vehicle)
         content = read_content(path)
         batch = merge([content.batch])
@@ -128,20 +124,11 @@ class Recordings:
             self._kept.popitem(last=False)
 
 
-def _read_exchange(path: Path, digest: str) -> Recording:
-    file, run, facts = read_bundle(path)
-    frames = aligned_run(run, facts, file.run.position_quality)
-    return Recording(digest, empty_batch(), frames, exchange_catalogue(), rows=len(run.tick))
-
-
 def align_frames(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
     """Decode a batch and put its frames on the vehicle's clock.
 
     Args:
         batch: Frames in merged order (:func:`ingest.frames.merge`).
-
-    Raises:
-        LogFileError: The sampling instants of a bus of one's own come at another rate than its mapping gives.
     """
     return align_own(catalogue, batch) if isinstance(catalogue, OwnBus) else align_to_clock(catalogue, batch)
 
@@ -151,17 +138,18 @@ def waiting_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> S
     if recording.rows:
         return []
     own = recording.digest, recording.recorder_ns
-    return [other for other in unit.chunks.waiting_for_time(vehicle) if _beside(other, *own)]
+    return [other for other in unit.chunks.waiting_for_time(vehicle) if is_beside(other, *own)]
 
 
 def decoded_beside(unit: SqlUnitOfWork, vehicle: str, digest: str, recorder_ns: Span) -> Sequence[ChunkRecord]:
     """Return the receipts of decoded recordings whose recorder stamps touch those of a recording."""
     first, last = recorder_ns
     decoded = unit.chunks.overlapping_by_recorder(vehicle, first - TIME_REACH_NS, last + TIME_REACH_NS + 1)
-    return [r for r in decoded if r.purged_ns is None and _beside(r, digest, recorder_ns)]
+    return [r for r in decoded if r.purged_ns is None and is_beside(r, digest, recorder_ns)]
 
 
-def _beside(record: ChunkRecord, digest: str, recorder_ns: Span) -> bool:
+def is_beside(record: ChunkRecord, digest: str, recorder_ns: Span) -> bool:
+    """Whether the recorder stamps of a decoded or waiting recording touch those of another one."""
     first, last = recorder_ns
     if record.digest == digest or RECORDER_FIRST not in record.counts:
         return False
@@ -221,7 +209,6 @@ def _touch(first: Recording, second: Recording) -> bool:
 
 
 def _share_frames(first: FrameBatch, second: FrameBatch, from_ns: int, to_ns: int) -> bool:
-    """Whether most frames that both have in ``[from_ns, to_ns]`` are the same ones."""
     ours, theirs = (
         part.t_ns * IDENTIFIERS + part.arbitration_id.astype(np.int64)  # wraps around: a fingerprint
         for part in (between(first, from_ns, to_ns + 1), between(second, from_ns, to_ns + 1))

@@ -10,15 +10,14 @@ from urllib.parse import quote
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import InputError
-from estimation.values.file_units import MM
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import MM, JsonValue
+from estimation.values.reasons import utc_text
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
-from estimation.values.utc_text import utc_text
 from estimation.vehicle.vehicle_class import class_document
 from fleet_db.atomic_files import write_atomically
 from fleet_db.storage import SqlUnitOfWork
 from ingest.file_value import entry_of
-from ingest.profiles.wheel_profile import SUFFIX, stored_profile_text
+from ingest.profiles.files import SUFFIX, stored_profile_text
 from ingest.registry_file import FORMAT
 from ingest.track_file import COLUMNS, GAUGE_COLUMNS, LAYOUT_COLUMNS, LINE_COLUMNS
 
@@ -70,9 +69,6 @@ def write_export(path: Path, unit: SqlUnitOfWork) -> ExportedRegistry:
 
     Args:
         path: Of the registry file, which must not exist.
-
-    Raises:
-        InputError: The file exists, or cannot be written.
     """
     folder = f"{path.stem}-files"
     if path.exists() or (path.parent / folder).exists():
@@ -89,8 +85,6 @@ def write_export(path: Path, unit: SqlUnitOfWork) -> ExportedRegistry:
 
 @dataclass(frozen=True, slots=True)
 class _Files:
-    """Files beside the registry."""
-
     folder: str
     content: dict[str, str] = field(default_factory=dict)
 

@@ -18,7 +18,7 @@ from pydantic import ConfigDict
 from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.errors import InputError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
-from estimation.values.file_units import MM, Key
+from estimation.values.fields import MM, Key
 from estimation.values.quantities import Status
 from estimation.values.registry import (
     Code,
@@ -37,7 +37,7 @@ from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.file_value import Inline, read_value, table_of
 from ingest.input_file import InputFile, InputTable, Location, NotNegative, Positive, Text, field_error, read_json
-from ingest.profiles.wheel_profile import read_wheel_profile
+from ingest.profiles.files import read_wheel_profile
 from ingest.registry_entry.contents import (
     Entry,
     LoadedRegistry,
@@ -160,14 +160,7 @@ _FIELD = "vehicle_classes"
 
 
 def read_classes(file: InputFile, count: int) -> tuple[VehicleClass, ...]:
-    """Return the classes of a registry file, those in files of their own included.
-
-    Args:
-        count: Of the entries of ``vehicle_classes``.
-
-    Raises:
-        InputError: An entry or a file is wrong, or two have the same code.
-    """
+    """Return the classes of a registry file, those in files of their own included."""
     found: list[VehicleClass] = []
     for index in range(count):
         one = _class(file, (_FIELD, index))
@@ -210,7 +203,6 @@ def load_registry(
             nothing.
 
     Raises:
-        InputError: The file cannot be read, or is no JSON.
         RegistryRefusedError: A track file or a profile file cannot be read, a field is missing, unknown or impossible,
             or a record refers to something that neither the file nor the store knows, or contradicts what is on file.
             It lists everything; nothing has been committed then.
@@ -221,14 +213,7 @@ def load_registry(
 
 
 def read_registry(path: Path) -> RegistryContents:
-    """Read and check a registry file and the files it names.
-
-    Args:
-        path: The registry file; the files it names are relative to its folder.
-
-    Raises:
-        InputError: As ``load_registry``, but for what the store knows.
-    """
+    """Read and check a registry file and the files it names."""
     contents, refusals = _contents(read_json(path))
     if refusals:
         raise RegistryRefusedError(tuple(refusals))
@@ -277,7 +262,6 @@ def _contents(file: InputFile) -> tuple[RegistryContents, list[Refusal]]:
 
 
 def _measured_profiles(file: InputFile, entry: MeasurementEntry, location: Location) -> MeasuredProfiles:
-    """Return the measured profiles of a wheelset; ``location`` is that of its entry."""
     return MeasuredProfiles(
         wheelset=entry.wheelset,
         at_ns=entry.at_ns,
@@ -289,7 +273,6 @@ def _measured_profiles(file: InputFile, entry: MeasurementEntry, location: Locat
 
 
 def _wheel(file: InputFile, name: str, location: Location) -> Profile:
-    """Return the profile in the file ``name`` beside the registry."""
     try:
         return read_wheel_profile(file.path.parent / name)
     except ProfileError as error:

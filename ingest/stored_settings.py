@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 
-from estimation.errors import DamagedError, ParameterError
+from estimation.errors import ParameterError
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import decode_undecoded
 from ingest.catalogue import Catalogue
@@ -34,12 +34,9 @@ class StoredBus:
 
 
 def check_window_length(unit: SqlUnitOfWork, length_ns: int) -> None:
-    """Refuse a window length that is not the one with which data are stored.
-
-    Raises:
-        ParameterError: Names both and what to do.
-    """
-    stored = _stored_length(unit)
+    """Refuse a window length that is not the one with which data are stored."""
+    text = unit.settings.get(LENGTH)
+    stored = None if text is None else int(text)
     if stored is not None and stored != length_ns and unit.settings.in_use():
         raise ParameterError(
             f"is {length_ns / SECOND_NS:g} s, and the windows in this database have {stored / SECOND_NS:g} s: set it to"
@@ -53,14 +50,12 @@ def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) ->
 
     Where a bus is not the one before, its vehicles are assembled again. Where a mapping file described it and this
     process has none for it, recordings of its vehicles are left to a process that has.
-
-    Raises:
-        ParameterError: Windows of another length are stored.
     """
     with storage.read() as unit:
         check_window_length(unit, length_ns)
         found = _stored_buses(unit) if unit.settings.get(LENGTH) == str(length_ns) else None
-    given = _given(buses)
+    chosen: dict[str, Catalogue] = {OTHERS: buses.others, **buses.by_class}
+    given = {name: StoredBus(bus_digest(bus), isinstance(bus, OwnBus)) for name, bus in chosen.items()}
     if found is None or _changed(found, given):
         with storage.write() as unit:
             unit.settings.alone()
@@ -68,10 +63,14 @@ def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) ->
             found = (_stored_buses(unit) or {}) if unit.settings.in_use() else {}
             changed = _changed(found, given)
             if found:
-                _make_stale(unit, changed, frozenset({*found, *given}), now_ns)
+                named = frozenset({*found, *given})
+                for vehicle in sorted({code for name in changed for code in _vehicles(unit, name, named)}):
+                    unit.stale_spans.add(vehicle, None, None, CHANGED)
+                    decode_undecoded(unit.chunks, vehicle, CHANGED, now_ns)
             found |= {name: given[name] for name in changed}
             unit.settings.put(LENGTH, str(length_ns), now_ns)
-            unit.settings.put(BUSES, _to_json(found), now_ns)
+            text = json.dumps({name: {"digest": bus.digest, "own": bus.own} for name, bus in sorted(found.items())})
+            unit.settings.put(BUSES, text, now_ns)
     missing = {name for name, bus in found.items() if bus.own and not (name in given and given[name].own)}
     return replace(buses, missing=frozenset(missing - {OTHERS}), others_missing=OTHERS in missing)
 
@@ -81,25 +80,13 @@ def bus_digest(bus: Catalogue) -> str:
     return hashlib.sha256(repr(_plain(bus)).encode()).hexdigest()
 
 
-def _given(buses: BusChoice) -> dict[str, StoredBus]:
-    chosen: dict[str, Catalogue] = {OTHERS: buses.others, **buses.by_class}
-    return {name: StoredBus(bus_digest(bus), isinstance(bus, OwnBus)) for name, bus in chosen.items()}
-
-
 def _changed(found: Mapping[str, StoredBus], given: Mapping[str, StoredBus]) -> list[str]:
     """Return the classes whose bus is another one than before; the shipped one does not replace one's own."""
     kept = {name for name, bus in found.items() if bus.own}
     return [name for name, bus in given.items() if found.get(name) != bus and (bus.own or name not in kept)]
 
 
-def _make_stale(unit: SqlUnitOfWork, changed: Iterable[str], named: frozenset[str], now_ns: int) -> None:
-    for vehicle in sorted({code for name in changed for code in _vehicles(unit, name, named)}):
-        unit.stale_spans.add(vehicle, None, None, CHANGED)
-        decode_undecoded(unit.chunks, vehicle, CHANGED, now_ns)
-
-
 def _vehicles(unit: SqlUnitOfWork, name: str, named: frozenset[str]) -> Iterator[str]:
-    """Yield the vehicles of a class, or of all that have no bus of their own."""
     if name != OTHERS:
         yield from (vehicle.code for vehicle in unit.registry.vehicles_of_class(name))
         return
@@ -109,29 +96,9 @@ def _vehicles(unit: SqlUnitOfWork, name: str, named: frozenset[str]) -> Iterator
                 yield vehicle.code
 
 
-def _stored_length(unit: SqlUnitOfWork) -> int | None:
-    """Return the stored length; of a database that is older than this setting, that of a window."""
-    stored = unit.settings.get(LENGTH)
-    if stored is not None:
-        return int(stored)
-    for wheelset in unit.registry.wheelsets():
-        latest = unit.windows.latest(wheelset.serial)
-        if latest is None:
-            continue
-        try:
-            return unit.windows.load(wheelset.serial, latest.start_ns).length_ns
-        except DamagedError:
-            continue
-    return None
-
-
 def _stored_buses(unit: SqlUnitOfWork) -> dict[str, StoredBus] | None:
     stored = unit.settings.get(BUSES)
     return None if stored is None else {name: StoredBus(**bus) for name, bus in json.loads(stored).items()}
-
-
-def _to_json(buses: Mapping[str, StoredBus]) -> str:
-    return json.dumps({name: {"digest": bus.digest, "own": bus.own} for name, bus in sorted(buses.items())})
 
 
 def _plain(value: object) -> object:

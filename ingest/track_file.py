@@ -18,8 +18,8 @@ import numpy as np
 from estimation.errors import InputError
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import SectionLine, TrackSectionRecord
-from ingest.bounded_file import TABLE_BYTES, read_text_within
-from ingest.plausibility.vehicle_place import steps_m
+from ingest.input_file import TABLE_BYTES, read_text_within
+from ingest.plausibility import steps_m
 
 COLUMNS = ("s_m", "alignment_mm", "gauge_deviation_mm")
 GAUGE_COLUMNS = ("s_m", "gauge_deviation_mm")
@@ -49,24 +49,13 @@ def read_track_columns(path: Path) -> FloatArray:
 
 
 def read_columns(path: Path, columns: Sequence[str], fewest: int) -> FloatArray:
-    """Return columns of a file (n, k) as they are written; the first is a distance.
-
-    Args:
-        fewest: Rows that it must have.
-
-    Raises:
-        InputError: As ``read_track_columns``, for at least ``fewest`` rows.
-    """
+    """Return columns of a file (n, k) as they are written; the first is a distance."""
     header, lines = _cells(path)
     return _table(path, header, lines, columns, fewest)
 
 
 def read_gauge_columns(path: Path) -> FloatArray | None:
-    """Return (n, 2): distance and gauge deviation, both in m, of a file without alignment; None where it has one.
-
-    Raises:
-        InputError: As ``read_track_columns``.
-    """
+    """Return (n, 2): distance and gauge deviation, both in m, of a file without alignment; None where it has one."""
     header, lines = _cells(path)
     if COLUMNS[1] in header:
         return None
@@ -111,7 +100,6 @@ _Row = tuple[int, list[str]]
 
 
 def _cells(path: Path) -> tuple[list[str], list[_Row]]:
-    """Return the names of the columns, and the cells of every line that is not blank with its number."""
     text = read_text_within(path, TABLE_BYTES, InputError, encoding="utf-8-sig")
     lines = csv.reader(text.splitlines())
     header = [name.strip() for name in next(lines, [])]
@@ -119,7 +107,6 @@ def _cells(path: Path) -> tuple[list[str], list[_Row]]:
 
 
 def _table(path: Path, header: list[str], lines: list[_Row], columns: Sequence[str], fewest: int) -> FloatArray:
-    """Return the columns (n, k) as numbers; the first is distance."""
     for name in columns:
         if name not in header:
             raise InputError(f"no such column; expected {', '.join(columns)}", file=path, line=1, field=name)

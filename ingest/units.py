@@ -84,11 +84,7 @@ _PER_S_PER_S = re.compile(r"/\(?ss\)?$|/s/s$")
 
 
 def unit_of(name: str, allowed: Iterable[Quantity]) -> Unit:
-    """Return the unit of a name as files write it: ``m/s^2``, ``m/s²`` and ``m/s2`` are one.
-
-    Raises:
-        ParameterError: The name is no unit that is known, or measures something else.
-    """
+    """Return the unit of a name as files write it: ``m/s^2``, ``m/s²`` and ``m/s2`` are one."""
     quantities = tuple(allowed)
     plain = name.replace(" ", "")
     for written, meant in _SPELLINGS.items():

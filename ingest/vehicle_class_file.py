@@ -25,9 +25,6 @@ class VehicleClassFile(VehicleClassEntry):
 def read_vehicle_class(path: Path, error_type: type[InputError] = InputError) -> VehicleClass:
     """Return the class of a file.
 
-    Args:
-        path: A TOML file of the format ``treadwatch-vehicle-class-1``.
-
     Raises:
         InputError: As ``error_type``: the file cannot be read, or something in it is wrong; names file, line and field.
     """
@@ -35,11 +32,7 @@ def read_vehicle_class(path: Path, error_type: type[InputError] = InputError) ->
 
 
 def parse_vehicle_class(file: InputFile) -> VehicleClass:
-    """Return the class of a file that was read.
-
-    Raises:
-        InputError: Something in it is wrong; names file, line and field.
-    """
+    """Return the class of a file that was read."""
     return file.parse(VehicleClassFile).record()
 
 
@@ -49,11 +42,7 @@ def shipped_classes() -> tuple[str, ...]:
 
 
 def shipped_path(code: str) -> Path:
-    """Return the file of a class that the package ships.
-
-    Raises:
-        NotFoundError: There is no such class.
-    """
+    """Return the file of a class that the package ships."""
     if code not in shipped_classes():
         raise NotFoundError("shipped vehicle class", code)
     return Path(str(_SHIPPED / f"{code}.toml"))
@@ -66,9 +55,5 @@ def class_of_package(code: str) -> VehicleClass | None:
 
 
 def shipped_class(code: str) -> VehicleClass:
-    """Return a class that the package ships.
-
-    Raises:
-        NotFoundError: There is no such class.
-    """
+    """Return a class that the package ships."""
     return read_vehicle_class(shipped_path(code))

@@ -14,7 +14,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from estimation.errors import ParameterError
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.kalker import (
     RAIL_CONDITION_STD,
@@ -239,7 +239,6 @@ class VehicleClassEntry(InputTable):
         return (own + suspended) * GRAVITY, math.hypot(own * own_std, suspended * std) / (own + suspended)
 
     def _wheelset_numbers(self) -> dict[str, tuple[float, float]]:
-        """Return value and relative std by field of ``VehicleParameters``, but those of creep."""
         own = {"suspended_mass": self._suspended_mass(), "load": self._axle_load()}
         return own | {
             field: _number(field, getattr(getattr(self, table), key), key)
@@ -248,7 +247,6 @@ class VehicleClassEntry(InputTable):
         }
 
     def _creep_numbers(self) -> dict[str, tuple[float, float]]:
-        """Return value and relative std of the creep coefficients by field of ``VehicleParameters``."""
         creep = self.creep
         if creep.source == "kalker":
             radii, radii_std = self._kalker_radii()
@@ -262,11 +260,6 @@ class VehicleClassEntry(InputTable):
         }
 
     def _kalker_radii(self) -> tuple[ContactRadii, ContactRadiiStd]:
-        """Return what Kalker's coefficients follow from, and how well it is known.
-
-        Raises:
-            PydanticCustomError: The radii make no contact ellipse within the table.
-        """
         creep = self.creep
         assert creep.rail_head_radius_mm is not None
         load, load_std = self._axle_load()
@@ -293,7 +286,6 @@ class VehicleClassEntry(InputTable):
         )
 
     def _bogie_numbers(self) -> dict[str, tuple[float, float]]:
-        """Return value and relative std by field of ``BogieParameters``; empty without a bogie."""
         if self.bogie is None:
             return {}
         tables = {"bogie": self.bogie, "secondary_suspension": self.secondary_suspension or SecondaryTable()}

@@ -1,15 +1,23 @@
-"""What is written of access: audit entries, and when keys were used last; in a thread, beside the requests."""
+"""What is written of access: changes, refusals, and when keys were used last; in a thread, beside the requests."""
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from http import HTTPStatus
 
+from starlette.types import Scope
+
+from api.access.caller import known_caller
+from api.access.gate import READING, address_of
+from api.access.rates import Rate
+from api.uploads import is_upload
 from estimation.errors import TreadwatchError
 from fleet_db.access_records import AuditEntry
 from fleet_db.storage import SqlStorage
@@ -37,11 +45,7 @@ class _Change:
 
 @dataclass(slots=True)
 class AccessBook:
-    """Writes in one thread, which starts with the first thing to write.
-
-    Args:
-        storage: Returns the storage of all fleets.
-    """
+    """Writes in one thread, which starts with the first thing to write."""
 
     storage: Callable[[], SqlStorage]
     _queue: queue.Queue[AuditEntry | _Change | _Use | None] = field(
@@ -51,11 +55,7 @@ class AccessBook:
     _thread: threading.Thread | None = None
 
     def used(self, prefix: str, at_ns: int) -> None:
-        """Note that a key was used; written at most once a minute.
-
-        Args:
-            at_ns: Our time, ns UTC.
-        """
+        """Note that a key was used; written at most once a minute."""
         if at_ns - self._used.get(prefix, 0) >= USED_EVERY_NS:
             self._used[prefix] = at_ns
             self._put(_Use(prefix, at_ns))
@@ -127,3 +127,54 @@ class AccessBook:
             for item in batch:
                 if isinstance(item, _Change):
                     item.written.set_result(None)
+
+
+REFUSALS = frozenset({HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN})
+_OF_ADDRESS = 60.0
+"""Refusals of one address that are recorded in a minute: a stranger must not fill the disk."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recorder:
+    """Decides what is recorded, and has it written."""
+
+    book: AccessBook
+    refusals: Rate
+    now_ns: Callable[[], int] = time.time_ns
+
+    async def answered(self, scope: Scope, status: int, headers: Mapping[str, str], request_id: str) -> None:
+        """Record how a request was answered, before its answer is sent: no change is answered that is not recorded.
+
+        An upload is recorded in its receipt, with its sender: an entry beside each would be more rows than all else.
+        """
+        changed = scope["method"] not in READING and status < HTTPStatus.MULTIPLE_CHOICES and not is_upload(scope)
+        if changed and "idempotency-replayed" not in headers:
+            entry = self._entry(scope, status, headers, request_id)
+            await asyncio.wrap_future(self.book.changed(entry))
+        elif status in REFUSALS and self.refusals.take(address_of(scope) or "", time.monotonic()) is None:
+            self.book.refused(self._entry(scope, status, headers, request_id))
+
+    def _entry(self, scope: Scope, status: int, headers: Mapping[str, str], request_id: str) -> AuditEntry:
+        caller = known_caller(scope)
+        return AuditEntry(
+            at_ns=self.now_ns(),
+            owner=None if caller is None else caller.name,
+            key_prefix=None if caller is None else caller.key_prefix,
+            method=str(scope["method"])[:16],
+            path=_written(scope["path"]),
+            status=status,
+            object=_written(headers.get("location", scope["path"])),
+            address=address_of(scope),
+            request_id=request_id,
+        )
+
+
+def recorder_of(book: AccessBook) -> Recorder:
+    """Return the recorder of one app."""
+    return Recorder(book, Rate(_OF_ADDRESS / 60.0, _OF_ADDRESS))
+
+
+def _written(path: str) -> str:
+    """Return a path as it may be stored: bounded, without the query, and with control characters escaped."""
+    shown = "".join(sign if sign.isprintable() else f"%{ord(sign):02X}" for sign in path.partition("?")[0])
+    return shown[:500]

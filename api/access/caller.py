@@ -1,12 +1,16 @@
-"""Who asks: the owner of the key or token of a request, with its scopes and fleets."""
+"""Who asks, and what they may do: the owner of the key or token of a request, with its scopes and fleets."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
+from http import HTTPMethod
 from typing import Annotated, cast
 
 from fastapi import Depends, Request
-from starlette.types import Scope
+from fastapi.routing import APIRoute
+from starlette import types
 
 from api.problems import ProblemError, ProblemItem
 
@@ -22,7 +26,6 @@ class Caller:
 
     Args:
         name: Of the owner, as it is recorded with what is done; None where access is open.
-        scopes: What may be done.
         fleets: Codes of the fleets that are visible; None for all.
         identity: Of the key or token's subject, such as ``key 3fq2xh7a``: what limits and Idempotency-Keys belong to;
             None where access is open.
@@ -43,11 +46,7 @@ class Caller:
         """Return who is recorded as the actor: the owner of the key; where access is open, whom the body names.
 
         Args:
-            by: Of the request's body.
             unnamed: Who it is where access is open and the body names nobody; None refuses that.
-
-        Raises:
-            ProblemError: 422: it names another than the owner, or, where access is open, nobody.
         """
         if self.name is None and (by or unnamed) is not None:
             return by or str(unnamed)
@@ -64,22 +63,18 @@ ANYONE = Caller(None, EVERYTHING, None)
 """The caller of a service whose access is open."""
 
 
-def name_caller(scope: Scope, caller: Caller) -> None:
+def name_caller(scope: types.Scope, caller: Caller) -> None:
     """Let a request be that of a caller; to be called once it is known."""
     scope[_PLACE] = caller
 
 
-def known_caller(scope: Scope) -> Caller | None:
+def known_caller(scope: types.Scope) -> Caller | None:
     """Return who asks; None where nobody is known yet, as of a request that is refused."""
     return cast("Caller | None", scope.get(_PLACE))
 
 
 async def caller_of(request: Request) -> Caller:
-    """Return who asks.
-
-    Raises:
-        LookupError: The request did not pass the gate.
-    """
+    """Return who asks."""
     found = known_caller(request.scope)
     if found is None:
         raise LookupError("the request did not pass api.access.gate")
@@ -87,3 +82,54 @@ async def caller_of(request: Request) -> Caller:
 
 
 CallerDep = Annotated[Caller, Depends(caller_of)]
+
+
+class Scope(StrEnum):
+    """What a key or a token allows; each stands for itself alone."""
+
+    READ = "read"
+    ACT = "act"
+    INGEST = "ingest"
+    ADMIN = "admin"
+
+
+SCOPE_OF = "treadwatch_scope"
+"""Attribute of a dependency under which the document and the tests find the scope of an operation."""
+_READING = frozenset({HTTPMethod.GET.value, HTTPMethod.HEAD.value})
+
+
+def requires(scope: Scope, *, all_fleets: bool = False) -> Callable[[CallerDep], None]:
+    """Return a dependency that refuses callers without a scope."""
+
+    def check(caller: CallerDep) -> None:
+        refuse_without(caller, scope)
+        if all_fleets and caller.fleets is not None:
+            raise ProblemError(403, "forbidden", "this needs a key of all fleets")
+
+    setattr(check, SCOPE_OF, scope)
+    return check
+
+
+def refuse_without(caller: Caller, scope: Scope) -> None:
+    """Refuse a caller without a scope."""
+    if scope not in caller.scopes:
+        raise ProblemError(403, "forbidden", f"this needs the scope '{scope}'")
+
+
+def scope_of(route: APIRoute) -> Scope | None:
+    """Return the scope of an operation: the one that it declares, `read` where it only reads; None is a mistake."""
+    declared = {
+        scope for depends in route.dependencies if (scope := getattr(depends.dependency, SCOPE_OF, None)) is not None
+    }
+    if len(declared) == 1:
+        return Scope(declared.pop())
+    return Scope.READ if not declared and (route.methods or set()) <= _READING else None
+
+
+async def authorise(request: Request, caller: CallerDep) -> None:
+    """Refuse callers who lack the scope of the operation; for every route of the API."""
+    route: APIRoute = request.scope["route"]
+    scope = scope_of(route)
+    if scope is None:
+        raise LookupError(f"{route.path_format} declares no scope: dependencies=[Depends(requires(Scope....))]")
+    refuse_without(caller, scope)

@@ -47,11 +47,7 @@ class _Passage:
     of_all_fleets: bool = False
 
     def check(self, caller: Caller) -> None:
-        """Refuse a caller who may not pass.
-
-        Raises:
-            ProblemError: 403.
-        """
+        """Refuse a caller who may not pass."""
         if self.of_all_fleets and ("read" not in caller.scopes or caller.fleets is not None):
             raise ProblemError(403, "forbidden", "this needs a key of all fleets with the scope 'read'")
 
@@ -79,7 +75,6 @@ class Hosts:
     """The names and origins that are let through.
 
     Args:
-        names: Names of hosts, in lower case, beside those of loopback and the address that the connection came in at.
         origins: Origins of pages, such as ``https://maintenance.example``, beside our own.
     """
 
@@ -87,11 +82,7 @@ class Hosts:
     origins: frozenset[str] = frozenset()
 
     def check(self, scope: Scope) -> None:
-        """Refuse a request under another name, or a change that a page of another origin asks for.
-
-        Raises:
-            ProblemError: 421 or 403.
-        """
+        """Refuse a request under another name, or a change that a page of another origin asks for."""
         headers = Headers(scope=scope)
         host = headers.get("host")
         if host is not None and not self._ours(host, scope):
@@ -137,11 +128,8 @@ class Gate:
     """Decides who asks, and refuses who may not.
 
     Args:
-        doors: What of the service needs no key, or is shut.
         keys: Those of the database; None where access is open.
-        tokens: Of the provider, if there is one.
         requests, failures: Limits of rate: of each key; of wrong keys, of each address.
-        now_ns: Our time, ns UTC.
     """
 
     hosts: Hosts
@@ -154,12 +142,7 @@ class Gate:
     now_ns: Callable[[], int] = time.time_ns
 
     async def admit(self, scope: Scope) -> None:
-        """Let a request in and name its caller.
-
-        Raises:
-            ProblemError: 421 and 403: host and origin; 401: no key or token that is good; 403: the door needs more;
-                404: it is shut; 429: too often.
-        """
+        """Let a request in and name its caller."""
         self.hosts.check(scope)
         door = door_of(self.doors, scope)
         if door.shut:
@@ -213,11 +196,7 @@ class Gate:
 
 
 async def require_still_good(scope: Scope) -> None:
-    """Refuse a request that has waited for long, where its caller would not be let in any more.
-
-    Raises:
-        ProblemError: 401: the key or token was revoked, or has expired.
-    """
+    """Refuse a request that has waited for long, where its caller would not be let in any more."""
     if not await still_good(scope):
         detail = "the key or token was revoked, or has expired, while the request waited"
         raise ProblemError(401, "unauthenticated", detail, headers=_REFUSED)

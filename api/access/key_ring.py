@@ -72,11 +72,7 @@ class _Known:
 
 @dataclass(slots=True)
 class KeyRing:
-    """The keys that were used lately; for one event loop.
-
-    Args:
-        storage: Returns the storage of all fleets.
-    """
+    """The keys that were used lately; for one event loop."""
 
     storage: Callable[[], SqlStorage]
     _known: OrderedDict[str, _Known] = field(default_factory=OrderedDict)
@@ -88,14 +84,7 @@ class KeyRing:
         return digest_of(token) in self._known
 
     async def find(self, token: str, now_ns: int) -> ApiKey | None:
-        """Return the key that a token is; None where it is none, expired or revoked.
-
-        Args:
-            now_ns: Our time, ns UTC.
-
-        Raises:
-            StorageError: The key has to be read, and the database cannot be reached.
-        """
+        """Return the key that a token is; None where it is none, expired or revoked."""
         prefix = prefix_of(token)
         if prefix is None:
             return None
@@ -161,12 +150,8 @@ class Wanted:
 def make_key(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> tuple[ApiKey, NewToken]:
     """Store a new key and return it with its secret.
 
-    Args:
-        now_ns: Our time, ns UTC.
-
     Raises:
         ParameterError: An unknown scope or none, no owner, or it has expired already; names the field.
-        NotFoundError: There is no such fleet.
     """
     if not wanted.owner.strip():
         raise ParameterError("names nobody", field="owner")

@@ -34,11 +34,9 @@ class Provider:
     """Which tokens are taken, and what of them says what.
 
     Args:
-        issuer, audience: That a token must carry.
         keys: URL or file of the JSON Web Key Set.
         owner_claim, scopes_claim, fleets_claim: Names of the claims. Scopes are a list or a text with spaces. Fleets
             are a list, or `*` for all; a token without them sees none.
-        leeway_s: By how many seconds clocks may differ.
     """
 
     issuer: str

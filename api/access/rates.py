@@ -30,11 +30,7 @@ class Rate:
     _buckets: OrderedDict[str, _Bucket] = field(default_factory=OrderedDict)
 
     def take(self, name: str, now_s: float) -> float | None:
-        """Take one; return None, or after how many seconds there will be one.
-
-        Args:
-            now_s: Of a clock that never goes back.
-        """
+        """Take one; return None, or after how many seconds there will be one."""
         bucket = self._filled(name, now_s)
         if bucket.tokens < 1.0:
             return math.ceil((1.0 - bucket.tokens) / self.per_s)
@@ -42,11 +38,7 @@ class Rate:
         return None
 
     def wait_s(self, name: str, now_s: float) -> float | None:
-        """Return after how many seconds there will be one to take; None where there is one now. Takes none.
-
-        Args:
-            now_s: Of a clock that never goes back.
-        """
+        """Return after how many seconds there will be one to take; None where there is one now. Takes none."""
         tokens = self._filled(name, now_s).tokens
         return None if tokens >= 1.0 else math.ceil((1.0 - tokens) / self.per_s)
 
@@ -62,22 +54,14 @@ class Rate:
 
 @dataclass(slots=True)
 class StreamPlaces:
-    """The places of one process; for one event loop.
-
-    Args:
-        per_key: Of each key; where access is open, there are no keys to count by.
-    """
+    """The places of one process; for one event loop."""
 
     per_key: int
     _held: Counter[str] = field(default_factory=Counter)
 
     @contextmanager
     def place(self, caller: Caller) -> Iterator[None]:
-        """Hold a place for as long as a stream is open.
-
-        Raises:
-            ProblemError: 429: the key holds as many as it may.
-        """
+        """Hold a place for as long as a stream is open."""
         name = caller.identity or ""
         if caller.identity is not None and self._held[name] >= self.per_key:
             detail = f"limit streams_per_key: at most {self.per_key} streams of a key; close one"

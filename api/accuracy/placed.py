@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 from estimation.accuracy.fleet_accuracy import PlacedComparison
 from estimation.errors import DamagedError
-from estimation.failures import code_of_error, first_line
 from estimation.jobs.steps.compared_measurements import ComparisonReader
 from estimation.values.reasons import Reason
 from estimation.values.registry import Mounting
+from estimation.values.runs import code_of_error, first_line
 from fleet_db.storage import SqlUnitOfWork
 
 

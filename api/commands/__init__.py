@@ -1,1 +1,1 @@
-"""One file a subcommand of ``treadwatch``."""
+"""Subcommands of ``treadwatch``, by subject: their arguments; what they do is in ``api.terminal``."""

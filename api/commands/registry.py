@@ -1,4 +1,4 @@
-"""``treadwatch registry``: load, check and export a registry; void and restore records; list what was decided."""
+"""Subcommands of what is on file: the registry, vehicle classes and alert rules."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 from estimation.errors import ParameterError
 from fleet_db.registry_events import RecordAction, RecordKind
-from ingest.registry_entry.contradiction import CONFIRMABLE, Rule
+from ingest.registry_entry.contents import CONFIRMABLE, Rule
 
 _DOUBTS = ", ".join(sorted(CONFIRMABLE))
 
@@ -41,7 +41,7 @@ def _doubts(confirmed: list[Rule] | None) -> list[Rule]:
 @registry.command("load")
 def load(file: _File, *, confirm: _Confirmed = None, why: _EntryWhy = "", actor: _Actor = "") -> None:
     """Load a registry file, whole or not at all: new records are added, those of the same key changed."""
-    from api.terminal.registry_files import load_and_report
+    from api.terminal.registry import load_and_report
 
     load_and_report(file, _doubts(confirm), actor, why)
 
@@ -49,7 +49,7 @@ def load(file: _File, *, confirm: _Confirmed = None, why: _EntryWhy = "", actor:
 @registry.command("check")
 def check(file: _File, *, confirm: _Confirmed = None) -> None:
     """Print everything in a registry file that is wrong or contradicts what is on file, and store nothing."""
-    from api.terminal.registry_files import check_and_report
+    from api.terminal.registry import check_and_report
 
     check_and_report(file, _doubts(confirm))
 
@@ -57,7 +57,7 @@ def check(file: _File, *, confirm: _Confirmed = None) -> None:
 @registry.command("export")
 def export(file: Annotated[Path, typer.Argument(metavar="FILE", help="Registry file to be written.")]) -> None:
     """Write the registry as a file that loads to the same registry, and the files it names beside it."""
-    from api.terminal.registry_files import export_and_report
+    from api.terminal.registry import export_and_report
 
     export_and_report(file)
 
@@ -85,3 +85,77 @@ def history(subject: Annotated[str | None, typer.Argument(metavar="[NAME]", help
 
     for line in history_lines(subject):
         typer.echo(line)
+
+
+vehicle = typer.Typer(no_args_is_help=True, help="List, show and check vehicle classes.", rich_markup_mode=None)
+
+_Class = Annotated[str, typer.Argument(metavar="FILE|NAME", help="A TOML file, or the name of a shipped class.")]
+_Name = Annotated[str, typer.Argument(metavar="NAME", help="The name of a shipped class.")]
+_Speed = Annotated[float, typer.Option(min=1.0, max=150.0, help="m/s.")]
+_Conicity = Annotated[float, typer.Option(min=0.005, max=1.0, help="Equivalent conicity of all wheelsets.")]
+
+
+@vehicle.command("list")
+def list_classes() -> None:
+    """List the classes that are shipped."""
+    from api.terminal.vehicle import class_list
+
+    typer.echo(class_list())
+
+
+@vehicle.command("show")
+def show_class(name: _Name) -> None:
+    """Print the file of a shipped class, to copy from."""
+    from ingest.vehicle_class_file import shipped_path
+
+    typer.echo(shipped_path(name).read_text(encoding="utf-8"), nl=False)
+
+
+@vehicle.command("check")
+def check_class(file: _Class, speed: _Speed = 20.0, conicity: _Conicity = 0.2) -> None:
+    """Print modes, critical speed, and what the sensors see with which std; refuse what no railway vehicle is."""
+    from api.terminal.vehicle import check_report, named_class
+
+    typer.echo(check_report(named_class(file), speed, conicity))
+
+
+rules = typer.Typer(
+    no_args_is_help=True, help="Check alert rules, and try them on what is stored.", rich_markup_mode=None
+)
+
+
+@rules.command("check")
+def check_rules(file: Annotated[Path, typer.Argument(metavar="FILE", help="A TOML file of alert rules.")]) -> None:
+    """Print the rules of every fleet and class that a file leads to; refuse one that is wrong or contradicts itself."""
+    from api.rules_file import load_rules
+    from api.terminal.rules import print_rules
+
+    print_rules(load_rules(file))
+
+
+@rules.command("show")
+def show_rules() -> None:
+    """Print the rules in force: those of TREADWATCH_RULES_FILE, or the shipped ones."""
+    from api.rules_file import load_rules
+    from api.settings import load_settings
+    from api.terminal.rules import print_rules
+    from estimation.alerts.rules.book import RuleBook
+
+    file = load_settings().rules_file
+    print_rules(RuleBook() if file is None else load_rules(file))
+
+
+@rules.command("replay")
+def replay_rules(
+    from_: Annotated[str, typer.Option("--from", help="Date, or time as in RFC 3339, of the vehicles' clocks.")],
+    *,
+    to: Annotated[str | None, typer.Option(help="End of the time that is looked at; now by default.")] = None,
+    rules_file: Annotated[
+        Path | None, typer.Option("--rules", help="Rules to try; without it those in force are replayed.")
+    ] = None,
+    fleet: Annotated[str | None, typer.Option(help="Only the wheelsets of this fleet.")] = None,
+) -> None:
+    """Show which alerts other rules would have raised over what is stored; nothing is written."""
+    from api.terminal.rules import replay
+
+    replay(from_, to, rules_file, fleet)

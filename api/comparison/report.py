@@ -9,7 +9,7 @@ from rich.table import Table
 
 from api.comparison.study import PairStudy, Score, TrackInformation
 from estimation.estimators.catalogue import SHIPPED, estimators
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 
 TRACKS = {
     TrackInformation.KNOWN: "known",

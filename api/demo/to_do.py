@@ -6,7 +6,7 @@ import urllib.parse
 from typing import Any
 
 from api.demo.table import ServiceAddress, get
-from estimation.values.worklist import Urgency
+from estimation.values.alerts import Urgency
 
 NOTHING_TO_DO = (Urgency.NOT_DUE, Urgency.NOT_MOUNTED)
 

@@ -1,24 +1,67 @@
-"""The feed as server-sent events: what is behind the cursor, then what happens, with a sign of life in between."""
+"""The feed as server-sent events, and the places for those who wait for news."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
+from enum import StrEnum
 
+from prometheus_client.core import Metric
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 from starlette.types import Message, Receive, Scope, Send
 
-from api.feed.filters import FeedFilter
-from api.feed.pages import FeedPage, Place, read_page
+from api.access.caller import Caller
+from api.access.rates import StreamPlaces
+from api.feed.pages import FeedFilter, FeedPage, Place, read_page
 from api.feed.watch import Channel, FeedWatch, as_sent
 from api.http_server import SEND_TIMEOUT_S
+from api.measures import gauge
+from api.problems import ProblemError
 from estimation.errors import TreadwatchError
 from fleet_db.storage import SqlStorage
+
+TRY_AGAIN = {"Retry-After": "10"}
+
+
+class Waits(StrEnum):
+    """How a client waits."""
+
+    STREAM = "stream"
+    LONG_POLL = "long_poll"
+
+
+class WaitingPlaces:
+    """Counts who waits, refuses who would be too many, and shows it to Prometheus."""
+
+    def __init__(self, limit: int, of_keys: StreamPlaces) -> None:
+        self._limit = limit
+        self._of_keys = of_keys
+        self._waiting: Counter[Waits] = Counter()
+
+    @contextmanager
+    def held(self, how: Waits, caller: Caller) -> Iterator[None]:
+        """Hold a place."""
+        if sum(self._waiting.values()) >= self._limit:
+            detail = f"limit max_streams: {self._limit} clients wait for news; try again"
+            raise ProblemError(503, "overloaded", detail, headers=TRY_AGAIN)
+        with self._of_keys.place(caller):
+            self._waiting[how] += 1
+            try:
+                yield
+            finally:
+                self._waiting[how] -= 1
+
+    def measures(self) -> list[Metric]:
+        """Return how many wait now, for Prometheus."""
+        waiting = {how.value: self._waiting[how] for how in Waits}
+        return [gauge("treadwatch_feed_waiting", "Clients that wait for news of the feed.", "how", waiting)]
+
 
 EVENT_STREAM = "text/event-stream"
 HEARTBEAT_S = 15.0
@@ -35,11 +78,7 @@ _log = logging.getLogger(__name__)
 
 
 class EventStream(StreamingResponse):
-    """An answer that goes on; a client that does not read is left, nothing is kept for it.
-
-    Args:
-        held: Entered for as long as it goes on; may refuse it with a problem.
-    """
+    """An answer that goes on; a client that does not read is left, nothing is kept for it."""
 
     media_type = EVENT_STREAM
 
@@ -71,12 +110,7 @@ class EventStream(StreamingResponse):
 
 @dataclass(slots=True)
 class FeedStream:
-    """One client's stream.
-
-    Args:
-        narrowed: The client's filter.
-        good: Returns whether the client would still be let in.
-    """
+    """One client's stream."""
 
     watch: FeedWatch
     narrowed: FeedFilter
@@ -85,11 +119,7 @@ class FeedStream:
     clock_s: Callable[[], float] = time.monotonic
 
     async def parts(self, page: FeedPage) -> AsyncIterator[bytes]:
-        """Yield what is sent, one or more whole events at a time, until the stream ends.
-
-        Args:
-            page: The first events behind the client's cursor.
-        """
+        """Yield what is sent, one or more whole events at a time, until the stream ends."""
         ends, history = self.clock_s() + LONGEST_S, self.watch.histories
         yield b"retry: %d\n: the feed of alerts\n\n" % RETRY_MS + _text(page)
         async with self.watch.following(self.narrowed, self.storage, page) as channel:

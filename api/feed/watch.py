@@ -8,19 +8,31 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import signal
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
+import uvicorn
 from starlette.concurrency import run_in_threadpool
 
-from api.feed.filters import FeedFilter
-from api.feed.pages import FeedPage, Place, read_page
+from api.feed.pages import FeedFilter, FeedPage, Place, read_page
 from api.schemas import alerts
 from estimation.errors import TreadwatchError
 from estimation.values.alerts import AlertEvent
 from fleet_db.storage import SqlStorage
+
+
+def ending() -> bool:
+    """Return whether a signal has asked uvicorn to end.
+
+    A server that makes processes of its own (``uvicorn --workers 2``) tells its applications only when the last
+    connection is closed, for which those that stream would let it wait. It has its own handler of the signal.
+    """
+    server = getattr(signal.getsignal(signal.SIGTERM), "__self__", None)
+    return isinstance(server, uvicorn.Server) and server.should_exit
+
 
 INTERVAL_S = 0.2
 """Between two looks at the database, while somebody waits."""
@@ -44,11 +56,8 @@ class Channel:
     """What is new under one filter.
 
     Attributes:
-        narrowed, storage: The filter, and the database as its clients see it.
         begin: All that matches and has a higher number is in ``kept``.
         end: Up to where has been looked.
-        kept: In commit order.
-        followers: How many wait for it.
     """
 
     narrowed: FeedFilter
@@ -78,12 +87,7 @@ def as_sent(event: AlertEvent, cursor: str) -> bytes:
 
 
 class FeedWatch:
-    """Looks for news while somebody waits for them; one an app.
-
-    Args:
-        storage: Of the app, where it has one by now.
-        ending: Whether the server is about to end.
-    """
+    """Looks for news while somebody waits for them; one an app."""
 
     def __init__(self, storage: Callable[[], SqlStorage | None], ending: Callable[[], bool]) -> None:
         self._storage = storage
@@ -107,12 +111,7 @@ class FeedWatch:
 
     @asynccontextmanager
     async def following(self, narrowed: FeedFilter, storage: SqlStorage, page: FeedPage) -> AsyncIterator[Channel]:
-        """Yield what is new under a filter from a page on.
-
-        Args:
-            narrowed: The client's filter.
-            page: The last one that was read for the client.
-        """
+        """Yield what is new under a filter from a page on."""
         channel = self._channels.get(narrowed)
         if channel is None:
             channel = self._channels[narrowed] = Channel(narrowed, storage, page.newest.sequence, page.newest)

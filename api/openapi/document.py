@@ -1,28 +1,86 @@
-"""The OpenAPI document: what FastAPI derives from the routes, with our problems in it."""
+"""The OpenAPI document: what FastAPI derives from the routes, with our problems and headers in it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from http import HTTPStatus
-from types import ModuleType
+from http import HTTPMethod, HTTPStatus
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 from fastapi.routing import APIRoute, iter_route_contexts
 from pydantic.json_schema import models_json_schema
 
+from api.access.caller import Scope, scope_of
 from api.access.gate import HEALTH
-from api.access.scopes import Scope, scope_of
 from api.contract import CSV
 from api.csv_tables import columns_of, item_of
-from api.openapi import headers
 from api.openapi.words import describe_properties
 from api.problems import PROBLEM_MEDIA_TYPE, TYPES, Problem
 from api.schemas.common import Uncertain
-from estimation.values.alerts import CloseReason
+from estimation.values.alerts import CloseReason, Urgency
 from estimation.values.reasons import ReasonCode
-from estimation.values.worklist import Urgency
+
+RESPONSE_HEADERS: Mapping[str, str] = {
+    "Allow": "The methods of this path.",
+    "Cache-Control": "`no-cache`: keep it, and ask with `If-None-Match` before it is used again.",
+    "ETag": "Of this representation; for `If-None-Match`, and for `If-Match` of changes.",
+    "Idempotency-Replayed": "`true` where the first answer under this `Idempotency-Key` is sent again.",
+    "Link": 'The next page, `rel="next"`; absent on the last page of a list.',
+    "Location": "The path of what was created.",
+    "Retry-After": "Seconds after which to try again.",
+    "Vary": "`Accept`: another media type is another representation.",
+    "WWW-Authenticate": "How to authenticate (RFC 6750).",
+    "X-Accel-Buffering": "`no`: proxies hand each part on at once.",
+    "X-Request-Id": "Name of this request in the log; that of the request's own `X-Request-Id` where it sent one.",
+}
+_REPRESENTATION = ("ETag", "Cache-Control", "Vary")
+_STREAM = ("Cache-Control", "X-Accel-Buffering")
+_HEADERS_OF_STATUS: Mapping[str, tuple[str, ...]] = {
+    "200": _REPRESENTATION,
+    "201": (*_REPRESENTATION, "Location"),
+    "202": (*_REPRESENTATION, "Location"),
+    "304": _REPRESENTATION,
+    "401": ("WWW-Authenticate",),
+    "405": ("Allow",),
+    "412": ("ETag",),
+    "429": ("Retry-After",),
+    "503": ("Retry-After",),
+}
+_PAGED = "next_cursor"
+IF_MATCH = "If-Match"
+
+
+def describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[str, Any]) -> None:
+    """Add to an operation the headers of its answers, and that ``If-Match`` is required where it is taken.
+
+    The service answers a request without it with 428 rather than with 422, so the route itself cannot require it.
+    """
+    for parameter in operation.get("parameters", ()):
+        if parameter["name"] == IF_MATCH:
+            parameter["required"] = True
+            parameter["schema"] = {"type": "string", "title": IF_MATCH, "examples": ['"9f86d081884c7d65"']}
+    for status, response in operation["responses"].items():
+        names = {"X-Request-Id", *_HEADERS_OF_STATUS.get(status, ())}
+        if "text/event-stream" in response.get("content", {}):
+            names = {"X-Request-Id", *_STREAM}
+        if status.startswith("2") and method.upper() == HTTPMethod.POST:
+            names.add("Idempotency-Replayed")
+        if status == "200" and _is_page(response, schemas):
+            names.add("Link")
+        described = response.setdefault("headers", {})
+        for name in sorted(names):
+            described.setdefault(name, {"$ref": f"#/components/headers/{name}"})
+
+
+def header_components() -> dict[str, Any]:
+    """Return the headers as components of the document."""
+    return {name: {"description": text, "schema": {"type": "string"}} for name, text in RESPONSE_HEADERS.items()}
+
+
+def _is_page(response: Mapping[str, Any], schemas: Mapping[str, Any]) -> bool:
+    reference = response.get("content", {}).get("application/json", {}).get("schema", {}).get("$ref", "")
+    return _PAGED in schemas.get(reference.rsplit("/", maxsplit=1)[-1], {}).get("properties", {})
 
 
 def describe_tables(app: FastAPI, document: dict[str, Any]) -> None:
@@ -52,15 +110,11 @@ SCHEME = {
 }
 
 
-def scopes_of(modules: Iterable[ModuleType]) -> dict[str, Scope]:
-    """Return the scope of every operation by its name.
-
-    Raises:
-        LookupError: One has none.
-    """
+def scopes_of(routers: Iterable[APIRouter]) -> dict[str, Scope]:
+    """Return the scope of every operation by its name."""
     found = {}
-    for module in modules:
-        for route in module.router.routes:
+    for router in routers:
+        for route in router.routes:
             if isinstance(route, APIRoute):
                 scope = scope_of(route)
                 if scope is None:
@@ -70,11 +124,7 @@ def scopes_of(modules: Iterable[ModuleType]) -> dict[str, Scope]:
 
 
 def describe_access(document: dict[str, Any], scopes: Mapping[str, Scope]) -> None:
-    """Add the key to the document, and the scope to every operation; `/healthz` and `/readyz` need none.
-
-    Args:
-        scopes: Each under the name of its operation; `read` where nothing is said, as of `/metrics`.
-    """
+    """Add the key to the document, and the scope to every operation; `/healthz` and `/readyz` need none."""
     document["components"]["securitySchemes"] = {KEY: SCHEME}
     for path, operations in document["paths"].items():
         for operation in operations.values():
@@ -131,11 +181,7 @@ _POINTED = [{"in": "query", "pointer": "#/limit", "detail": "Input should be les
 
 
 def describe_problems(path: str, operation: dict[str, Any]) -> None:
-    """Give every problem of an operation an example.
-
-    Args:
-        path: Template of the operation's path.
-    """
+    """Give every problem of an operation an example."""
     for status, response in operation["responses"].items():
         content = response.get("content", {}).get(PROBLEM_MEDIA_TYPE)
         if content is not None:
@@ -168,11 +214,7 @@ Times are RFC 3339 in UTC; ranges are half-open.
 
 
 def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
-    """Return the document of this app.
-
-    Args:
-        scopes: Of every operation, by its name.
-    """
+    """Return the document of this app."""
     found = get_openapi(
         title=app.title,
         version=app.version,
@@ -193,13 +235,13 @@ def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
     found["components"]["schemas"] = dict(sorted(schemas.items()))
-    found["components"]["headers"] = headers.components()
+    found["components"]["headers"] = header_components()
     describe_properties(found["components"]["schemas"])
     describe_access(found, scopes)
     for path, operations in found["paths"].items():
         for method, operation in operations.items():
             _describe_unchanged(operation)
-            headers.describe_headers(method, operation, found["components"]["schemas"])
+            describe_headers(method, operation, found["components"]["schemas"])
             describe_problems(path, operation)
             _leave_streams_open(operation)
     return found

@@ -1,21 +1,25 @@
-"""``/`` and its assets: no other origin, no inline script; assets are immutable under the digest of all of them."""
+"""The page on ``/``, Swagger UI on ``/docs``: no other origin; assets are immutable under the digest of all."""
 
 from __future__ import annotations
 
 import gzip
 import hashlib
 import re
+from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from hashlib import sha256
 from http import HTTPStatus
 from importlib.resources import files
 from pathlib import PurePosixPath
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, FastAPI, Request, Response
+from fastapi.openapi.docs import get_swagger_ui_html
 from starlette.exceptions import HTTPException
 
-from api.answers import entity_tag
+from api.access.guard import PAGE_POLICY
+from api.answers import answer_bytes, entity_tag
 
 INDEX, ENTRY = "index.html", "main.js"
 MEDIA_TYPES: Mapping[str, str] = {
@@ -24,17 +28,6 @@ MEDIA_TYPES: Mapping[str, str] = {
     ".css": "text/css; charset=utf-8",
     ".svg": "image/svg+xml",
     ".txt": "text/plain; charset=utf-8",
-}
-POLICY = (
-    "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; form-action 'self'; "
-    "frame-ancestors 'none'"
-)
-"""Content Security Policy: everything from this origin, nothing inline."""
-SECURITY: Mapping[str, str] = {
-    "Content-Security-Policy": POLICY,
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Opener-Policy": "same-origin",
 }
 FOR_A_YEAR = "public, max-age=31536000, immutable"
 _IMPORT = re.compile(r'^import .*from "\./([\w.]+)";$', re.MULTILINE)
@@ -97,7 +90,7 @@ def get_page_asset(request: Request, digest: str, name: str) -> Response:
 
 def _answer(request: Request, asset: Asset, kept: str) -> Response:
     tag = entity_tag(asset.plain)
-    headers = {**SECURITY, "Cache-Control": kept, "ETag": tag, "Vary": "Accept-Encoding"}
+    headers = {"Cache-Control": kept, "ETag": tag, "Vary": "Accept-Encoding"}
     if request.headers.get("if-none-match") in {tag, f"W/{tag}"}:
         return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
     if "gzip" in request.headers.get("accept-encoding", ""):
@@ -124,3 +117,50 @@ def _asset(name: str, content: bytes) -> Asset:
 
 def _suffix(name: str) -> str:
     return PurePosixPath(name).suffix
+
+
+_INLINE = re.compile(rb"<script>(.*?)</script>", re.DOTALL)
+_ASSETS = {
+    "swagger-ui-bundle.js": "text/javascript; charset=utf-8",
+    "swagger-ui.css": "text/css; charset=utf-8",
+    "favicon-32x32.png": "image/png",
+}
+DOCUMENT = "/openapi.json"
+
+
+@router.get("/docs")
+async def get_docs(request: Request) -> Response:
+    """Return the page."""
+    app: FastAPI = request.app
+    page = get_swagger_ui_html(
+        openapi_url=DOCUMENT,
+        title=app.title,
+        swagger_js_url="/docs/assets/swagger-ui-bundle.js",
+        swagger_css_url="/docs/assets/swagger-ui.css",
+        swagger_favicon_url="/docs/assets/favicon-32x32.png",
+        swagger_ui_parameters={"tryItOutEnabled": True, "displayRequestDuration": True, "defaultModelsExpandDepth": 0},
+    )
+    page.headers["Content-Security-Policy"] = _policy(bytes(page.body))
+    return page
+
+
+def _policy(page: bytes) -> str:
+    """Return what the page may do: its own files, and the one script and the styles that stand in it."""
+    scripts = (b64encode(sha256(script).digest()).decode() for script in _INLINE.findall(page))
+    allowed = " ".join(f"'sha256-{digest}'" for digest in scripts)
+    return f"{PAGE_POLICY}; script-src 'self' {allowed}; style-src 'self' 'unsafe-inline'"
+
+
+@router.get(DOCUMENT)
+async def get_document(request: Request) -> Response:
+    """Return the committed document; the framework's own would lack what is added to it."""
+    return answer_bytes(request, request.app.state.document)
+
+
+@router.get("/docs/assets/{name}")
+def get_docs_asset(name: str) -> Response:
+    """Return a file of the page."""
+    if name not in _ASSETS:
+        raise HTTPException(HTTPStatus.NOT_FOUND)
+    content = files("fastapi_swagger").joinpath("resources", name).read_bytes()
+    return Response(content, media_type=_ASSETS[name], headers={"Cache-Control": "public, max-age=3600"})

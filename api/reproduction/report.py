@@ -10,8 +10,8 @@ from api.reproduction.figures import LEAST_SAMPLES, SCALE
 from api.reproduction.study import GAUGE, INCLINATION, SPEED, STANDARD_DEVIATION, WEAR_DEPTH, Case
 from estimation.contact.geometry import ContactTable
 from estimation.values.arrays import FloatArray
+from estimation.values.fields import JsonValue
 from estimation.values.geometry import COMBINATIONS
-from estimation.values.json_value import JsonValue
 
 SYMBOLS = {
     "rolling_radius_sum": "rL+rR (mm)",

@@ -1,56 +1,374 @@
-"""Estimates against measurements: of one wheelset, and over a fleet; and the contact geometry of its design."""
+"""Estimates against measurements: whether the intervals of a wheelset, and of a fleet, cover what was measured."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Any
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Self
 from urllib.parse import urlencode
 
+import numpy as np
 from fastapi import APIRouter, Path, Query, Response
+from pydantic import Field
 
-from api.accuracy.placed import placed_comparisons
+from api.accuracy.placed import Placed, placed_comparisons
 from api.answers import answer_payload, table_payload
 from api.asking import AskedDep
-from api.contract import CSV, Accepted
-from api.known import require_known
+from api.contract import TABLE, Accepted
 from api.parameters import FleetFilter, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.problems import described
-from api.schemas import accuracy, wheel_contact
-from api.services import Services
-from api.times import Moment, to_rfc3339
-from estimation.accuracy.fleet_accuracy import fleet_accuracy
-from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
-from estimation.contact.profiles import wheel_profile
+from api.routes.design_contact import ProfileContact, comparison_reader, profile_contact
+from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
+from api.schemas.derived import Derived
+from api.schemas.geometry import MM, Bins, bin_table
+from api.schemas.registry import segment
+from api.times import Moment, Timestamp, to_rfc3339
+from api.visible_objects import require_known
+from estimation.accuracy.fleet_accuracy import (
+    Comparison,
+    ConicityPair,
+    CoverageCount,
+    CoveragePair,
+    FleetAccuracy,
+    Outcome,
+    PlacedComparison,
+    curve_origin,
+    fleet_accuracy,
+)
+from estimation.accuracy.wheel_contact import WheelContact
+from estimation.contact.profiles import Profile
+from estimation.contact.wear import WearMeasures, wear_measures
 from estimation.errors import NotFoundError, ProfileError
-from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.compared_measurements import ComparisonReader
-from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import WheelsetRecord
-from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.measured_profiles import newest_measurements
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE
+from estimation.values.geometry import GeometryRecord
+from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from fleet_db.stores.wheelset_events import newest_measurements
+
+NOT_OBSERVABLE = Reason(
+    ReasonCode.MEASURES_NOT_OBSERVABLE,
+    "accelerations show how the wheels roll: the estimate gives the conicity, and no measures of flange and tread",
+)
+
+
+class WheelMeasures(Derived, of=WearMeasures):
+    """Flange and tread of one wheel as measured (EN 15313); null where the profile does not show it."""
+
+    profile: str = Field(description="Name of the profile.", examples=["WS-0001-left"])
+    reason: str | None
+    reason_code: ReasonCode | None
+
+
+class BothWheels(Representation):
+    """The wheelset's own left and right wheel."""
+
+    left: WheelMeasures = Field(description="Its own left wheel, whichever way round it runs.")
+    right: WheelMeasures = Field(description="Its own right wheel.")
+
+
+class NotEstimated(Representation):
+    """What an estimate does not give."""
+
+    status: Status
+    reason: str
+    reason_code: ReasonCode
+
+
+class EstimateOfDate(Representation):
+    """The estimate that belongs to a measurement: of the same profile, of its mileage interval or the nearest."""
+
+    status: Status
+    reason: str | None
+    reason_code: ReasonCode | None
+    baseline: int
+    mileage_km: float | None = Field(description="Weighted mean mileage of its windows.")
+    mileage_apart_km: float | None = Field(description="Mileage of the estimate less that of the measurement.")
+    measured_from: Timestamp
+    measured_to: Timestamp
+    recorded_at: Timestamp
+    n_windows: int
+    bins: Bins = Field(description="Its bin table; intervals of 95 % are 1.96 of the standard deviations.")
+
+
+class MeasuredAtBins(Representation):
+    """The measured curve rL - rR at the bins of the estimate, counted from the origin of the estimated one.
+
+    Band-limited signals carry no offset: the estimated curve is counted from the place that the wheelset runs at. It is
+    the one on the measured curve at which the estimate fits best.
+    """
+
+    origin_displacement_mm: float = Field(description="Lateral displacement of the origin on the measured curve.")
+    origin_radius_difference_mm: float = Field(description="rL - rR of the measured curve there.")
+    rolling_radius_difference_mm: list[float | None] = Field(description="At each bin; null without contact.")
+    rolling_radius_difference_std_mm: list[float | None] = Field(description="Standard deviation at each bin.")
+
+
+class ConicityCompared(Derived, of=ConicityPair, without=("amplitude",), also=("covered",)):
+    """Equivalent conicity at one amplitude (EN 15302), measured and estimated."""
+
+    amplitude_mm: float
+
+
+class ProfileComparison(Representation):
+    """A measurement of both wheels beside the estimate that belongs to it."""
+
+    wheelset: str = Field(examples=["WS-0001"])
+    measured_at: Timestamp
+    mileage_km: float = Field(description="Of the wheelset since new, at the measurement.", examples=[151200.0])
+    std_mm: float = Field(
+        description="Standard deviation of the lateral displacement at a rolling radius difference.", examples=[0.1]
+    )
+    wheels: BothWheels = Field(description="Flange and tread as measured.")
+    estimated_wheels: NotEstimated = Field(description="Why the estimate has no measures of flange and tread.")
+    measured: ProfileContact = Field(description="What the measured profiles give.")
+    estimate: EstimateOfDate | None = Field(description="Null where none belongs to the measurement.")
+    reason: str | None = Field(description="Why the conicity at 3 mm is not compared; null where it is.")
+    reason_code: ReasonCode | None
+    independent: bool | None = Field(
+        description="Whether the estimate was made without any measurement of the same profiles; only then does it"
+        " check the product. Null without an estimate."
+    )
+    measured_at_bins: MeasuredAtBins | None = Field(description="Null where either curve is missing.")
+    conicity_by_amplitude: list[ConicityCompared] = Field(description="At 1 to 8 mm.")
+    links: Links
+
+
+def profile_comparison(found: Comparison) -> ProfileComparison:
+    """Return the representation of a measurement beside the estimate of its date."""
+    one, record = found.measurement, found.estimate.record
+    own = f"/v1/wheelsets/{segment(one.wheelset)}"
+    return ProfileComparison(
+        wheelset=one.wheelset,
+        measured_at=to_rfc3339(one.at_ns),
+        mileage_km=one.mileage_km,
+        std_mm=one.std * MM,
+        wheels=BothWheels(left=_measures(one.left), right=_measures(one.right)),
+        estimated_wheels=NotEstimated(
+            status=Status.UNESTIMATED, reason=NOT_OBSERVABLE.text, reason_code=NOT_OBSERVABLE.code
+        ),
+        measured=profile_contact(found.contact),
+        estimate=None if record is None else _estimate(found, record),
+        reason=text_of(found.reason),
+        reason_code=code_of(found.reason),
+        independent=found.independent,
+        measured_at_bins=_at_bins(found),
+        conicity_by_amplitude=[conicity_compared(pair) for pair in found.conicity],
+        links={
+            "self": comparison_path(one.wheelset, one.at_ns),
+            "wheelset": own,
+            "measured_profiles": f"{own}/measured-profiles",
+            "accuracy": "/v1/accuracy",
+        },
+    )
+
+
+def comparison_path(serial: str, at_ns: int) -> str:
+    """Return the path of a comparison."""
+    return f"/v1/wheelsets/{segment(serial)}/measured-profiles/{segment(to_rfc3339(at_ns))}/comparison"
+
+
+def conicity_compared(pair: ConicityPair) -> ConicityCompared:
+    """Return the representation of the conicity at one amplitude, measured and estimated."""
+    return ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3))
+
+
+def _measures(wheel: Profile) -> WheelMeasures:
+    why, found = None, WearMeasures(*[np.nan] * 4)
+    try:
+        found = wear_measures(wheel)
+    except ProfileError as error:
+        why = Reason(ReasonCode.PROFILE_INCOMPLETE, str(error))
+    return WheelMeasures.made(found, profile=wheel.name, reason=text_of(why), reason_code=code_of(why))
+
+
+def _estimate(found: Comparison, record: GeometryRecord) -> EstimateOfDate:
+    why = found.estimate.reason or record.geometry.reason
+    apart = record.mileage_km - found.measurement.mileage_km
+    return EstimateOfDate(
+        status=record.geometry.status,
+        reason=text_of(why),
+        reason_code=code_of(why),
+        baseline=record.baseline,
+        mileage_km=finite(record.mileage_km),
+        mileage_apart_km=finite(apart),
+        measured_from=to_rfc3339(record.from_ns),
+        measured_to=to_rfc3339(record.to_ns),
+        recorded_at=to_rfc3339(record.recorded_ns),
+        n_windows=record.geometry.windows,
+        bins=bin_table(record.geometry),
+    )
+
+
+def _at_bins(found: Comparison) -> MeasuredAtBins | None:
+    record, contact = found.estimate.record, found.contact
+    if record is None or not isinstance(contact, WheelContact) or not np.isfinite(contact.zero_crossing):
+        return None
+    geometry, x = record.geometry, contact.displacement
+    if not np.isfinite(geometry.rolling_radius_difference.value).any():
+        return None
+    known = np.isfinite(contact.radius_difference)
+    origin = curve_origin(geometry, x[known], contact.radius_difference[known], contact.zero_crossing)
+    at = geometry.bin_centres + origin.displacement
+    value = np.interp(at, x, contact.radius_difference, left=np.nan, right=np.nan) - origin.difference
+    std = np.interp(at, x, contact.radius_difference_std, left=np.nan, right=np.nan)
+    return MeasuredAtBins(
+        origin_displacement_mm=origin.displacement * MM,
+        origin_radius_difference_mm=origin.difference * MM,
+        rolling_radius_difference_mm=finite_list(value, MM),
+        rolling_radius_difference_std_mm=finite_list(std, MM),
+    )
+
+
+class Coverage(Derived, of=CoverageCount, also=("fraction",)):
+    """How many 95 % intervals cover what was measured; those without estimate or measurement are not counted."""
+
+    fraction_interval_95_1: tuple[float, float] | None = Field(
+        description="95 % interval of the share (Clopper and Pearson), as if comparisons were independent."
+    )
+
+    @classmethod
+    def made(cls, value: CoverageCount, **own: Any) -> Self:  # noqa: ANN401 - as of every derived class
+        """Return the representation of a count."""
+        return super().made(value, fraction_interval_95_1=value.interval_95, **own)
+
+
+class CoverageOfGroup(Derived, of=CoveragePair):
+    """The coverage of some comparisons, and of those that check the product."""
+
+
+class CoverageAtAmplitude(CoverageOfGroup):
+    """The coverage at one amplitude."""
+
+    amplitude_mm: float
+
+
+class CoverageOfKey(CoverageOfGroup):
+    """The coverage of one vehicle class or track section."""
+
+    key: str = Field(description="Code of the class or section.")
+
+
+class NotCompared(Representation):
+    """How many measurements are not compared at 3 mm for one reason."""
+
+    reason_code: ReasonCode
+    measurements: int = Field(description="How many.")
+
+
+class MeasurementRow(Representation):
+    """One measurement: whether the interval of the estimate covers its conicity at 3 mm."""
+
+    wheelset: str = Field(examples=["WS-0001"])
+    measured_at: Timestamp
+    mileage_km: float
+    vehicle_class: str | None = Field(description="Of the vehicle that it was mounted on; null where it was on none.")
+    track_sections: list[str] = Field(description="Those that the estimate is of.")
+    outcome: Outcome = Field(description="Whether it is covered, or not compared and why.")
+    independent: bool | None = Field(
+        description="Whether the estimate was made without a measurement of the same profiles; null without estimate."
+    )
+    measured_1: Uncertain = Field(description="Equivalent conicity at 3 mm of the measured profiles.")
+    estimated_1: Uncertain = Field(description="Equivalent conicity at 3 mm of the estimate.")
+    reason: str | None = Field(description="Why it is not compared; null where it is.")
+    reason_code: ReasonCode | None
+    links: Links
+
+
+class Unreadable(Representation):
+    """A wheelset of which something stored is damaged."""
+
+    wheelset: str = Field(examples=["WS-0001"])
+    reason: str = Field(description="What cannot be read.")
+    reason_code: ReasonCode
+
+
+class Accuracy(Representation):
+    """Estimates against measurements over a fleet: whether the 95 % intervals cover, and which do not."""
+
+    amplitude_mm: float = Field(description="Of the conicity that is compared: that of limits.")
+    on_file: int = Field(description="Measurements on file that fit the filter.")
+    considered: int = Field(description="The newest of these, as many as `limit` allows; what follows is of them.")
+    coverage: CoverageOfGroup = Field(description="At 3 mm.")
+    coverage_by_amplitude: list[CoverageAtAmplitude] = Field(description="At 1 to 8 mm.")
+    coverage_by_vehicle_class: list[CoverageOfKey] = Field(description="At 3 mm, by class of the vehicle.")
+    coverage_by_track_section: list[CoverageOfKey] = Field(
+        description="At 3 mm, by section; an estimate of several sections counts in each."
+    )
+    not_compared: list[NotCompared] = Field(description="Measurements that are not compared at 3 mm, by reason.")
+    measurements: list[MeasurementRow] = Field(description="Each measurement, the newest first.")
+    unreadable: list[Unreadable] = Field(
+        description="Wheelsets left out of all that is above, because something stored of them is damaged."
+    )
+    links: Links
+
+
+def accuracy(found: FleetAccuracy, placed: Placed, on_file: int, links: Mapping[str, str]) -> Accuracy:
+    """Return the representation of what the comparisons of a fleet add up to."""
+    return Accuracy(
+        amplitude_mm=LIMIT_AMPLITUDE * MM,
+        on_file=on_file,
+        considered=len(placed.rows),
+        coverage=CoverageOfGroup.made(found.at_limit),
+        coverage_by_amplitude=[
+            CoverageAtAmplitude.made(pair, amplitude_mm=round(a * MM, 3)) for a, pair in found.by_amplitude.items()
+        ],
+        coverage_by_vehicle_class=[CoverageOfKey.made(pair, key=k) for k, pair in found.by_vehicle_class.items()],
+        coverage_by_track_section=[CoverageOfKey.made(pair, key=k) for k, pair in found.by_section.items()],
+        not_compared=[NotCompared(reason_code=code, measurements=n) for code, n in found.not_compared.items()],
+        measurements=[_row(row) for row in placed.rows],
+        unreadable=[
+            Unreadable(wheelset=serial, reason=reason.text, reason_code=reason.code)
+            for serial, reason in placed.unreadable.items()
+        ],
+        links=dict(links),
+    )
+
+
+def table(rows: Sequence[MeasurementRow]) -> tuple[Sequence[str], list[Sequence[object]]]:
+    """Return the measurements as a header and rows."""
+    header = ["wheelset", "measured_at", "mileage_km", "vehicle_class", "track_sections", "outcome", "independent"]
+    header += ["measured_1", "measured_std_1", "estimated_1", "estimated_low_1", "estimated_high_1", "reason_code"]
+    return header, [
+        (
+            *(row.wheelset, row.measured_at, row.mileage_km, row.vehicle_class, " ".join(row.track_sections)),
+            *(row.outcome.value, None if row.independent is None else str(row.independent).lower()),
+            *(row.measured_1.value, row.measured_1.std, row.estimated_1.value),
+            *(row.estimated_1.interval_95 or (None, None)),
+            None if row.reason_code is None else row.reason_code.value,
+        )
+        for row in rows
+    ]
+
+
+def _row(row: PlacedComparison) -> MeasurementRow:
+    found = row.comparison
+    one = found.measurement
+    return MeasurementRow(
+        wheelset=one.wheelset,
+        measured_at=to_rfc3339(one.at_ns),
+        mileage_km=one.mileage_km,
+        vehicle_class=row.vehicle_class,
+        track_sections=list(row.sections),
+        outcome=row.outcome,
+        independent=found.independent,
+        measured_1=uncertain(found.at_limit.measured),
+        estimated_1=uncertain(found.at_limit.estimated),
+        reason=text_of(found.reason),
+        reason_code=code_of(found.reason),
+        links={
+            "wheelset": f"/v1/wheelsets/{segment(one.wheelset)}",
+            "comparison": comparison_path(one.wheelset, one.at_ns),
+        },
+    )
+
 
 router = APIRouter(prefix="/v1", tags=["accuracy"])
-_TABLE: dict[int | str, dict[str, Any]] = {200: {"content": {CSV: {"schema": {"type": "string"}}}}}
 MeasuredAt = Annotated[Moment, Path(description="When the profiles were measured.", examples=["2026-01-31T12:00:00Z"])]
 Newest = Annotated[int, Query(ge=1, le=500, description="How many measurements at most, the newest.")]
 
 
 @router.get(
-    "/wheelsets/{serial}/contact", response_model=wheel_contact.DesignContact, responses={**described(404), **_TABLE}
-)
-def get_design_contact(asked: AskedDep, accepted: Accepted, serial: Serial) -> Response:
-    """Return rolling radii and conicity of the wheelset's design profile; as `text/csv`, the curve alone."""
-    with asked.read() as unit:
-        wheelset = unit.registry.wheelset(serial)
-        rails = _reader(asked.services, unit).rails(serial, unit.geometries.current(serial))
-        found = _design(asked.services, wheelset, rails)
-    body = wheel_contact.design_contact(wheelset, found)
-    return answer_payload(asked.request, table_payload(body, accepted, wheel_contact.table(body.contact)), accepted)
-
-
-@router.get(
     "/wheelsets/{serial}/measured-profiles/{measured_at}/comparison",
-    response_model=accuracy.ProfileComparison,
+    response_model=ProfileComparison,
     responses=described(404),
 )
 def get_profile_comparison(asked: AskedDep, serial: Serial, measured_at: MeasuredAt) -> Response:
@@ -58,13 +376,13 @@ def get_profile_comparison(asked: AskedDep, serial: Serial, measured_at: Measure
     with asked.read() as unit:
         wheelset = unit.registry.wheelset(serial)
         wanted = [one for one in unit.registry.measured_profiles(serial) if one.at_ns == measured_at]
-        found = _reader(asked.services, unit).of_wheelset(wheelset, wanted)
+        found = comparison_reader(asked.services, unit).of_wheelset(wheelset, wanted)
     if not found:
         raise NotFoundError("measured profiles", f"{serial} at {to_rfc3339(measured_at)}")
-    return asked.answer(accuracy.profile_comparison(found[0]))
+    return asked.answer(profile_comparison(found[0]))
 
 
-@router.get("/accuracy", response_model=accuracy.Accuracy, responses={**described(404), **_TABLE})
+@router.get("/accuracy", response_model=Accuracy, responses={**described(404), **TABLE})
 def get_accuracy(
     asked: AskedDep,
     accepted: Accepted,
@@ -78,19 +396,7 @@ def get_accuracy(
     with asked.read() as unit:
         require_known(unit, fleet=fleet)
         on_file, keys = newest_measurements(unit.connection, fleet, measured_from, measured_to, limit)
-        placed = placed_comparisons(unit, _reader(asked.services, unit), keys)
+        placed = placed_comparisons(unit, comparison_reader(asked.services, unit), keys)
     query = f"?{urlencode(asked.request.query_params.multi_items())}" if asked.request.query_params else ""
-    body = accuracy.accuracy(fleet_accuracy(placed.rows), placed, on_file, {"self": f"/v1/accuracy{query}"})
-    return answer_payload(asked.request, table_payload(body, accepted, accuracy.table(body.measurements)), accepted)
-
-
-def _reader(services: Services, unit: SqlUnitOfWork) -> ComparisonReader:
-    return ComparisonReader(unit, services.contacts.contact, EstimationSettings().interval_km)
-
-
-def _design(services: Services, wheelset: WheelsetRecord, rails: Sequence[RailShare]) -> WheelContact | Reason:
-    try:
-        design = wheel_profile(wheelset.wheel_profile)
-    except ProfileError as error:
-        return Reason(ReasonCode.CONTACT_IMPOSSIBLE, str(error))
-    return services.contacts.contact(WheelPair(design, design, wheelset.nominal_radius_m), rails)
+    body = accuracy(fleet_accuracy(placed.rows), placed, on_file, {"self": f"/v1/accuracy{query}"})
+    return answer_payload(asked.request, table_payload(body, accepted, table(body.measurements)), accepted)

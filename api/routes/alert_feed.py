@@ -14,17 +14,14 @@ from starlette.concurrency import run_in_threadpool
 from api.access.caller import CallerDep
 from api.access.gate import require_still_good, still_good
 from api.answers import DEFAULT_LIMIT, Limit, answer, answer_bytes, next_path, wants_table
-from api.feed.filters import FeedFilter, FeedFilterDep
-from api.feed.kept_pages import read_kept
-from api.feed.pages import FeedPage, PageT, opened, read_page
-from api.feed.places import WaitingPlaces, Waits
-from api.feed.streams import CATCH_UP, EVENT_STREAM, EventStream, FeedStream
+from api.feed.pages import FeedFilter, FeedFilterDep, FeedPage, PageT, opened, read_kept, read_page
+from api.feed.streams import CATCH_UP, EVENT_STREAM, EventStream, FeedStream, WaitingPlaces, Waits
 from api.feed.watch import FeedWatch
-from api.known import require_known
 from api.middleware import turn_of
 from api.problems import described
 from api.schemas import alerts
 from api.services import Services, ServicesDep
+from api.visible_objects import require_known
 from fleet_db.storage import SqlUnitOfWork
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])

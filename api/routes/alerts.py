@@ -1,30 +1,36 @@
-"""Alerts."""
+"""Alerts, and what people and maintenance systems do to them: acknowledge, shelve, unshelve, link to their work."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from http import HTTPStatus
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from api import cursors
-from api.answers import answer, answer_payloads, payload_of, wants_table
-from api.asking import AskedDep, AskedListDep
-from api.known import require_known
+from api.access.caller import Scope, requires
+from api.answers import answer, answer_payloads, payload_of, require_match, wants_table
+from api.asking import AskedChange, AskedDep, AskedListDep, ChangeDep
+from api.idempotency import idempotent_post
 from api.parameters import FleetFilter, Number, WheelsetFilter
 from api.problems import described
 from api.schemas import alerts
-from api.schemas.common import Page
-from api.services import ServicesDep
-from estimation.values.alerts import AlertScope, Condition, Severity
+from api.schemas.common import Body, Page
+from api.services import ServicesDep, writer_slot
+from api.visible_objects import require_known
+from estimation.alerts.actions import acknowledge, link, shelve, unshelve
+from estimation.values.alerts import Alert, AlertScope, Condition, Severity, Transition
 from fleet_db.stores.alert_queries import AlertChoice, AlertOutline
 from fleet_db.stores.alerts import AlertStore
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
 Kind = Annotated[alerts.KnownKind | None, Query(description="Only of this kind.")]
 InCondition = Annotated[Condition | None, Query(description="Only in this condition.")]
-Scope = Annotated[AlertScope | None, Query(description="Only alerts of wheelsets, of the fleet, or of track sections.")]
+OfScope = Annotated[
+    AlertScope | None, Query(description="Only alerts of wheelsets, of the fleet, or of track sections.")
+]
 MemberOf = Annotated[
     int | None, Query(ge=1, le=2**63 - 1, description="Only members of the fleet alert with this `id`.", examples=[1])
 ]
@@ -44,7 +50,7 @@ def list_alerts(
     kind: Kind = None,
     condition: InCondition = None,
     severity: OfSeverity = None,
-    scope: Scope = None,
+    scope: OfScope = None,
     fleet_alert: MemberOf = None,
     open_only: OpenOnly = False,  # noqa: FBT002 - a query parameter
     sort: Sort = alerts.AlertSort.OLDEST,
@@ -116,11 +122,7 @@ def _found(
 
 
 def _place(after: object) -> tuple[Severity, int | None]:
-    """Return severity and number of the last alert of the page before; the worst, and none, at the beginning.
-
-    Raises:
-        ProblemError: 400: it is no place of this list.
-    """
+    """Return severity and number of the last alert of the page before; the worst, and none, at the beginning."""
     if after is None:
         return list(Severity)[-1], None
     match after:
@@ -144,3 +146,72 @@ def list_alert_events(request: Request, services: ServicesDep, alert_id: Number)
         unit.alerts.get(alert_id)
         found = unit.alerts.events(alert_id)
     return answer(request, alerts.Events(items=[alerts.event(record) for record in found]))
+
+
+actions_router = APIRouter(
+    prefix="/v1/alerts", tags=["alerts"], dependencies=[Depends(requires(Scope.ACT)), Depends(writer_slot)]
+)
+MAINTENANCE_SYSTEM = "maintenance system"
+"""Who links to work of its own where access is open and nobody is named."""
+_REFUSALS = described(404, 409, 412, 413, 415, 428)
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What is to be done to an alert: by whom, why, and the transition."""
+
+    actor: str
+    note: str
+    apply: Callable[[Alert], Transition | None]
+
+
+def _change(asked: AskedChange, alert_id: int, body: Body, change: Change) -> Response:
+    """Apply a change under If-Match and Idempotency-Key, in one transaction."""
+    post = idempotent_post(asked.request, asked.key, body)
+    now_ns = asked.services.clock.now_ns()
+    with asked.services.storage.write() as unit:
+        earlier = post.earlier(asked.request, unit)
+        if earlier is not None:
+            return earlier
+        current = unit.alerts.get(alert_id)
+        require_match(asked.if_match, alerts.alert(current, now_ns))
+        transition = change.apply(current)
+        if transition is not None:
+            current = unit.alerts.save(transition.alert, transition.events, now_ns, change.actor, change.note)
+        changed = alerts.alert(current, now_ns)
+        post.remember(unit, HTTPStatus.OK, changed, now_ns)
+    return asked.answer(changed)
+
+
+@actions_router.post("/{alert_id}/acknowledge", response_model=alerts.Alert, responses=_REFUSALS)
+def acknowledge_alert(asked: ChangeDep, alert_id: Number, body: alerts.Acknowledgement) -> Response:
+    """Acknowledge the alert; the acknowledgement ends when the alert clears or becomes more severe."""
+    now_ns = asked.services.clock.now_ns()
+    actor = asked.caller.acts_as(body.by)
+    change = Change(actor, body.note, lambda alert: acknowledge(alert, actor, now_ns))
+    return _change(asked, alert_id, body, change)
+
+
+@actions_router.post("/{alert_id}/shelve", response_model=alerts.Alert, responses=_REFUSALS)
+def shelve_alert(asked: ChangeDep, alert_id: Number, body: alerts.Shelving) -> Response:
+    """Put the alert out of sight until a time; it comes back by itself."""
+    now_ns = asked.services.clock.now_ns()
+    change = Change(
+        asked.caller.acts_as(body.by), body.reason, lambda alert: shelve(alert, body.until, body.reason, now_ns)
+    )
+    return _change(asked, alert_id, body, change)
+
+
+@actions_router.post("/{alert_id}/unshelve", response_model=alerts.Alert, responses=_REFUSALS)
+def unshelve_alert(asked: ChangeDep, alert_id: Number, body: alerts.Unshelving) -> Response:
+    """Bring a shelved alert back before its time; one that is not shelved is refused (409)."""
+    now_ns = asked.services.clock.now_ns()
+    change = Change(asked.caller.acts_as(body.by), body.note, lambda alert: unshelve(alert, now_ns))
+    return _change(asked, alert_id, body, change)
+
+
+@actions_router.post("/{alert_id}/external-refs", response_model=alerts.Alert, responses=_REFUSALS)
+def add_external_ref(asked: ChangeDep, alert_id: Number, body: alerts.ExternalReference) -> Response:
+    """Write back the identity that a maintenance system gave to its work on the alert."""
+    change = Change(asked.caller.acts_as(body.by, MAINTENANCE_SYSTEM), body.ref, lambda alert: link(alert, body.ref))
+    return _change(asked, alert_id, body, change)

@@ -2,24 +2,91 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from http import HTTPStatus
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from api.access.caller import Caller, CallerDep
-from api.access.scopes import Scope, requires
+from api.access.caller import Caller, CallerDep, Scope, requires
 from api.answers import answer
 from api.asking import AskedDep
 from api.middleware import turn_of
 from api.parameters import CODE
 from api.problems import ProblemError, described
-from api.schemas import recordings
+from api.routes.recordings import why_in_state
+from api.schemas.common import Links, Representation
+from api.schemas.registry import segment
 from api.services import Services, ServicesDep
+from api.times import Timestamp, to_rfc3339
 from estimation.errors import ConflictError, NotFoundError
+from estimation.values.reasons import ReasonCode
+from estimation.values.runs import TRIED_AGAIN
+from fleet_db.receipts import ChunkRecord, ChunkState
+from ingest import receipts
 from ingest.logs import SUFFIXES
-from ingest.receipts import Chunk
+
+
+class ChunkProgress(StrEnum):
+    """Where a chunk stands."""
+
+    RECEIVED = "received"  # stored; not decoded yet
+    ASSEMBLED = "assembled"  # its windows are made
+    QUARANTINED = "quarantined"  # it could not be decoded
+    SET_ASIDE = "set_aside"
+    DELETED = "deleted"
+
+
+class Chunk(Representation):
+    """The receipt of a chunk: its bytes are on the disk, and it will be decoded without being sent again."""
+
+    sha256: str = Field(description="Of its bytes: its identity.", examples=["ab" * 32])
+    vehicle: str = Field(description="Code of the vehicle that it came for; it need not be registered.")
+    format: str = Field(description="Of its bytes.", examples=["blf"])
+    file_name: str | None = Field(description="Under which it came.")
+    size_bytes: int = Field(description="Of its bytes as they came.")
+    received_at: Timestamp = Field(description="When its receipt was committed, by our clock.")
+    sender: str | None = Field(description="Who sent it; null where access is open, or it came another way.")
+    state: ChunkProgress = Field(
+        description="`received`: stored, not decoded yet. `assembled`: its windows are made. `quarantined`: it could"
+        " not be decoded, see the reason; the bytes are kept. `set_aside`, `deleted`: by hand."
+    )
+    reason: str | None = Field(description="Why it is in this state; null where there is nothing to say.")
+    reason_code: ReasonCode | None = Field(description="Why it is in this state; null where there is nothing to say.")
+    links: Links
+
+
+def chunk(record: ChunkRecord) -> Chunk:
+    """Return the representation of a receipt."""
+    return Chunk(
+        sha256=record.digest,
+        vehicle=record.vehicle,
+        format=record.suffix.removeprefix("."),
+        file_name=record.file_name,
+        size_bytes=record.size_bytes,
+        received_at=to_rfc3339(record.received_ns),
+        sender=record.sender,
+        state=progress(record),
+        **why_in_state(record),
+        links={
+            "self": f"/v1/chunks/{record.digest}",
+            "recording": f"/v1/recordings/{record.digest}",
+            "vehicle": f"/v1/vehicles/{segment(record.vehicle)}",
+        },
+    )
+
+
+def progress(record: ChunkRecord) -> ChunkProgress:
+    """Return where a chunk stands."""
+    if record.state is ChunkState.DECODED:
+        return ChunkProgress.ASSEMBLED
+    if record.state in {ChunkState.SET_ASIDE, ChunkState.DELETED}:
+        return ChunkProgress(record.state.value)
+    failed = record.reason is not None and record.reason.code in TRIED_AGAIN
+    return ChunkProgress.QUARANTINED if failed or record.state is ChunkState.REJECTED else ChunkProgress.RECEIVED
+
 
 router = APIRouter(prefix="/v1/chunks", tags=["chunks"])
 OCTETS = "application/octet-stream"
@@ -45,9 +112,9 @@ FileName = Annotated[
 @router.put(
     "/{sha256}",
     status_code=HTTPStatus.CREATED,
-    response_model=recordings.Chunk,
+    response_model=Chunk,
     responses={
-        200: {"model": recordings.Chunk, "description": "It is stored already."},
+        200: {"model": Chunk, "description": "It is stored already."},
         **described(404, 408, 409, 413, 415),
     },
     openapi_extra={"requestBody": BODY},
@@ -70,7 +137,7 @@ async def put_chunk(
     if caller.fleets is not None:
         await run_in_threadpool(_require_visible, services, vehicle)
     name = file_name or f"{vehicle}__{sha256[:12]}{suffix}"
-    wanted = Chunk(vehicle, suffix, name, _sender(caller))
+    wanted = receipts.Chunk(vehicle, suffix, name, _sender(caller))
     with turn_of(request.scope).given_back():
         try:
             stored = await services.uploads.take(request.headers, request.receive, sha256, wanted)
@@ -78,17 +145,17 @@ async def put_chunk(
             raise _conflict(error, caller) from error
     created = HTTPStatus.OK if stored.known else HTTPStatus.CREATED
     headers = {} if stored.known else {"Location": f"/v1/chunks/{sha256}"}
-    return answer(request, recordings.chunk(stored.record), status=created, headers=headers)
+    return answer(request, chunk(stored.record), status=created, headers=headers)
 
 
-@router.get("/{sha256}", response_model=recordings.Chunk, responses=described(404))
+@router.get("/{sha256}", response_model=Chunk, responses=described(404))
 def get_chunk(asked: AskedDep, sha256: Sha256) -> Response:
     """Return the receipt of a chunk, and where it stands."""
     with asked.read() as unit:
         record = unit.chunks.get(sha256)
     if record is None:
         raise NotFoundError("chunk", sha256)
-    return asked.answer(recordings.chunk(record))
+    return asked.answer(chunk(record))
 
 
 def _suffix(given: str) -> str:
@@ -99,11 +166,7 @@ def _suffix(given: str) -> str:
 
 
 def _require_visible(services: Services, vehicle: str) -> None:
-    """Refuse a vehicle of another fleet, as if it did not exist, to a caller who is bound to fleets.
-
-    Raises:
-        NotFoundError: It belongs to none of them.
-    """
+    """Refuse a vehicle of another fleet, as if it did not exist, to a caller who is bound to fleets."""
     with services.storage.read() as unit:
         unit.registry.vehicle(vehicle)
 

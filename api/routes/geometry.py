@@ -1,25 +1,22 @@
-"""What is estimated of a wheelset: its bin table and its trend; and the windows behind them."""
+"""What is estimated of a wheelset: bin table and trend; the windows behind them; and both over its life."""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 from fastapi import APIRouter, Response
 
 from api.answers import answer_payload, table_payload
 from api.asking import AskedDep, AskedListDep
-from api.contract import CSV, Accepted
+from api.contract import TABLE, Accepted
 from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_future, not_purged, require_order
 from api.problems import described
-from api.schemas import adhesion, geometry, rails, trend, windows
+from api.schemas import geometry, trend, windows
 from api.schemas.common import Page
 from api.services import Services
 from api.times import to_rfc3339
 from api.window_reasons import WindowReasons
-from estimation.errors import NotFoundError
 from estimation.values.quantities import Status
-from estimation.values.rails import WHEELSET_RAILS
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.windows import WindowRecord
@@ -27,15 +24,14 @@ from estimation.worklist.row import NO_TREND
 from fleet_db.keeping.purge import purged_before
 from fleet_db.keeping.retention import Kept
 from fleet_db.storage import SqlUnitOfWork
+from fleet_db.stores.window_counts import window_counts
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 NOT_KEPT = b""
 """Stands among the kept representations for one that is made each time."""
 
-_TABLE: dict[int | str, dict[str, Any]] = {200: {"content": {CSV: {"schema": {"type": "string"}}}}}
 
-
-@router.get("/{serial}/geometry", response_model=geometry.Geometry, responses={**described(404, 410), **_TABLE})
+@router.get("/{serial}/geometry", response_model=geometry.Geometry, responses={**described(404, 410), **TABLE})
 def get_geometry(asked: AskedDep, accepted: Accepted, serial: Serial, as_of: AsOf = None) -> Response:
     """Return the wheelset's bin table and the conicity that follows; as `text/csv`, the bin table alone."""
     not_in_the_future(as_of, asked.services.clock.now_ns())
@@ -84,7 +80,7 @@ def _geometry_payload(body: geometry.Geometry, media_type: str) -> bytes:
     return table_payload(body, media_type, geometry.table(body))
 
 
-@router.get("/{serial}/trend", response_model=trend.Trend, responses={**described(404, 410), **_TABLE})
+@router.get("/{serial}/trend", response_model=trend.Trend, responses={**described(404, 410), **TABLE})
 def get_trend(asked: AskedDep, accepted: Accepted, serial: Serial, as_of: AsOf = None) -> Response:
     """Return the wheelset's trend since its last reprofiling; as `text/csv`, its points alone."""
     not_in_the_future(as_of, asked.services.clock.now_ns())
@@ -149,17 +145,6 @@ def _baseline(wheelset: WheelsetRecord, as_of_ns: int) -> int:
     return sum(one.at_ns <= as_of_ns for one in wheelset.reprofilings)
 
 
-@router.get("/{serial}/rails", response_model=rails.WheelsetRails, responses=described(404))
-def get_wheelset_rails(asked: AskedDep, serial: Serial) -> Response:
-    """Return the conicity of the wheels without the rails they ran on, beside that of the geometry."""
-    with asked.read() as unit:
-        unit.registry.wheelset(serial)
-        found, current = unit.results.latest(WHEELSET_RAILS, serial), unit.geometries.current(serial)
-    if found is None:
-        raise NotFoundError("rails yet of wheelset", serial)
-    return asked.answer(rails.wheelset_rails(found, current))
-
-
 @router.get("/{serial}/windows", response_model=Page[windows.Window], responses=described(400, 404))
 def list_windows(
     asked: AskedListDep, serial: Serial, measured_from: MeasuredFrom = None, measured_to: MeasuredTo = None
@@ -182,18 +167,24 @@ def list_windows(
     return asked.page(filters, rows, lambda record: record.start_ns, represent)
 
 
-@router.get("/{serial}/creep-forces", response_model=Page[adhesion.WindowCreep], responses=described(400, 404))
-def list_creep_forces(
-    asked: AskedListDep, serial: Serial, measured_from: MeasuredFrom = None, measured_to: MeasuredTo = None
-) -> Response:
-    """List the creep forces of the wheelset's windows that begin in `[from, to)`, oldest first."""
-    require_order(measured_from, measured_to)
-    filters = {"wheelset": serial, "from": measured_from, "to": measured_to}
-    after = asked.after_number(filters)
-    if after is None and measured_from is not None:
-        after = measured_from - 1
+MOST_STRETCHES = 100
+
+
+@router.get("/{serial}/intervals", response_model=Page[geometry.Interval], responses=described(400, 404))
+def list_intervals(asked: AskedListDep, serial: Serial) -> Response:
+    """List what was estimated from each mileage interval of the wheelset, over all reprofilings, oldest first."""
     with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found = unit.adhesion.of_wheelset(serial, after, asked.limit + 1)
-    rows = [one for one in found if measured_to is None or one.start_ns < measured_to]
-    return asked.page(filters, rows, lambda one: one.start_ns, adhesion.WindowCreep.made)
+        found = [one for one in unit.geometries.intervals(serial) if one.geometry.windows]
+    found.sort(key=lambda one: one.mileage_km)
+    return asked.numbered({"wheelset": serial}, found, lambda one: one.from_ns, geometry.interval)
+
+
+@router.get("/{serial}/data-quality", response_model=geometry.DataQuality, responses=described(404))
+def get_data_quality(asked: AskedDep, serial: Serial) -> Response:
+    """Return how many windows of the wheelset are accepted over time, and why the others are not."""
+    with asked.read() as unit:
+        unit.registry.wheelset(serial)
+        found = window_counts(unit.connection, serial, MOST_STRETCHES)
+        waiting = WindowReasons(unit).waiting(wheelset=serial)
+    return asked.answer(geometry.data_quality(serial, found, waiting))

@@ -1,23 +1,107 @@
-"""Jobs, their runs, and running one now."""
+"""Jobs, their runs, running one now, and what failed in them and is kept apart."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from http import HTTPStatus
+from typing import Annotated
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
+from pydantic import Field
 
-from api.access.caller import Caller, CallerDep
-from api.access.scopes import Scope, requires
+from api import cursors
+from api.access.caller import Caller, CallerDep, Scope, requires
 from api.answers import IdempotencyKey, answer
 from api.asking import AskedDep, AskedListDep
 from api.idempotency import idempotent_post
-from api.parameters import Code, Number
+from api.parameters import CODE, Code, Number
 from api.problems import described
-from api.schemas import jobs
-from api.schemas.common import Page
+from api.schemas.common import Links, Page, Representation, without_folders
+from api.schemas.derived import Derived
+from api.schemas.registry import segment
 from api.services import Services, ServicesDep, writer_slot
-from estimation.values.runs import JobRun
+from api.times import Timestamp, to_rfc3339
+from api.visible_objects import require_known
+from estimation.values.reasons import ReasonCode
+from estimation.values.runs import JobRun as JobRunValue
+from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
+from fleet_db.stores.quarantine import Place
+
+
+class JobRun(
+    Derived, of=JobRunValue, columns="id job trigger started_at finished_at duration_s outcome counts error links"
+):
+    """One run of one job and what it did; `finished_at` is null while it runs."""
+
+    duration_s: float | None
+    links: Links
+
+
+class Job(Representation):
+    """A scheduled job with its last run; `next_due_at` is when the schedule is due; it needs a running scheduler."""
+
+    name: str = Field(examples=["estimate_windows"])
+    description: str
+    every_s: float
+    last_run: JobRun | None
+    next_due_at: Timestamp | None = Field(description="Null before the first run.")
+    links: Links
+
+
+def shown_run(record: JobRunValue) -> JobRun:
+    """Return the representation of a run."""
+    finished = record.finished_ns
+    return JobRun.made(
+        record,
+        duration_s=None if finished is None else max(0, finished - record.started_ns) / 1e9,
+        links={"self": f"/v1/job-runs/{record.run_id}", "job_runs": f"/v1/jobs/{segment(record.job)}/runs"},
+    )
+
+
+def shown_job(name: str, description: str, every_s: float, last: JobRunValue | None) -> Job:
+    """Return the representation of a job."""
+    due = None if last is None else to_rfc3339(last.started_ns + int(every_s * 1e9))
+    return Job(
+        name=name,
+        description=description,
+        every_s=every_s,
+        last_run=None if last is None else shown_run(last),
+        next_due_at=due,
+        links={"self": f"/v1/jobs/{segment(name)}", "runs": f"/v1/jobs/{segment(name)}/runs"},
+    )
+
+
+_RESOURCES = {
+    SubjectKind.WHEELSET: "wheelsets",
+    SubjectKind.SECTION: "track-sections",
+    SubjectKind.VEHICLE: "vehicles",
+    SubjectKind.FLEET: "fleets",
+}
+
+
+class QuarantinedItem(
+    Derived,
+    of=Quarantined,
+    without=("error", "inputs", "due_ns"),
+    columns="kind key stage state reason_code reason attempts first_failed_at last_failed_at next_attempt_at links",
+):
+    """One thing at which one stage of the work failed, and when it is tried again; kept when it succeeds later."""
+
+    reason: str = Field(description="First line of the error.")
+    next_attempt_at: Timestamp | None = Field(description="Null once it has succeeded.")
+    links: Links
+
+
+def quarantined(item: Quarantined) -> QuarantinedItem:
+    """Return the representation of what is kept of a failure; its message without the folders of the machine."""
+    resource = _RESOURCES.get(item.kind)
+    return QuarantinedItem.made(
+        item,
+        reason=without_folders(item.error),
+        next_attempt_at=to_rfc3339(item.due_ns) if item.state is QuarantineState.HELD else None,
+        links={} if resource is None else {item.kind.value: f"/v1/{resource}/{segment(item.key)}"},
+    )
+
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
@@ -25,46 +109,46 @@ router = APIRouter(prefix="/v1", tags=["jobs"])
 FOR_ALL_FLEETS = "the message is shown to keys of all fleets"
 
 
-def _seen(run: JobRun, caller: Caller) -> JobRun:
+def _seen(run: JobRunValue, caller: Caller) -> JobRunValue:
     """Return a run; without its counts and its message, which are of all fleets, for a caller who is bound to some."""
     if caller.fleets is None:
         return run
     return replace(run, counts={}, error=None if run.error is None else FOR_ALL_FLEETS)
 
 
-def _job(services: Services, caller: Caller, name: str) -> jobs.Job:
+def _job(services: Services, caller: Caller, name: str) -> Job:
     found = services.job(name)
     with services.storage.read() as unit:
         last = next(iter(unit.jobs.page(name, None, 1)), None)
-    return jobs.job(found.name, found.description, found.every_s, None if last is None else _seen(last, caller))
+    return shown_job(found.name, found.description, found.every_s, None if last is None else _seen(last, caller))
 
 
-@router.get("/jobs", response_model=Page[jobs.Job], responses=described(400))
+@router.get("/jobs", response_model=Page[Job], responses=described(400))
 def list_jobs(asked: AskedListDep, caller: CallerDep) -> Response:
     """List the jobs with their last runs, in the order of their names."""
     return asked.named(asked.services.jobs, lambda name: name, lambda name: _job(asked.services, caller, name))
 
 
-@router.get("/jobs/{name}", response_model=jobs.Job, responses=described(404))
+@router.get("/jobs/{name}", response_model=Job, responses=described(404))
 def get_job(asked: AskedDep, caller: CallerDep, name: Code) -> Response:
     """Return one job with its last run."""
     return asked.answer(_job(asked.services, caller, name))
 
 
-@router.get("/jobs/{name}/runs", response_model=Page[jobs.JobRun], responses=described(400, 404))
+@router.get("/jobs/{name}/runs", response_model=Page[JobRun], responses=described(400, 404))
 def list_job_runs(asked: AskedListDep, caller: CallerDep, name: Code) -> Response:
     """List the runs of a job, newest first."""
     filters = {"job": asked.services.job(name).name}
     before = asked.after_number(filters)
     with asked.read() as unit:
         rows = unit.jobs.page(name, before, asked.limit + 1)
-    return asked.page(filters, rows, lambda record: record.run_id, lambda record: jobs.run(_seen(record, caller)))
+    return asked.page(filters, rows, lambda record: record.run_id, lambda record: shown_run(_seen(record, caller)))
 
 
 @router.post(
     "/jobs/{name}/runs",
     status_code=HTTPStatus.ACCEPTED,
-    response_model=jobs.JobRun,
+    response_model=JobRun,
     responses=described(404, 409, 415),
     dependencies=[Depends(requires(Scope.ACT)), Depends(writer_slot)],
 )
@@ -78,15 +162,56 @@ def run_job_now(
         earlier = post.earlier(request, unit)
     if earlier is not None:
         return earlier
-    body = jobs.run(_seen(services.runner.start(job), caller))
+    body = shown_run(_seen(services.runner.start(job), caller))
     with services.storage.write() as unit:
         post.remember(unit, HTTPStatus.ACCEPTED, body, services.clock.now_ns())
     return answer(request, body, status=HTTPStatus.ACCEPTED, headers={"Location": body.links["self"]})
 
 
-@router.get("/job-runs/{run_id}", response_model=jobs.JobRun, responses=described(404))
+@router.get("/job-runs/{run_id}", response_model=JobRun, responses=described(404))
 def get_job_run(asked: AskedDep, caller: CallerDep, run_id: Number) -> Response:
     """Return one run of a job."""
     with asked.read() as unit:
         found = unit.jobs.get(run_id)
-    return asked.answer(jobs.run(_seen(found, caller)))
+    return asked.answer(shown_run(_seen(found, caller)))
+
+
+quarantine_router = APIRouter(prefix="/v1/quarantine", tags=["quarantine"])
+Kind = Annotated[SubjectKind | None, Query(description="Only of this kind.")]
+InState = Annotated[QuarantineState | None, Query(description="Only in this state; `held` is what waits.")]
+OfCode = Annotated[ReasonCode | None, Query(description="Only with this reason code.")]
+OfVehicle = Annotated[
+    str | None, Query(pattern=CODE, description="Only recordings and windows of this vehicle, and the vehicle itself.")
+]
+PARTS = 3
+
+
+@quarantine_router.get("", response_model=Page[QuarantinedItem], responses=described(400, 404))
+def list_quarantine(
+    asked: AskedListDep, kind: Kind = None, state: InState = None, reason_code: OfCode = None, vehicle: OfVehicle = None
+) -> Response:
+    """List what failed by itself, by kind, key and stage; held, and resolved by a later success."""
+    filters = {"kind": kind, "state": state, "reason_code": reason_code, "vehicle": vehicle}
+    after = _place(asked.after_text(filters))
+    with asked.read() as unit:
+        rows = unit.quarantine.page(
+            kind=kind, state=state, code=reason_code, vehicle=vehicle, after=after, limit=asked.limit + 1
+        )
+        if not rows:
+            require_known(unit, vehicle=vehicle)
+    return asked.page(filters, rows, _key, quarantined)
+
+
+def _key(item: Quarantined) -> str:
+    """Return kind, stage and key as one text; the first two have no slash."""
+    return f"{item.kind}/{item.stage}/{item.key}"
+
+
+def _place(key: str | None) -> Place | None:
+    if key is None:
+        return None
+    parts = key.split("/", PARTS - 1)
+    if len(parts) != PARTS:
+        raise cursors.refused("this is no cursor of this list")
+    kind, stage, subject = parts
+    return kind, subject, stage

@@ -5,17 +5,124 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
+from pydantic import Field
 
 from api.answers import answer
-from api.known import require_known
 from api.parameters import FleetFilter, VehicleFilter
 from api.problems import described
-from api.schemas import worklist
+from api.schemas.common import Links, Representation, finite
+from api.schemas.derived import Derived
+from api.schemas.registry import segment
+from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.services import ServicesDep
-from api.times import to_rfc3339
-from estimation.plans.reprofiling import DiameterLimits, turning_plan
+from api.times import Timestamp, to_rfc3339
+from api.visible_objects import require_known
+from estimation.plans.reprofiling import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
+from estimation.values.alerts import Urgency, WorklistRow, WorklistState
+from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistFilter
-from fleet_db.worklist_documents import from_document
+
+_TO_MM = 1e3
+
+
+class TurningPlanLine(Representation):
+    """One wheelset of the plan."""
+
+    vehicle: str = Field(examples=["V-101"])
+    visit: int | None = Field(
+        description="Number of the vehicle's visit to the lathe in this plan; null where it is not assessed.",
+        examples=[1],
+    )
+    turn_by: Timestamp | None = Field(description="Date of the visit: when the first of its wheelsets is due (p10).")
+    axle: int
+    bogie: int | None = Field(description="Number of the bogie; null where that is not known.", examples=[1])
+    wheelset: str = Field(examples=["WS-0001"])
+    cause: Cause = Field(
+        description="`due` itself; `together` with another, for the diameters; `replace`, since turning would leave "
+        "too small a wheel; `not_assessed`, since nothing is known of it."
+    )
+    reason: str = Field(description="In words.", examples=["due in 12,400 km (p10 8,000 km)"])
+    urgency: Urgency
+    distance_to_limit_km: DistanceForecast
+    date_of_limit: DateForecast
+    radius_mm: float | None = Field(description="Radius before, of the smaller wheel; null where none is used.")
+    radius_after_mm: float | None = Field(description="Radius after the visit; null where it is not known.")
+    not_checked: list[str] = Field(description="Which limits could not be held against it, and why.")
+
+
+class TurningLimits(Derived, of=DiameterLimits):
+    """The limits that the plan was made with; null was not checked."""
+
+
+class TurningPlan(Representation):
+    """Visits to the lathe, the earliest first; wheelsets of which nothing is known come last."""
+
+    made_at: Timestamp = Field(description="Our time that the plan counts from.")
+    horizon_days: float
+    together_days: float
+    limits: TurningLimits
+    items: list[TurningPlanLine]
+    links: Links
+
+
+def candidate(row: WorklistRow, *, nominal_radii: bool) -> Candidate | None:
+    """Return a wheelset as the plan needs it; None where it is not mounted."""
+    mounting, state = row.wheelset.mounting, row.state
+    if mounting is None:
+        return None
+    due = state.date_of_limit_ns.p10
+    return Candidate(
+        serial=row.wheelset.serial,
+        vehicle=mounting.vehicle,
+        axle=mounting.axle,
+        bogie=None if row.position is None else row.position.bogie,
+        over_limit=state.urgency is Urgency.OVER_LIMIT,
+        due_ns=None if due is None else round(due),
+        reason="; ".join(reason.text for reason in state.reasons),
+        unknown=_unknown(state),
+        radii=Radii(row.wheelset.nominal_radius_m) if nominal_radii else None,
+    )
+
+
+def _unknown(state: WorklistState) -> Reason | None:
+    """Return why nothing can be said of a wheelset's limit; None where something can."""
+    missing = state.forecast_reason
+    if missing is not None and missing.code is not ReasonCode.BEYOND_HORIZON:
+        return missing
+    if state.urgency is Urgency.DUE and state.date_of_limit_ns.p10 is None:
+        return Reason(ReasonCode.SINGLE_DATE, f"no date is known: {state.reasons[0].text}")
+    return state.reasons[0] if state.urgency is Urgency.UNKNOWN else None
+
+
+def turning_plan_line(line: PlanLine, row: WorklistRow) -> TurningPlanLine:
+    """Return the representation of a line of the plan, with the forecast of its wheelset."""
+    one, state = line.candidate, row.state
+    return TurningPlanLine(
+        vehicle=one.vehicle,
+        visit=line.visit,
+        turn_by=None if line.turn_by_ns is None else to_rfc3339(line.turn_by_ns),
+        axle=one.axle,
+        bogie=one.bogie,
+        wheelset=one.serial,
+        cause=line.cause,
+        reason=line.reason,
+        urgency=state.urgency,
+        distance_to_limit_km=distance_forecast(state.distance_to_limit_km, state.forecast_reason),
+        date_of_limit=date_forecast(state.date_of_limit_ns, state.forecast_reason),
+        radius_mm=None if one.radii is None else finite(min(one.radii.wheels), _TO_MM),
+        radius_after_mm=finite(line.radius_after, _TO_MM),
+        not_checked=list(line.not_checked),
+    )
+
+
+def plan_links(fleet: str | None, vehicle: str | None) -> dict[str, str]:
+    """Return the paths of what the plan was made from."""
+    chosen = [
+        f"{name}={segment(value)}" for name, value in (("fleet", fleet), ("vehicle", vehicle)) if value is not None
+    ]
+    return {"wheelsets": "?".join(["/v1/wheelsets", "&".join([*chosen, "sort=urgency"])])}
+
 
 router = APIRouter(prefix="/v1/plans", tags=["plans"])
 DAY_NS = 86_400_000_000_000
@@ -40,7 +147,7 @@ Difference = Annotated[
 ]
 
 
-@router.get("/reprofiling", response_model=worklist.TurningPlan, responses=described(404))
+@router.get("/reprofiling", response_model=TurningPlan, responses=described(404))
 def plan_reprofiling(
     request: Request,
     services: ServicesDep,
@@ -63,7 +170,7 @@ def plan_reprofiling(
     given = (cut_mm, minimum_radius_mm, axle_difference_mm, bogie_difference_mm, vehicle_difference_mm)
     limits = DiameterLimits(*(None if value is None else value * _MM for value in given))
     rows = {row.wheelset.serial: row for row in map(from_document, documents)}
-    candidates = [worklist.candidate(row, nominal_radii=nominal_radii) for row in rows.values()]
+    candidates = [candidate(row, nominal_radii=nominal_radii) for row in rows.values()]
     now_ns = services.clock.now_ns()
     lines = turning_plan(
         [one for one in candidates if one is not None],
@@ -72,12 +179,12 @@ def plan_reprofiling(
         round(horizon_days * DAY_NS),
         round(together_days * DAY_NS),
     )
-    body = worklist.TurningPlan(
+    body = TurningPlan(
         made_at=to_rfc3339(now_ns),
         horizon_days=horizon_days,
         together_days=together_days,
-        limits=worklist.TurningLimits.made(limits),
-        items=[worklist.turning_plan_line(line, rows[line.candidate.serial]) for line in lines],
-        links=worklist.plan_links(fleet, vehicle),
+        limits=TurningLimits.made(limits),
+        items=[turning_plan_line(line, rows[line.candidate.serial]) for line in lines],
+        links=plan_links(fleet, vehicle),
     )
     return answer(request, body)

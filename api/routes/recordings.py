@@ -1,24 +1,168 @@
-"""Recordings: what was received, and what became of it."""
+"""Recordings: what was received, what became of it, and what is done to it by hand."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable, Mapping, Sequence
+from http import HTTPStatus
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Query, Response
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from pydantic import Field
 
 from api import cursors
-from api.asking import AskedDep, AskedListDep
-from api.known import require_known
+from api.access.caller import Caller, CallerDep, Scope, requires
+from api.answers import answer
+from api.asking import AskedChange, AskedDep, AskedListDep, NewDep
+from api.idempotency import idempotent_post
 from api.parameters import CODE, FleetFilter, MeasuredFrom, MeasuredTo, require_order
 from api.problems import described
-from api.schemas import recordings
-from api.schemas.common import Page
+from api.schemas.common import Body, Links, Page, Representation, without_folders
+from api.schemas.derived import Derived
+from api.schemas.registry import segment
+from api.services import Services, ServicesDep, writer_slot
 from api.times import Moment
+from api.visible_objects import require_known
 from estimation.errors import NotFoundError
-from estimation.values.reasons import ReasonCode
+from estimation.values.reasons import ReasonCode, code_of
+from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.receipts import RecordingChange as Change
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.chunks import ChosenChunks
+from ingest.corrections import Author, RecordingCorrections
+
+UNUSED = ("unknown_identifiers", "wrong_lengths", "extended_frames", "remote_frames", "error_frames")
+"""Counts of a receipt that are frames which carry no value of the bus of the vehicle; each frame is in one at most."""
+LOST = "frames_dropped"
+NOT_MARKS = frozenset({"frames", "decoded", LOST, "recorder_first_ns", "recorder_last_ns", "own_time", *UNUSED})
+WORDS = r"^[^\x00-\x08\x0b-\x1f\x7f]+$"
+
+
+class RecordingCounts(Representation):
+    """What became of the frames of a recording; all 0 until it is decoded."""
+
+    frames: int = Field(description="Frames in it; of an exchange, rows.", examples=[90_000])
+    used: int = Field(description="Frames that carry values of the bus of its vehicle; of an exchange, rows.")
+    unused: dict[str, int] = Field(description="Frames that carry none, by reason.", examples=[{"error_frames": 2}])
+    lost: int = Field(description="Frames that its recorder says are missing in it.")
+    marked: dict[str, int] = Field(
+        description="What was marked and counted on the way: gaps, duplicates, clipped values, windows left out.",
+        examples=[{"frames_late": 3}],
+    )
+
+
+class RecordingWindows(Representation):
+    """Windows of its vehicle that share time with a recording, by their state."""
+
+    made: int = Field(description="All of them.")
+    pending: int = Field(description="Those that are not estimated yet.")
+    estimated: int = Field(description="Those with a bin table.")
+    refused: int = Field(description="Those that were refused, each with its reason.")
+
+
+_NOT_SERVED = ("frames", "counts", "recorded_ns", "clock_checked_ns", "sender", "reason")
+
+
+class Recording(
+    Derived,
+    of=ChunkRecord,
+    without=_NOT_SERVED,
+    columns="digest vehicle file_name format size_bytes received_at measured_from measured_to state reason reason_code"
+    " bytes_removed_at counts links",
+):
+    """The receipt of a recording, and where it stands."""
+
+    reason: str | None = Field(description="Why it is in this state; null where nothing is wrong.")
+    reason_code: ReasonCode | None = Field(description="Why it is in this state; null where nothing is wrong.")
+    counts: RecordingCounts
+    links: Links
+
+
+class RecordingChange(Derived, of=Change, without=("digest",)):
+    """What was done to a recording by hand."""
+
+
+class RecordingWithHistory(Recording):
+    """A recording with its windows and what was done to it by hand, oldest first."""
+
+    windows: RecordingWindows = Field(description="Its windows, counted.")
+    changes: list[RecordingChange] = Field(description="What was done to it by hand, oldest first.")
+
+
+class Correction(Body):
+    """Why something is done to a recording, and who does it where access is open."""
+
+    why: str = Field(
+        min_length=1,
+        max_length=2000,
+        pattern=WORDS,
+        description="Why; kept with the change.",
+        examples=["The log was of the other unit"],
+    )
+    by: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=200,
+        pattern=WORDS,
+        description="Who, where no key says it.",
+        examples=["j.smith"],
+    )
+
+
+class Reassignment(Correction):
+    """Give a recording to the vehicle that it is of."""
+
+    vehicle: str = Field(pattern=r"^[^\x00-\x1f\x7f]{1,64}$", description="Code of the vehicle.", examples=["V-2"])
+
+
+class Retry(Correction):
+    """Decode a recording again."""
+
+    clock_was_behind: bool = Field(
+        default=False, description="Whether our clock was behind when it was received, and is right now."
+    )
+
+
+def recording(record: ChunkRecord) -> Recording:
+    """Return the representation of a receipt."""
+    return Recording.made(record, **_fields(record))
+
+
+def recording_with_history(
+    record: ChunkRecord, windows: Mapping[WindowState, int], changes: Sequence[Change]
+) -> RecordingWithHistory:
+    """Return the representation of a receipt with its windows and changes."""
+    by_state = {state.value: windows.get(state, 0) for state in WindowState}
+    return RecordingWithHistory.made(
+        record,
+        **_fields(record),
+        windows=RecordingWindows(made=sum(windows.values()), **by_state),
+        changes=[RecordingChange.made(one) for one in changes],
+    )
+
+
+def _fields(record: ChunkRecord) -> dict[str, Any]:
+    return {
+        **why_in_state(record),
+        "counts": _counts(record),
+        "links": {"self": f"/v1/recordings/{record.digest}", "vehicle": f"/v1/vehicles/{segment(record.vehicle)}"},
+    }
+
+
+def why_in_state(record: ChunkRecord) -> dict[str, Any]:
+    """Return why a recording is in its state, without the folders of the machine."""
+    reason = record.reason
+    return {"reason": None if reason is None else without_folders(reason.text), "reason_code": code_of(reason)}
+
+
+def _counts(record: ChunkRecord) -> RecordingCounts:
+    unused = {name: record.counts[name] for name in UNUSED if record.counts.get(name)}
+    marked = {name: count for name, count in sorted(record.counts.items()) if count and name not in NOT_MARKS}
+    used = record.frames - sum(unused.values())
+    return RecordingCounts(
+        frames=record.frames, used=used, unused=unused, lost=record.counts.get(LOST, 0), marked=marked
+    )
+
 
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"])
 DIGEST = r"^[0-9a-f]{64}$"
@@ -30,7 +174,7 @@ ReceivedFrom = Annotated[Moment | None, Query(description="Received at or after 
 ReceivedTo = Annotated[Moment | None, Query(description="Received before this time.")]
 
 
-@router.get("", response_model=Page[recordings.Recording], responses=described(400, 404))
+@router.get("", response_model=Page[Recording], responses=described(400, 404))
 def list_recordings(
     asked: AskedListDep,
     vehicle: OfVehicle = None,
@@ -54,10 +198,10 @@ def list_recordings(
             require_known(unit, fleet=fleet)
             if vehicle is not None and not unit.chunks.page(ChosenChunks(vehicle=vehicle), 1):
                 require_known(unit, vehicle=vehicle)
-    return asked.page(filters, rows, _key, recordings.recording)
+    return asked.page(filters, rows, _key, recording)
 
 
-@router.get("/{digest}", response_model=recordings.RecordingWithHistory, responses=described(404))
+@router.get("/{digest}", response_model=RecordingWithHistory, responses=described(404))
 def get_recording(asked: AskedDep, digest: Digest) -> Response:
     """Return one recording, with its windows and what was done to it by hand."""
     with asked.read() as unit:
@@ -65,17 +209,13 @@ def get_recording(asked: AskedDep, digest: Digest) -> Response:
     return asked.answer(found)
 
 
-def with_history(unit: SqlUnitOfWork, digest: str) -> recordings.RecordingWithHistory:
-    """Return the representation of one recording.
-
-    Raises:
-        NotFoundError: There is none.
-    """
+def with_history(unit: SqlUnitOfWork, digest: str) -> RecordingWithHistory:
+    """Return the representation of one recording."""
     record = unit.chunks.get(digest)
     if record is None:
         raise NotFoundError("recording", digest)
     windows, changes = unit.chunks.window_counts(record), unit.recording_changes.list(digest)
-    return recordings.recording_with_history(record, windows, changes)
+    return recording_with_history(record, windows, changes)
 
 
 def _key(record: ChunkRecord) -> str:
@@ -93,3 +233,69 @@ def _place(key: str | None) -> tuple[int, str] | None:
     ):
         raise cursors.refused("this is no cursor of this list")
     return int(received), digest
+
+
+corrections_router = APIRouter(
+    prefix="/v1/recordings", tags=["recordings"], dependencies=[Depends(requires(Scope.INGEST)), Depends(writer_slot)]
+)
+Why = Annotated[
+    str,
+    Query(min_length=1, max_length=2000, pattern=WORDS, description="Why.", examples=["Of a test bench"]),
+]
+By = Annotated[str | None, Query(min_length=1, max_length=200, pattern=WORDS, description="Who, where no key says it.")]
+NOBODY = "unknown"
+_REFUSALS = described(404, 409, 413, 415)
+
+
+@corrections_router.post("/{digest}/reassign", response_model=RecordingWithHistory, responses=_REFUSALS)
+def reassign_recording(asked: NewDep, digest: Digest, body: Reassignment) -> Response:
+    """Give the recording to another vehicle; the next run of `assemble_windows` decodes it for that one."""
+    with asked.read() as unit:
+        unit.registry.vehicle(body.vehicle)  # one of another fleet is not found
+    author = _author(asked.caller, body)
+    return _correct(asked, digest, body, lambda made: made.reassign(digest, body.vehicle, author))
+
+
+@corrections_router.post("/{digest}/retry", response_model=RecordingWithHistory, responses=_REFUSALS)
+def retry_recording(asked: NewDep, digest: Digest, body: Retry) -> Response:
+    """Let a rejected or waiting recording be decoded again, by the next run of `assemble_windows`."""
+    author = _author(asked.caller, body)
+    return _correct(
+        asked, digest, body, lambda made: made.retry(digest, author, our_clock_was_behind=body.clock_was_behind)
+    )
+
+
+@corrections_router.delete("/{digest}", response_model=RecordingWithHistory, responses=described(404, 409))
+def delete_recording(
+    request: Request, services: ServicesDep, caller: CallerDep, digest: Digest, why: Why, by: By = None
+) -> Response:
+    """Make everything as if the recording had never come; its receipt stays, with who deleted it and why."""
+    author = Author(caller.name or by or NOBODY, why)
+    _made(services).delete(digest, author, services.raw)
+    with services.storage.read() as unit:
+        return answer(request, with_history(unit, digest))
+
+
+def _correct(
+    asked: AskedChange, digest: str, body: Correction, apply: Callable[[RecordingCorrections], ChunkRecord]
+) -> Response:
+    """Correct a recording once, however often the same request comes under one key."""
+    post = idempotent_post(asked.request, asked.key, body)
+    with asked.read() as unit:
+        earlier = post.earlier(asked.request, unit)
+    if earlier is not None:
+        return earlier
+    apply(_made(asked.services))
+    with asked.read() as unit:
+        found = with_history(unit, digest)
+    with asked.services.storage.write() as unit:
+        post.remember(unit, HTTPStatus.OK, found, asked.services.clock.now_ns())
+    return asked.answer(found)
+
+
+def _made(services: Services) -> RecordingCorrections:
+    return RecordingCorrections(services.storage, services.clock)
+
+
+def _author(caller: Caller, body: Correction) -> Author:
+    return Author(caller.acts_as(body.by, NOBODY), body.why)

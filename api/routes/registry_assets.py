@@ -6,26 +6,86 @@ from collections.abc import Callable
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
-from typing import NoReturn
+from typing import Annotated, NoReturn
 
 from fastapi import APIRouter, Depends, Response
+from pydantic import Field
 
-from api.access.scopes import Scope, requires
+from api.access.caller import Scope, requires
 from api.asking import NewDep, PutDep
 from api.parameters import Code, Serial
 from api.problems import ProblemError, ProblemItem, described
-from api.registry_changes import BodySource, RegistryRequest
-from api.schemas import registry, vehicle_classes
-from api.schemas.registry_changes import NewVehicle, NewWheelset, VehicleChange, VehicleClassFile, WheelsetChange
+from api.registry_changes import (
+    MOST_TEXT,
+    TEXT,
+    BodySource,
+    Key,
+    RegistryChange,
+    RegistryRequest,
+)
+from api.routes import vehicles
+from api.schemas import registry
 from api.services import writer_slot
 from estimation.errors import ConflictError, InputError, NotFoundError
-from estimation.values.registry import SPEED_IN_FILES, VehicleRecord, WheelsetRecord
+from estimation.values.registry import (
+    SPEED_IN_FILES,
+    VehicleRecord,
+    WheelsetRecord,
+)
 from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.input_file import parse_toml
 from ingest.registry_entry.contents import RegistryContents
 from ingest.vehicle_class_file import parse_vehicle_class
+
+
+class VehicleChange(RegistryChange):
+    """A vehicle as it is."""
+
+    fleet: Key = Field(examples=["demo"])
+    vehicle_class: Key = Field(description="Code of its class.", examples=["coach"])
+    axles: int = Field(ge=1, le=8, examples=[4])
+    max_speed_m_s: float = Field(ge=0.25, le=170.0, examples=[44.4])
+    axle_offsets_m: list[Annotated[float, Field(ge=-1000.0, le=1000.0)]] = Field(
+        min_length=1,
+        max_length=8,
+        description="Distance of each axle behind the position reference.",
+        examples=[[2.0, 4.5, 16.0, 18.5]],
+    )
+
+
+class NewVehicle(VehicleChange):
+    """A vehicle that is new."""
+
+    code: Key = Field(description="As recordings are named.", examples=["V-101"])
+
+
+class WheelsetChange(RegistryChange):
+    """A wheelset as it is."""
+
+    fleet: Key = Field(examples=["demo"])
+    wheel_profile: Annotated[str, Field(min_length=1, max_length=200, pattern=TEXT)] = Field(
+        description="Its design profile.", examples=["P8"]
+    )
+    nominal_radius_mm: float = Field(ge=100.0, le=1000.0, description="Not the diameter.", examples=[460.0])
+
+
+class NewWheelset(WheelsetChange):
+    """A wheelset that is new."""
+
+    serial: Key = Field(examples=["WS-0001"])
+
+
+class VehicleClassFile(RegistryChange):
+    """A vehicle class, as a class file describes it."""
+
+    text: str = Field(
+        max_length=MOST_TEXT,
+        description="Content of a vehicle class file (TOML): `treadwatch vehicle show coach` prints one to copy from.",
+        examples=['format = "treadwatch-vehicle-class-1"'],
+    )
+
 
 router = APIRouter(prefix="/v1")
 _ADMIN = [Depends(requires(Scope.ADMIN)), Depends(writer_slot)]
@@ -95,7 +155,7 @@ def change_wheelset(asked: PutDep, serial: Serial, body: WheelsetChange) -> Resp
     "/vehicle-classes",
     tags=["vehicles"],
     dependencies=_ADMIN_OF_ALL,
-    response_model=vehicle_classes.VehicleClassRepresentation,
+    response_model=vehicles.VehicleClassRepresentation,
 )
 def add_vehicle_class(asked: NewDep, body: VehicleClassFile) -> Response:
     """Register a vehicle class, or a new version of it; its vehicles are estimated again where it differs.
@@ -105,11 +165,11 @@ def add_vehicle_class(asked: NewDep, body: VehicleClassFile) -> Response:
     change = RegistryRequest(asked, body)
     found = _class(body.text)
 
-    def apply(unit: SqlUnitOfWork, decision: Decision) -> vehicle_classes.VehicleClassRepresentation:
+    def apply(unit: SqlUnitOfWork, decision: Decision) -> vehicles.VehicleClassRepresentation:
         change.enter(unit, decision, RegistryContents(classes=(found,)), BodySource({"code": "text"}))
         stored = unit.registry.vehicle_class(found.code)
         assert stored is not None
-        return vehicle_classes.vehicle_class(stored)
+        return vehicles.vehicle_class(stored)
 
     return change.change(None, apply)
 

@@ -2,29 +2,148 @@
 
 from __future__ import annotations
 
+import base64
+from collections.abc import Mapping
 from functools import partial
 from http import HTTPStatus
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Response
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
-from api.access.scopes import Scope, requires
+from api.access.caller import Scope, requires
 from api.answers import answer, require_match
 from api.asking import AskedChange, AskedListDep, ChangeDep
 from api.idempotency import idempotent_post
 from api.parameters import CODE
 from api.problems import ProblemError, ProblemItem, described
-from api.registry_changes import UNNAMED
-from api.schemas import registry, registry_changes, tracks, vehicle_classes
-from api.schemas.common import Page
-from api.schemas.registry_changes import RecordDecision as Body
+from api.registry_changes import TEXT, UNNAMED, Key
+from api.routes import tracks, vehicles
+from api.routes.dated_records import SensorChangeRecord
+from api.schemas import registry
+from api.schemas.common import Body, Page, Representation
+from api.schemas.derived import Derived
 from api.services import writer_slot
-from estimation.errors import NotFoundError
-from fleet_db.registry_events import Decision, RecordAction, RecordKind
+from api.times import Moment, Timestamp, to_rfc3339
+from estimation.contact.profiles import MeasuredProfiles
+from estimation.errors import NotFoundError, TreadwatchError
+from estimation.values.registry import Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.track import TrackSectionRecord
+from estimation.vehicle.vehicle_class import ClassOnFile, class_of_document
+from fleet_db.packed_values import unpack_wheel_pair
+from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
+from fleet_db.stores.sensor_changes import sensor_change_of
 from ingest.registry_entry.enter import refuse_contradicted
+
+RecordKindName = Literal[
+    "mounting", "reprofiling", "measurement", "wheelset", "section", "vehicle", "vehicle_class", "sensor_change"
+]
+
+
+class RecordDecision(Body):
+    """Which record is voided or restored, and why."""
+
+    kind: RecordKindName = Field(description="What kind of record.", examples=["reprofiling"])
+    key: Key = Field(description="Serial of the wheelset; code of the vehicle, class or section.", examples=["WS-0001"])
+    at: Moment | None = Field(
+        default=None,
+        description="Time of a mounting (`mounted_from`), reprofiling, measurement or sensor change.",
+        examples=["2026-03-01T06:00:00Z"],
+    )
+    reason: str = Field(
+        min_length=1, max_length=2000, pattern=TEXT, description="Kept for ever.", examples=["of another wheelset"]
+    )
+    by: Key | None = Field(
+        default=None, description="Who; read only where access control is off.", examples=["j.smith"]
+    )
+
+
+class WheelsetValues(Derived, of=WheelsetRecord, without=("mounting", "reprofilings")):
+    """What a wheelset is, without its life."""
+
+
+Record = (
+    registry.MountingPeriod
+    | registry.ReprofilingRecord
+    | registry.MeasuredProfilesRecord
+    | WheelsetValues
+    | registry.Vehicle
+    | vehicles.VehicleClassRepresentation
+    | tracks.TrackSection
+    | SensorChangeRecord
+)
+
+
+class RegistryDecision(Representation):
+    """One decision on a record: entered, changed, voided or restored."""
+
+    id: int = Field(description="In the order of the decisions.", examples=[17])
+    kind: RecordKind
+    key: str = Field(description="Serial or code.", examples=["WS-0001"])
+    at: Timestamp | None = Field(description="Time of a dated record.")
+    action: RecordAction
+    by: str = Field(description="Who; empty where a registry file was loaded with recordings.", examples=["j.smith"])
+    reason: str = Field(examples=["of another wheelset"])
+    recorded_at: Timestamp | None = Field(description="Our time; null where it is not known.")
+    before: Record | None = Field(description="The record before; null where it is new or was restored.")
+    after: Record | None = Field(description="The record since; null where it was voided, or is not known.")
+
+
+def shown_decision(event: RegistryEvent) -> RegistryDecision:
+    """Return the representation of a decision."""
+    restored = event.action is RecordAction.RESTORED
+    return RegistryDecision(
+        id=event.id,
+        kind=event.kind,
+        key=event.subject,
+        at=None if event.at_ns is None else to_rfc3339(event.at_ns),
+        action=event.action,
+        by=event.actor,
+        reason=event.reason,
+        recorded_at=None if event.recorded_ns is None else to_rfc3339(event.recorded_ns),
+        before=None if restored else _record(event.kind, event.record),
+        after=_record(event.kind, event.record if restored else event.after),
+    )
+
+
+def _record(kind: RecordKind, values: Mapping[str, Any] | None) -> Record | None:
+    """Return a record as the history keeps it; None where that cannot be read any more."""
+    if not values:
+        return None
+    try:
+        return _represented(kind, dict(values))
+    except (TreadwatchError, KeyError, TypeError, ValueError):
+        return None
+
+
+def _represented(kind: RecordKind, values: dict[str, Any]) -> Record:  # noqa: PLR0911 - one line a kind
+    match kind:
+        case RecordKind.MOUNTING:
+            return registry.MountingPeriod.made(Mounting(**values))
+        case RecordKind.REPROFILING:
+            return registry.ReprofilingRecord.made(Reprofiling(**values))
+        case RecordKind.MEASUREMENT:
+            return _measurement(values)
+        case RecordKind.WHEELSET:
+            names = ("serial", "fleet", "wheel_profile", "nominal_radius_m")
+            return WheelsetValues.made(WheelsetRecord(**{name: values[name] for name in names}, mounting=None))
+        case RecordKind.VEHICLE:
+            return registry.vehicle(VehicleRecord(**(values | {"axle_offsets_m": tuple(values["axle_offsets_m"])})))
+        case RecordKind.VEHICLE_CLASS:
+            return vehicles.vehicle_class(ClassOnFile(class_of_document(values)))
+        case RecordKind.SECTION:
+            return tracks.section(TrackSectionRecord(**values))
+        case RecordKind.SENSOR_CHANGE:
+            return SensorChangeRecord.made(sensor_change_of(values))
+
+
+def _measurement(values: dict[str, Any]) -> registry.MeasuredProfilesRecord:
+    left, right = unpack_wheel_pair(base64.b64decode(values["packed"]), where="history of the registry")
+    measured = MeasuredProfiles(values["wheelset"], values["at_ns"], values["mileage_km"], left, right, values["std_m"])
+    return registry.measured_profiles(measured)
+
 
 router = APIRouter(prefix="/v1/registry", tags=["registry"])
 _ADMIN = [Depends(requires(Scope.ADMIN)), Depends(writer_slot)]
@@ -35,18 +154,18 @@ KindFilter = Annotated[RecordKind | None, Query(description="Only records of thi
 KeyFilter = Annotated[str | None, Query(pattern=CODE, description="Only of this serial or code.")]
 
 
-@router.get("/history", response_model=Page[registry_changes.RegistryDecision], responses=described(400))
+@router.get("/history", response_model=Page[RegistryDecision], responses=described(400))
 def list_registry_history(asked: AskedListDep, kind: KindFilter = None, of: KeyFilter = None) -> Response:
     """List what was decided on records of the registry, oldest first: who, when, why, before and after."""
     filters = {"kind": kind, "of": of}
     after = asked.after_number(filters)
     with asked.read() as unit:
         rows = unit.registry_history.list(of, after, asked.limit + 1, kind)
-    return asked.page(filters, rows, lambda event: event.id, registry_changes.decision)
+    return asked.page(filters, rows, lambda event: event.id, shown_decision)
 
 
-@_post("/void", response_model=registry_changes.RegistryDecision)
-def void_record(asked: ChangeDep, body: Body) -> Response:
+@_post("/void", response_model=RegistryDecision)
+def void_record(asked: ChangeDep, body: RecordDecision) -> Response:
     """Take a record out that was wrong; what rests on it is made again, and `as_of` keeps what was believed.
 
     `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of.
@@ -54,8 +173,8 @@ def void_record(asked: ChangeDep, body: Body) -> Response:
     return _decide(asked, body, RecordAction.VOIDED)
 
 
-@_post("/restore", response_model=registry_changes.RegistryDecision)
-def restore_record(asked: ChangeDep, body: Body) -> Response:
+@_post("/restore", response_model=RegistryDecision)
+def restore_record(asked: ChangeDep, body: RecordDecision) -> Response:
     """Put a record back that was voided, as it was.
 
     `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of.
@@ -63,7 +182,7 @@ def restore_record(asked: ChangeDep, body: Body) -> Response:
     return _decide(asked, body, RecordAction.RESTORED)
 
 
-def _decide(asked: AskedChange, body: Body, action: RecordAction) -> Response:
+def _decide(asked: AskedChange, body: RecordDecision, action: RecordAction) -> Response:
     """Void or restore a record under If-Match and Idempotency-Key, in one transaction."""
     key = _key(body)
     if key.kind in _SHARED and asked.caller.fleets is not None:
@@ -85,12 +204,12 @@ def _decide(asked: AskedChange, body: Body, action: RecordAction) -> Response:
             refuse_contradicted(unit, key, now_ns)
         event = unit.registry_history.latest(key, action)
         assert event is not None
-        done = registry_changes.decision(event)
+        done = shown_decision(event)
         post.remember(unit, HTTPStatus.CREATED, done, now_ns)
     return answer(asked.request, done, status=HTTPStatus.CREATED)
 
 
-def _key(body: Body) -> RecordKey:
+def _key(body: RecordDecision) -> RecordKey:
     kind = RecordKind(body.kind)
     if kind.dated != (body.at is not None):
         detail = f"is needed: a {kind} is one of a time" if kind.dated else f"is no part of a {kind}"
@@ -109,8 +228,8 @@ def _asset(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:
         return tracks.section(unit.tracks.section(key.subject))
     found = unit.registry.vehicle_class(key.subject) if key.kind is RecordKind.VEHICLE_CLASS else None
     if found is not None:
-        return vehicle_classes.vehicle_class(found)
+        return vehicles.vehicle_class(found)
     voided = unit.registry_history.latest(key, RecordAction.VOIDED)
     if voided is None:
         raise NotFoundError(key.kind.value, key.subject)
-    return registry_changes.decision(voided)  # there is no other representation of it: send If-Match: *
+    return shown_decision(voided)  # there is no other representation of it: send If-Match: *

@@ -1,23 +1,256 @@
-"""Track sections."""
+"""Track sections, and what is known of their alignment and gauge."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
+from pydantic import Field
 
 from api.asking import AskedDep, AskedListDep
 from api.parameters import Code
 from api.problems import described
-from api.schemas import adhesion, rails, tracks
-from api.schemas.common import Page
-from api.times import Moment
+from api.schemas.common import Links, Page, Representation, finite, finite_list
+from api.schemas.derived import Derived
+from api.schemas.registry import segment
+from api.times import Timestamp, to_rfc3339
 from estimation.errors import NotFoundError
-from estimation.values.json_value import JsonValue
-from estimation.values.rails import SECTION_RAILS
-from estimation.values.track import TrackReport
+from estimation.values.fields import JsonValue
+from estimation.values.reasons import ReasonCode
+from estimation.values.track import AlignmentRecord, Iterated, TrackAlignment, TrackReport, TrackSectionRecord
 from fleet_db.storage import SqlUnitOfWork
+
+MM = 1000.0
+
+
+class LinePoint(Representation):
+    """A point of a section's line."""
+
+    distance_m: float
+    latitude_deg: float
+    longitude_deg: float
+
+
+class TrackSection(
+    Derived,
+    of=TrackSectionRecord,
+    without=("line",),
+    columns="code number name rail_profile rail_inclination_1 nominal_gauge_mm length_m tonnage_mgt_per_year"
+    " coordinates links",
+):
+    """A section of line; `number` identifies it on the vehicle's bus."""
+
+    coordinates: list[LinePoint] | None = Field(description="WGS84. Null: positions are not checked by GNSS.")
+    links: Links
+
+
+class Journey(Representation):
+    """Windows of one vehicle on one run over the section.
+
+    They were at `measured + offset + scale (measured - middle)`.
+    """
+
+    vehicle: str
+    measured_from: Timestamp
+    passes: int
+    offset_m: float | None
+    scale_1: float | None
+    middle_m: float | None
+    residual_rms_mm: float | None
+    used: bool
+    reason: str | None
+    reason_code: ReasonCode | None
+
+
+class Convergence(Representation):
+    """How the iteration of one quantity ended."""
+
+    of: Iterated
+    converged: bool
+    rounds: int
+    change_m: float | None = Field(description="By the last round, of positions and gauge.")
+    change_1: float | None = Field(description="By the last round, of stiffness ratios.")
+
+
+class AlignmentReport(Derived, of=TrackReport, without=("input_digest", "report", "report_id")):
+    """What a run of the alignment job found of a section, and from what."""
+
+    passes: int
+    wheelsets: int = Field(description="Lives of profiles, by mileage interval.")
+    mean_passes_1: float | None = Field(description="Per place that has any.")
+    diversity_1: float | None = Field(description="How far the passes of a place differ: 0 means no information.")
+    covered_1: float | None = Field(description="Share of the section whose alignment is known.")
+    converged: bool = Field(description="Positions, stiffness ratios and, where it is estimated, gauge have converged.")
+    convergence: list[Convergence] = Field(description="Of each quantity; empty where nothing was estimated.")
+    rounds: int
+    moved_m: float | None = Field(description="By which the last round moved a position at most.")
+    residual_rms_mm: float | None
+    alignment_std_mm: float | None = Field(description="Median along the section.")
+    evidence: list[str] = Field(description="What was known besides the passes.")
+    recording: str | None = Field(description="Check of the surveyed alignment against the fleet.")
+    recording_code: ReasonCode | None = Field(description="Null where the survey was not checked.")
+    refused_windows: dict[str, int] = Field(description="Windows without a pass, by the sentence of the reason.")
+    refused_windows_by_code: dict[ReasonCode, int] = Field(description="Windows without a pass, by reason.")
+    parameters: dict[str, JsonValue] = Field(description="Settings that shaped it; empty where none were kept.")
+    journeys: list[Journey]
+    links: Links
+
+
+class AlignmentVersion(Derived, of=AlignmentRecord, without=("alignment_std_m", "points", "superseded_ns")):
+    """A version of what is known of a section, without its columns."""
+
+    links: Links
+
+
+class Alignment(AlignmentVersion):
+    """Lateral alignment and gauge deviation along a section, column by column; null where not known."""
+
+    position_m: list[float]
+    alignment_mm: list[float | None] = Field(description="Positive to the left.")
+    alignment_std_mm: list[float | None]
+    gauge_deviation_mm: list[float | None] = Field(
+        description="As surveyed. Null where no gauge is on file: passes do not determine its sign."
+    )
+    gauge_deviation_std_mm: list[float | None]
+    passes: list[int] = Field(description="Passes behind each value; 0 where a recording car measured it.")
+    report: AlignmentReport | None = Field(description="Of the run that made it; null of a recording as registered.")
+
+
+class AlignmentSummary(
+    Derived,
+    of=AlignmentRecord,
+    without=("superseded_ns",),
+    columns="section version status source cut_off_m scale_std_1 gauge_known same_since_version recorded_at links"
+    " points alignment_std_mm",
+):
+    """A version in the list of versions."""
+
+    links: Links
+
+
+def _point(distance_m: float, latitude_deg: float, longitude_deg: float) -> LinePoint:
+    return LinePoint(distance_m=distance_m, latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+
+
+def section(record: TrackSectionRecord) -> TrackSection:
+    """Return the representation of a track section."""
+    own = f"/v1/track-sections/{segment(record.code)}"
+    return TrackSection.made(
+        record,
+        coordinates=None if record.line is None else [_point(*point) for point in record.line],
+        links={
+            "self": own,
+            "alignment": f"{own}/alignment",
+            "alignments": f"{own}/alignments",
+            "alignment_report": f"{own}/alignment-report",
+        },
+    )
+
+
+def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackReport | None) -> Alignment:
+    """Return the representation of an alignment."""
+    unknown: list[float | None] = [None] * len(found.s)
+    return Alignment.made(
+        record,
+        links=_links(record),
+        position_m=[float(s) for s in found.s],
+        alignment_mm=finite_list(found.alignment, MM),
+        alignment_std_mm=finite_list(found.alignment_std, MM),
+        gauge_deviation_mm=finite_list(found.gauge_deviation, MM) if found.gauge_known else unknown,
+        gauge_deviation_std_mm=finite_list(found.gauge_deviation_std, MM) if found.gauge_known else unknown,
+        passes=[int(n) for n in found.passes],
+        report=None if made_by is None else report(made_by),
+    )
+
+
+def alignment_summary(record: AlignmentRecord) -> AlignmentSummary:
+    """Return the representation of a version without its columns."""
+    return AlignmentSummary.made(record, links=_links(record))
+
+
+def report(record: TrackReport) -> AlignmentReport:
+    """Return the representation of what a run found."""
+    own = f"/v1/track-sections/{segment(record.section)}"
+    report = record.report
+    in_force = {} if record.version is None else {"alignment": _path(record.section, record.version)}
+    return AlignmentReport.made(
+        record,
+        residual_rms_mm=_scaled(report.get("residual_rms_m"), MM),
+        alignment_std_mm=_scaled(report.get("alignment_std_m"), MM),
+        mean_passes_1=_scaled(report.get("mean_passes")),
+        diversity_1=_scaled(report.get("diversity")),
+        covered_1=_scaled(report.get("covered")),
+        convergence=[_convergence(item) for item in _listed(report.get("convergence"))],
+        journeys=[_journey(item) for item in _listed(report.get("journeys"))],
+        links={"self": f"{own}/alignment-report", "section": own, **in_force},
+        **_as_stored(report),
+    )
+
+
+_AS_STORED: dict[str, Any] = {
+    "passes": 0,
+    "wheelsets": 0,
+    "converged": False,
+    "rounds": 0,
+    "moved_m": None,
+    "evidence": [],
+    "recording": None,
+    "recording_code": None,
+    "refused_windows": {},
+    "parameters": {},
+    "refused_windows_by_code": {},
+}
+
+
+def _as_stored(report: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: report.get(name, missing) for name, missing in _AS_STORED.items()}
+
+
+def _convergence(stored: dict[str, Any]) -> Convergence:
+    of = Iterated(stored["of"])
+    relative = of is Iterated.STIFFNESS_RATIOS
+    return Convergence(
+        of=of,
+        converged=stored["converged"],
+        rounds=stored["rounds"],
+        change_m=None if relative else stored["change"],
+        change_1=stored["change"] if relative else None,
+    )
+
+
+def _journey(report: dict[str, Any]) -> Journey:
+    return Journey(
+        vehicle=report["vehicle"],
+        measured_from=to_rfc3339(report["from_ns"]),
+        passes=report["passes"],
+        offset_m=report["offset_m"],
+        scale_1=report["scale_1"],
+        middle_m=report["middle_m"],
+        residual_rms_mm=_scaled(report["residual_rms_m"], MM),
+        used=report["used"],
+        reason=report["reason"] or None,
+        reason_code=report.get("reason_code"),
+    )
+
+
+def _listed(value: object) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
+def _scaled(value: object, scale: float = 1.0) -> float | None:
+    return finite(value, scale) if isinstance(value, int | float) else None
+
+
+def _path(section: str, version: int) -> str:
+    return f"/v1/track-sections/{segment(section)}/alignment?version={version}"
+
+
+def _links(record: AlignmentRecord) -> dict[str, str]:
+    own = f"/v1/track-sections/{segment(record.section)}"
+    return {"self": _path(record.section, record.version), "section": own, "alignments": f"{own}/alignments"}
+
 
 router = APIRouter(prefix="/v1/track-sections", tags=["track sections"])
 Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]
@@ -32,27 +265,27 @@ def _seen(unit: SqlUnitOfWork, report: TrackReport | None) -> TrackReport | None
     hidden = named - unit.registry.visible_vehicles(sorted(map(str, named)))
     if not hidden or not isinstance(journeys, list):
         return report
-    kept: list[JsonValue] = [one for one in journeys if isinstance(one, dict) and one["vehicle"] not in hidden]
+    kept: list[Any] = [one for one in journeys if isinstance(one, dict) and one["vehicle"] not in hidden]
     return replace(report, report={**report.report, "journeys": kept})
 
 
-@router.get("", response_model=Page[tracks.TrackSection], responses=described(400))
+@router.get("", response_model=Page[TrackSection], responses=described(400))
 def list_track_sections(asked: AskedListDep) -> Response:
     """List the track sections, by code."""
     with asked.read() as unit:
         found = unit.tracks.sections()
-    return asked.named(found, lambda record: record.code, tracks.section)
+    return asked.named(found, lambda record: record.code, section)
 
 
-@router.get("/{code}", response_model=tracks.TrackSection, responses=described(404))
+@router.get("/{code}", response_model=TrackSection, responses=described(404))
 def get_track_section(asked: AskedDep, code: Code) -> Response:
     """Return one track section."""
     with asked.read() as unit:
         found = unit.tracks.section(code)
-    return asked.answer(tracks.section(found))
+    return asked.answer(section(found))
 
 
-@router.get("/{code}/alignment", response_model=tracks.Alignment, responses=described(404))
+@router.get("/{code}/alignment", response_model=Alignment, responses=described(404))
 def get_alignment(asked: AskedDep, code: Code, version: Version = None) -> Response:
     """Return what is known of the section's alignment and gauge, and how it was found."""
     with asked.read() as unit:
@@ -63,10 +296,10 @@ def get_alignment(asked: AskedDep, code: Code, version: Version = None) -> Respo
             raise NotFoundError("alignment of track section", what)
         (record,) = unit.tracks.versions(code, found.version - 1, 1)
         report = _seen(unit, unit.tracks.report(code, found.version))
-    return asked.answer(tracks.alignment(found, record, report))
+    return asked.answer(alignment(found, record, report))
 
 
-@router.get("/{code}/alignments", response_model=Page[tracks.AlignmentSummary], responses=described(400, 404))
+@router.get("/{code}/alignments", response_model=Page[AlignmentSummary], responses=described(400, 404))
 def list_alignments(asked: AskedListDep, code: Code) -> Response:
     """List the versions of the section's alignment, oldest first, without their columns."""
     filters = {"section": code}
@@ -74,10 +307,10 @@ def list_alignments(asked: AskedListDep, code: Code) -> Response:
     with asked.read() as unit:
         unit.tracks.section(code)
         found = unit.tracks.versions(code, after, asked.limit + 1)
-    return asked.page(filters, found, lambda record: record.version, tracks.alignment_summary)
+    return asked.page(filters, found, lambda record: record.version, alignment_summary)
 
 
-@router.get("/{code}/alignment-report", response_model=tracks.AlignmentReport, responses=described(404))
+@router.get("/{code}/alignment-report", response_model=AlignmentReport, responses=described(404))
 def get_alignment_report(asked: AskedDep, code: Code) -> Response:
     """Return what the last run of the alignment job found of the section, also where it found nothing."""
     with asked.read() as unit:
@@ -85,30 +318,4 @@ def get_alignment_report(asked: AskedDep, code: Code) -> Response:
         found = _seen(unit, unit.tracks.report(code))
     if found is None:
         raise NotFoundError("alignment report yet of track section", code)
-    return asked.answer(tracks.report(found))
-
-
-@router.get("/{code}/adhesion", response_model=adhesion.SectionAdhesion, responses=described(404))
-def get_adhesion(
-    asked: AskedDep,
-    code: Code,
-    at: Annotated[Moment | None, Query(description="Of the hours that hold this time; left out, of the last.")] = None,
-) -> Response:
-    """Return the friction along the section, pooled over the fleets, and where it is low."""
-    with asked.read() as unit:
-        unit.tracks.section(code)
-        found = unit.adhesion.section(code, at)
-    if found is None:
-        raise NotFoundError("adhesion yet of track section", code)
-    return asked.answer(adhesion.section_adhesion(found))
-
-
-@router.get("/{code}/rails", response_model=rails.SectionRails, responses=described(404))
-def get_section_rails(asked: AskedDep, code: Code) -> Response:
-    """Return what belongs to the rails of the section, in the conicities of the wheelsets that ran on it."""
-    with asked.read() as unit:
-        unit.tracks.section(code)
-        found = unit.results.latest(SECTION_RAILS, code)
-    if found is None:
-        raise NotFoundError("rails yet of track section", code)
-    return asked.answer(rails.section_rails(found))
+    return asked.answer(report(found))

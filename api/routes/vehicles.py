@@ -1,21 +1,236 @@
-"""Vehicles."""
+"""Fleets, their vehicles and the classes of these; what is known of suspension and dampers of a vehicle."""
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Response
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Response
+from pydantic import Field
 
 from api.asking import AskedDep, AskedListDep
-from api.known import require_known
 from api.parameters import Code, FleetFilter
 from api.problems import described
-from api.schemas import dampers, registry, suspension
-from api.schemas.common import Page
+from api.schemas import registry
+from api.schemas.common import Links, Page, Representation, finite
+from api.schemas.derived import Derived
+from api.schemas.registry import segment
+from api.times import Timestamp, to_rfc3339
+from api.visible_objects import require_known
+from estimation.errors import NotFoundError
 from estimation.trend.suspension import SuspensionParameters, suspension_changes
+from estimation.values.opinions import GearDamper
+from estimation.values.trend import SuspensionChange, SuspensionFinding
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import (
+    SHIPPED_VERSION,
+    Arrangement,
+    BogieParameters,
+    ClassOnFile,
+    SensorLayout,
+    VehicleClass,
+)
+from ingest.vehicle_class_file import shipped_class, shipped_classes
 
-router = APIRouter(prefix="/v1/vehicles", tags=["vehicles"])
+_UNITS: Mapping[str, str] = {
+    "longitudinal_creep_coefficient": "N",
+    "lateral_creep_coefficient": "N",
+    "lateral_spin_creep_coefficient": "N m",
+    "spin_creep_coefficient": "N m2",
+    "load": "N",
+    "yaw_stiffness": "N m/rad",
+    "yaw_damping": "N m s/rad",
+    "lateral_stiffness": "N/m",
+    "lateral_damping": "N s/m",
+    "mass": "kg",
+    "inertia": "kg m2",
+    "half_contact_distance": "m",
+    "nominal_radius": "m",
+    "wheelbase": "m",
+}
+_RATE, _ANGULAR, _LINEAR = "rad/s", "rad/s2", "m/s2"
 
 
-@router.get("", response_model=Page[registry.Vehicle], responses=described(400, 404))
+class Parameter(Representation):
+    """A parameter of the class; `std` is what is not known of it."""
+
+    name: str = Field(examples=["yaw_stiffness"])
+    value: float = Field(examples=[2.5e6])
+    std: float = Field(examples=[125e3])
+    unit: str = Field(examples=["N m/rad"])
+
+
+class Sensor(Representation):
+    """One sensor of a node; null `limit` is none."""
+
+    name: str = Field(examples=["lateral"])
+    unit: str = Field(description="Of `limit`; of `noise_density` per root hertz.", examples=["m/s2"])
+    noise_density: float = Field(examples=[0.001])
+    scale_std_1: float = Field(description="Relative std of its scale.", examples=[0.01])
+    limit: float | None = Field(examples=[50.0])
+
+
+class Sensors(Representation):
+    """The sensors of each node."""
+
+    rate_hz: float = Field(examples=[250.0])
+    measures_gravity: bool = Field(description="A lateral accelerometer that rolls measures part of gravity.")
+    channels: list[Sensor]
+
+
+class VehicleClassRepresentation(Representation):
+    """What all vehicles of one type have in common."""
+
+    code: str = Field(examples=["coach"])
+    name: str = Field(examples=["Passenger coach"])
+    source: str = Field(description="Where the numbers come from.", examples=["Manchester benchmarks, vehicle 1"])
+    arrangement: Arrangement
+    version: int | None = Field(description="As registered, from 1; null for a class of the package.", examples=[1])
+    recorded_at: Timestamp | None = Field(description="When this version was registered.")
+    digest: str = Field(description="Of the whole value; estimates name it.", examples=["0" * 64])
+    wheelset: list[Parameter] = Field(description="One wheelset, its contact and its primary suspension.")
+    bogie: list[Parameter] | None = Field(description="The frame, what it carries and the secondary suspension.")
+    sensors: Sensors
+    links: Links
+
+
+def vehicle_class(record: ClassOnFile) -> VehicleClassRepresentation:
+    """Return the representation of a version of a class."""
+    found = record.vehicle_class
+    own = f"/v1/vehicle-classes/{segment(found.code)}"
+    version = None if record.version == SHIPPED_VERSION else record.version
+    links = {"self": own}
+    if version is not None:
+        links["as_recorded"] = f"{own}?version={version}"
+    return VehicleClassRepresentation(
+        code=found.code,
+        name=found.name,
+        source=found.source,
+        arrangement=found.arrangement,
+        version=version,
+        recorded_at=None if record.recorded_ns is None else to_rfc3339(record.recorded_ns),
+        digest=record.digest,
+        wheelset=_parameters(found, found.parameters),
+        bogie=None if found.bogie is None else _parameters(found, found.bogie),
+        sensors=_sensors(found.sensors),
+        links=links,
+    )
+
+
+def _parameters(of_class: VehicleClass, values: VehicleParameters | BogieParameters) -> list[Parameter]:
+    found = []
+    for item in fields(values):
+        value = float(getattr(values, item.name))
+        std = of_class.std_of(item.name) * abs(value)
+        found.append(Parameter(name=item.name, value=value, std=std, unit=_unit(item.name)))
+    return found
+
+
+def _unit(name: str) -> str:
+    """Return the SI unit of a parameter by the name of its field."""
+    return next(unit for end, unit in _UNITS.items() if name.endswith(end))
+
+
+def _sensors(layout: SensorLayout) -> Sensors:
+    units = {
+        "lateral": _LINEAR,
+        "yaw": _RATE if layout.yaw_is_gyroscope else _ANGULAR,
+        "roll": _RATE if layout.roll_is_gyroscope else _ANGULAR,
+        "mass_lateral": _LINEAR,
+    }
+    channels = [
+        Sensor(
+            name=name,
+            unit=units[name],
+            noise_density=one.noise_density,
+            scale_std_1=one.scale_std,
+            limit=finite(one.limit),
+        )
+        for name, one in layout.channels.items()
+    ]
+    return Sensors(rate_hz=layout.rate_hz, measures_gravity=layout.measures_gravity, channels=channels)
+
+
+class DamperState(Derived, of=GearDamper, without=("vehicle", "windows")):
+    """The lateral damper of a running gear: between frame and body of a bogie, or above a single wheelset."""
+
+
+class Dampers(Representation):
+    """All lateral dampers of a vehicle that were looked at, by axle."""
+
+    vehicle: str = Field(examples=["V-0001"])
+    dampers: list[DamperState] = Field(description="Empty before a window has been looked at.")
+    links: Links
+
+
+def dampers(vehicle: str, found: Sequence[GearDamper]) -> Dampers:
+    """Return the representation of the dampers of a vehicle."""
+    own = f"/v1/vehicles/{segment(vehicle)}"
+    links = {"self": f"{own}/dampers", "vehicle": own}
+    return Dampers(vehicle=vehicle, dampers=[DamperState.made(one) for one in found], links=links)
+
+
+class SuspensionResult(
+    Derived, of=SuspensionFinding, without=("vehicle", "ratio", "ratio_std"), also=("stiffness_ratio",)
+):
+    """Yaw stiffness over longitudinal creep coefficient of the vehicle, from its passes of one section."""
+
+
+class SuspensionShift(
+    Derived,
+    of=SuspensionChange,
+    without=("vehicle", "change", "std", "step_probability", "since_ns"),
+    also=("estimate",),
+):
+    """By how much the ratio has changed against the vehicle's own past and the other vehicles."""
+
+
+class Suspension(Representation):
+    """All findings of a vehicle, oldest first, and the change; null while too little is known."""
+
+    vehicle: str
+    findings: list[SuspensionResult]
+    change: SuspensionShift | None
+    links: Links
+
+
+def suspension(vehicle: str, findings: Sequence[SuspensionFinding], change: SuspensionChange | None) -> Suspension:
+    """Return the representation of the findings of a vehicle."""
+    own = f"/v1/vehicles/{segment(vehicle)}"
+    return Suspension(
+        vehicle=vehicle,
+        findings=[SuspensionResult.made(one) for one in findings],
+        change=None if change is None else SuspensionShift.made(change),
+        links={"self": f"{own}/suspension", "vehicle": own},
+    )
+
+
+fleets_router = APIRouter(prefix="/v1/fleets", tags=["fleets"])
+
+
+@fleets_router.get("", response_model=Page[registry.Fleet], responses=described(400))
+def list_fleets(asked: AskedListDep) -> Response:
+    """List the fleets, by code."""
+    with asked.read() as unit:
+        found = unit.registry.fleets()
+    return asked.named(found, lambda record: record.code, registry.fleet)
+
+
+@fleets_router.get("/{code}", response_model=registry.Fleet, responses=described(404))
+def get_fleet(asked: AskedDep, code: Code) -> Response:
+    """Return one fleet."""
+    with asked.read() as unit:
+        found = [record for record in unit.registry.fleets() if record.code == code]
+    if not found:
+        raise NotFoundError("fleet", code)
+    return asked.answer(registry.fleet(found[0]))
+
+
+router = APIRouter(prefix="/v1", tags=["vehicles"])
+
+
+@router.get("/vehicles", response_model=Page[registry.Vehicle], responses=described(400, 404))
 def list_vehicles(asked: AskedListDep, fleet: FleetFilter = None) -> Response:
     """List the vehicles, by code."""
     filters = {"fleet": fleet}
@@ -27,7 +242,7 @@ def list_vehicles(asked: AskedListDep, fleet: FleetFilter = None) -> Response:
     return asked.page(filters, rows, lambda record: record.code, registry.vehicle)
 
 
-@router.get("/{code}", response_model=registry.Vehicle, responses=described(404))
+@router.get("/vehicles/{code}", response_model=registry.Vehicle, responses=described(404))
 def get_vehicle(asked: AskedDep, code: Code) -> Response:
     """Return one vehicle."""
     with asked.read() as unit:
@@ -35,7 +250,7 @@ def get_vehicle(asked: AskedDep, code: Code) -> Response:
     return asked.answer(registry.vehicle(found))
 
 
-@router.get("/{code}/suspension", response_model=suspension.Suspension, responses=described(404))
+@router.get("/vehicles/{code}/suspension", response_model=Suspension, responses=described(404))
 def get_suspension(asked: AskedDep, code: Code) -> Response:
     """Return what the passes of a vehicle show of its yaw stiffness, over time."""
     usual = SuspensionParameters()
@@ -44,13 +259,35 @@ def get_suspension(asked: AskedDep, code: Code) -> Response:
         findings = unit.suspensions.list(code)
         newest = unit.suspensions.newest(usual.recent + usual.most_past)
     change = suspension_changes(newest, usual).get(code)
-    return asked.answer(suspension.suspension(code, findings, change))
+    return asked.answer(suspension(code, findings, change))
 
 
-@router.get("/{code}/dampers", response_model=dampers.Dampers, responses=described(404))
+@router.get("/vehicles/{code}/dampers", response_model=Dampers, responses=described(404))
 def get_dampers(asked: AskedDep, code: Code) -> Response:
     """Return the state of the lateral dampers of a vehicle, one for each running gear."""
     with asked.read() as unit:
         unit.registry.vehicle(code)
         found = unit.dampers.of_vehicle(code)
-    return asked.answer(dampers.dampers(code, found))
+    return asked.answer(dampers(code, found))
+
+
+Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]
+
+
+@router.get("/vehicle-classes", response_model=Page[VehicleClassRepresentation], responses=described(400))
+def list_vehicle_classes(asked: AskedListDep) -> Response:
+    """List the newest version of each vehicle class, by code; those of the package too, unless registered again."""
+    with asked.read() as unit:
+        registered = {found.vehicle_class.code: found for found in unit.registry.vehicle_classes()}
+    known = {code: ClassOnFile(shipped_class(code)) for code in shipped_classes()} | registered
+    return asked.named(known.values(), lambda found: found.vehicle_class.code, vehicle_class)
+
+
+@router.get("/vehicle-classes/{code}", response_model=VehicleClassRepresentation, responses=described(404))
+def get_vehicle_class(asked: AskedDep, code: Code, version: Version = None) -> Response:
+    """Return one vehicle class: each parameter with its standard deviation."""
+    with asked.read() as unit:
+        found = unit.registry.vehicle_class(code, version)
+    if found is None:
+        raise NotFoundError("vehicle class", code if version is None else f"{code} version {version}")
+    return asked.answer(vehicle_class(found))

@@ -1,52 +1,240 @@
-"""Webhooks: made, listed, changed and deleted by who administers their fleets."""
+"""Webhooks: made, listed, changed and deleted by who administers their fleets; tried out, moved, signed anew."""
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 from http import HTTPStatus
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from pydantic import AfterValidator, Field, Strict, StringConstraints
 from starlette.concurrency import run_in_threadpool
 
 from api import cursors
-from api.access.caller import NOBODY_NAMED, Caller, CallerDep
-from api.access.scopes import Scope, requires
+from api.access.caller import NOBODY_NAMED, Caller, CallerDep, Scope, requires
 from api.answers import IfMatch, answer, require_match
 from api.asking import AskedDep, AskedListDep
-from api.known import require_known
+from api.feed.streams import TRY_AGAIN
+from api.middleware import turn_of
+from api.parameters import CODE
 from api.problems import ProblemError, ProblemItem, described
-from api.schemas.common import Page
-from api.services import Services, ServicesDep
-from api.webhooks import representations as webhooks
-from api.webhooks.making import Wanted, handled_up_to, in_state, make_webhook
-from api.webhooks.sending import Sender
-from api.webhooks.targets import RefusedTargetError
-from fleet_db.webhook_records import DeliveryState, Webhook, WebhookState
+from api.schemas.alerts import KnownKind
+from api.schemas.common import Body, Links, Page, Representation
+from api.schemas.derived import Derived
+from api.services import Services, ServicesDep, writer_slot
+from api.times import Moment, Timestamp, to_rfc3339
+from api.visible_objects import require_known
+from api.webhooks.cloud_events import new_secret, trial_of
+from api.webhooks.making import Wanted, handled_up_to, in_state, make_webhook, place_of
+from api.webhooks.sending import TRIALS, Outcome, Sender
+from api.webhooks.targets import MOST_CHARACTERS, RefusedTargetError, parsed
+from estimation.errors import ParameterError
+from estimation.values.alerts import AlertEventKind, Severity
+from fleet_db.webhook_records import Delivery, DeliveryState, Failure, WebhookState
+from fleet_db.webhook_records import Webhook as WebhookRecord
+
+MOST_VALUES = 50
+LONGEST_OVERLAP_S = 604_800
+
+
+def _leads_somewhere(url: str) -> str:
+    try:
+        parsed(url)
+    except ParameterError as error:
+        raise ValueError(error.reason) from None
+    return url
+
+
+Url = Annotated[
+    str, StringConstraints(pattern=r"^https?://", max_length=MOST_CHARACTERS), AfterValidator(_leads_somewhere)
+]
+Text = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f\x7f]{0,500}$")]
+FleetCode = Annotated[str, StringConstraints(pattern=CODE)]
+WrittenSeverity = Annotated[Severity, Strict(strict=False)]  # JSON has texts, not members of an enumeration
+URL = "Where events are posted to: https://, or http:// in an allowed network."
+DESCRIPTION = "What it is for."
+FLEETS = "Only events of these fleets; empty is all that it may carry."
+KINDS = "Only events of alerts of these kinds; empty is all."
+SEVERITIES = "Only alerts that have had one of these, from then on to their end; empty is all."
+EXAMPLE_URL = "https://receiver.example/treadwatch"
+
+
+class Webhook(
+    Derived,
+    of=WebhookRecord,
+    without=("position", "revision"),
+    columns="id url description fleets kinds severities bound_to state disabled_reason state_since created_at"
+    " created_by links",
+):
+    """Where events of the feed are sent, without its secret."""
+
+    url: str = Field(description=URL, examples=[EXAMPLE_URL])
+    description: str = Field(description=DESCRIPTION, examples=["work orders"])
+    fleets: list[str] = Field(description=FLEETS, examples=[["alpha"]])
+    kinds: list[str] = Field(description=KINDS)
+    severities: list[Severity] = Field(description=SEVERITIES)
+    links: Links
+
+
+class WebhookWithSecret(Webhook):
+    """A webhook with a new secret."""
+
+    secret: str = Field(description="What signs its events, as Standard Webhooks writes it; it is shown this once.")
+
+
+class RotatedSecret(Representation):
+    """A new secret of a webhook."""
+
+    secret: str = Field(description="What signs its events from now on; it is shown this once.")
+    former_signs_until: Timestamp = Field(description="Until when the secrets before it sign beside it.")
+    links: Links
+
+
+class NewWebhook(Body):
+    """A webhook that is to be made; it begins with what happens from now on."""
+
+    url: Url = Field(description=URL, examples=[EXAMPLE_URL])
+    description: Text = Field(default="", description=DESCRIPTION, examples=["work orders"])
+    fleets: list[FleetCode] = Field(default=[], max_length=MOST_VALUES, description=FLEETS, examples=[["alpha"]])
+    kinds: list[KnownKind] = Field(default=[], max_length=MOST_VALUES, description=KINDS)
+    severities: list[WrittenSeverity] = Field(default=[], max_length=MOST_VALUES, description=SEVERITIES)
+
+
+class WebhookChange(Body):
+    """What changes of a webhook; what is left out, or null, stays."""
+
+    url: Url | None = Field(default=None, description=URL, examples=[EXAMPLE_URL])
+    description: Text | None = Field(default=None, description=DESCRIPTION)
+    fleets: list[FleetCode] | None = Field(default=None, max_length=MOST_VALUES, description=FLEETS)
+    kinds: list[KnownKind] | None = Field(default=None, max_length=MOST_VALUES, description=KINDS)
+    severities: list[WrittenSeverity] | None = Field(default=None, max_length=MOST_VALUES, description=SEVERITIES)
+    state: Literal["active", "paused"] | None = Field(
+        default=None, description="`active` goes on from where it stood; `paused` waits there."
+    )
+
+
+class Replay(Body):
+    """From where a webhook is sent the feed again: give one of the two."""
+
+    after: str | None = Field(
+        default=None,
+        description="A cursor of the feed, or the id of an event that was sent: from the event behind it on. "
+        "`latest` leaves out what was not delivered yet.",
+        examples=["latest"],
+    )
+    from_time: Moment | None = Field(
+        default=None, alias="from", description="From the first event on that was recorded at or after this time."
+    )
+
+
+class Rotation(Body):
+    """How a secret is replaced."""
+
+    overlap_s: int = Field(
+        default=86_400,
+        ge=0,
+        le=LONGEST_OVERLAP_S,
+        description="How long the secrets before it still sign beside it; 0 where one has leaked.",
+    )
+
+
+class WebhookDelivery(
+    Derived,
+    of=Delivery,
+    without=("webhook_id", "sequence", "event_kind", "alert_id"),
+    columns="id event_id event event_recorded_at state attempts first_attempt_at last_attempt_at next_attempt_at"
+    " status_code reason_code reason links",
+):
+    """An event on its way to a webhook."""
+
+    event: AlertEventKind
+    links: Links
+
+
+class WebhookTrial(Representation):
+    """What came back of an event that only tries out a webhook."""
+
+    event_id: str = Field(description="Its id.", examples=["test-4b6d"])
+    delivered: bool = Field(description="Whether the receiver took it.")
+    status_code: int | None = Field(description="Status of the answer; null without one.", examples=[204])
+    reason_code: Failure | None = Field(description="Why it was not taken; null where it was.")
+    reason: str | None = Field(description="The same as a sentence.")
+    took_s: float = Field(description="How long it took.", examples=[0.2])
+
+
+def shown_webhook(record: WebhookRecord) -> Webhook:
+    """Return a webhook as it is shown."""
+    return Webhook.made(record, **_fields(record))
+
+
+def webhook_with_secret(record: WebhookRecord, secret: str) -> WebhookWithSecret:
+    """Return a webhook that was just made, with its secret."""
+    return WebhookWithSecret.made(record, **_fields(record), secret=secret)
+
+
+def rotated(webhook_id: int, secret: str, until_ns: int) -> RotatedSecret:
+    """Return a new secret as it is shown once."""
+    links = {"webhook": f"/v1/webhooks/{webhook_id}"}
+    return RotatedSecret(secret=secret, former_signs_until=to_rfc3339(until_ns), links=links)
+
+
+def shown_delivery(record: Delivery) -> WebhookDelivery:
+    """Return a delivery as it is shown."""
+    return WebhookDelivery.made(
+        record,
+        event=AlertEventKind(record.event_kind),
+        links={"webhook": f"/v1/webhooks/{record.webhook_id}", "alert": f"/v1/alerts/{record.alert_id}"},
+    )
+
+
+def shown_trial(identity: str, outcome: Outcome) -> WebhookTrial:
+    """Return what came back of a trial as it is shown."""
+    return WebhookTrial(
+        event_id=identity,
+        delivered=outcome.failure is None,
+        status_code=outcome.status_code,
+        reason_code=outcome.failure,
+        reason=outcome.detail,
+        took_s=round(outcome.took_s, 3),
+    )
+
+
+def _fields(record: WebhookRecord) -> dict[str, Any]:
+    own = f"/v1/webhooks/{record.webhook_id}"
+    return {
+        "url": record.url,
+        "description": record.description,
+        "fleets": sorted(record.fleets),
+        "kinds": sorted(record.kinds),
+        "severities": [one for one in Severity if one.value in record.severities],
+        "links": {"self": own, "deliveries": f"{own}/deliveries"},
+    }
+
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"], dependencies=[Depends(requires(Scope.ADMIN))])
 WebhookId = Annotated[int, Path(ge=1, lt=cursors.INT64, description="Number of the webhook.", examples=[1])]
 OfState = Annotated[DeliveryState | None, Query(description="Only in this state.")]
 
 
-@router.get("", response_model=Page[webhooks.Webhook], responses=described(400))
+@router.get("", response_model=Page[Webhook], responses=described(400))
 def list_webhooks(asked: AskedListDep) -> Response:
     """List the webhooks by number: those whose fleets the caller sees, never their secrets."""
     after = asked.after_number({})
     with asked.read() as unit:
         rows = unit.webhooks.page(after, asked.limit + 1)
-    return asked.page({}, rows, lambda record: record.webhook_id, webhooks.webhook)
+    return asked.page({}, rows, lambda record: record.webhook_id, shown_webhook)
 
 
-@router.get("/{webhook_id}", response_model=webhooks.Webhook, responses=described(404))
+@router.get("/{webhook_id}", response_model=Webhook, responses=described(404))
 def get_webhook(asked: AskedDep, webhook_id: WebhookId) -> Response:
     """Return one webhook, without its secret; its ETag is what changes to it ask for."""
     with asked.read() as unit:
         found = unit.webhooks.get(webhook_id)
-    return asked.answer(webhooks.webhook(found))
+    return asked.answer(shown_webhook(found))
 
 
-@router.get("/{webhook_id}/deliveries", response_model=Page[webhooks.WebhookDelivery], responses=described(400, 404))
+@router.get("/{webhook_id}/deliveries", response_model=Page[WebhookDelivery], responses=described(400, 404))
 def list_webhook_deliveries(asked: AskedListDep, webhook_id: WebhookId, state: OfState = None) -> Response:
     """List what was sent to a webhook, newest first, with attempts, answers, and when what waits is sent again."""
     filters = {"webhook": webhook_id, "state": state}
@@ -54,18 +242,16 @@ def list_webhook_deliveries(asked: AskedListDep, webhook_id: WebhookId, state: O
     with asked.read() as unit:
         unit.webhooks.get(webhook_id)
         rows = unit.webhooks.deliveries(webhook_id, before, asked.limit + 1, state)
-    return asked.page(filters, rows, lambda record: record.delivery_id, webhooks.delivery)
+    return asked.page(filters, rows, lambda record: record.delivery_id, shown_delivery)
 
 
 @router.post(
     "",
     status_code=HTTPStatus.CREATED,
-    response_model=webhooks.WebhookWithSecret,
+    response_model=WebhookWithSecret,
     responses=described(404, 409, 413, 415),
 )
-async def create_webhook(
-    request: Request, services: ServicesDep, caller: CallerDep, body: webhooks.NewWebhook
-) -> Response:
+async def create_webhook(request: Request, services: ServicesDep, caller: CallerDep, body: NewWebhook) -> Response:
     """Make a webhook; its secret is in this answer alone. There is no `Idempotency-Key`: its answer would be stored.
 
     It begins with what happens from now on, and never carries an event of a fleet that this key does not see.
@@ -77,15 +263,15 @@ async def create_webhook(
     async with services.writers.slot():
         made, secret = await run_in_threadpool(_made, services, caller, body)
     headers = {"Location": f"/v1/webhooks/{made.webhook_id}", "Cache-Control": "no-store"}
-    return answer(request, webhooks.webhook_with_secret(made, secret), status=HTTPStatus.CREATED, headers=headers)
+    return answer(request, webhook_with_secret(made, secret), status=HTTPStatus.CREATED, headers=headers)
 
 
-@router.patch("/{webhook_id}", response_model=webhooks.Webhook, responses=described(404, 409, 412, 413, 415, 428))
+@router.patch("/{webhook_id}", response_model=Webhook, responses=described(404, 409, 412, 413, 415, 428))
 async def change_webhook(
     request: Request,
     services: ServicesDep,
     webhook_id: WebhookId,
-    body: webhooks.WebhookChange,
+    body: WebhookChange,
     if_match: IfMatch = None,
 ) -> Response:
     """Change a webhook; `If-Match` carries its ETag. What it was not sent yet is sent as it is now asked for.
@@ -99,19 +285,19 @@ async def change_webhook(
         await _require_target(request, body.url)
     async with services.writers.slot():
         changed = await run_in_threadpool(_changed, services, webhook_id, body, if_match)
-    return answer(request, webhooks.webhook(changed))
+    return answer(request, shown_webhook(changed))
 
 
-@router.delete("/{webhook_id}", response_model=webhooks.Webhook, responses=described(404))
+@router.delete("/{webhook_id}", response_model=Webhook, responses=described(404))
 def delete_webhook(request: Request, services: ServicesDep, webhook_id: WebhookId) -> Response:
     """Delete a webhook with its secrets and the records of its deliveries; return what it was."""
     with services.storage.write() as unit:
         found = unit.webhooks.get(webhook_id)
         unit.webhooks.delete(webhook_id)
-    return answer(request, webhooks.webhook(found))
+    return answer(request, shown_webhook(found))
 
 
-def _made(services: Services, caller: Caller, body: webhooks.NewWebhook) -> tuple[Webhook, str]:
+def _made(services: Services, caller: Caller, body: NewWebhook) -> tuple[WebhookRecord, str]:
     severities = frozenset(one.value for one in body.severities)
     wanted = Wanted(
         body.url, body.description, frozenset(body.fleets), frozenset(body.kinds), severities, caller.fleets
@@ -120,33 +306,27 @@ def _made(services: Services, caller: Caller, body: webhooks.NewWebhook) -> tupl
         return make_webhook(unit, wanted, caller.name or NOBODY_NAMED, services.clock.now_ns())
 
 
-def _changed(services: Services, webhook_id: int, body: webhooks.WebhookChange, if_match: str | None) -> Webhook:
+def _changed(services: Services, webhook_id: int, body: WebhookChange, if_match: str | None) -> WebhookRecord:
     with services.storage.write() as unit:
         known = unit.webhooks.locked(webhook_id)
-        require_match(if_match, webhooks.webhook(known))
+        require_match(if_match, shown_webhook(known))
         wanted = _as_asked(known, body, services.clock.now_ns())
         if (wanted.fleets, wanted.kinds, wanted.severities) != (known.fleets, known.kinds, known.severities):
             wanted = replace(wanted, position=handled_up_to(unit, known))
         return unit.webhooks.change(wanted)
 
 
-def _as_asked(known: Webhook, body: webhooks.WebhookChange, now_ns: int) -> Webhook:
+def _as_asked(known: WebhookRecord, body: WebhookChange, now_ns: int) -> WebhookRecord:
     """Return a webhook with what a change names; one that becomes active again is no longer disabled."""
-    wanted = known
-    if body.url is not None:
-        wanted = replace(wanted, url=body.url)
-    if body.description is not None:
-        wanted = replace(wanted, description=body.description)
-    if body.fleets is not None:
-        wanted = replace(wanted, fleets=frozenset(body.fleets))
-    if body.kinds is not None:
-        wanted = replace(wanted, kinds=frozenset(body.kinds))
-    if body.severities is not None:
-        wanted = replace(wanted, severities=frozenset(one.value for one in body.severities))
+    given = body.model_dump(mode="json", exclude_none=True, exclude={"state"})
+    changes: dict[str, Any] = {
+        name: frozenset(value) if isinstance(value, list) else value for name, value in given.items()
+    }
+    wanted = replace(known, **changes)
     return wanted if body.state is None else in_state(wanted, WebhookState(body.state), now_ns)
 
 
-def _read(services: Services, webhook_id: int) -> Webhook:
+def _read(services: Services, webhook_id: int) -> WebhookRecord:
     with services.storage.read() as unit:
         return unit.webhooks.get(webhook_id)
 
@@ -166,3 +346,60 @@ async def _require_target(request: Request, url: str) -> None:
     except RefusedTargetError as error:
         item = ProblemItem(part="body", pointer="#/url", detail=error.detail)
         raise ProblemError(422, "invalid-request", f"body #/url: {error.detail}", [item]) from None
+
+
+_WRITING = [Depends(writer_slot)]
+SECOND_NS = 1_000_000_000
+
+
+@router.post("/{webhook_id}/test", response_model=WebhookTrial, responses=described(404, 415))
+async def try_webhook(request: Request, services: ServicesDep, webhook_id: WebhookId) -> Response:
+    """Send one signed event that only tries the webhook out, of whatever state, once; return what came back.
+
+    What the receiver said besides its status is not shown.
+    """
+    sender: Sender = request.app.state.webhook_sender
+    places: asyncio.Semaphore = request.app.state.webhook_trials
+    if places.locked():
+        raise ProblemError(503, "overloaded", f"{TRIALS} webhooks are being tried out; try again", headers=TRY_AGAIN)
+    trial = await run_in_threadpool(trial_of, services.storage, webhook_id, services.clock.now_ns())
+    async with places:
+        with turn_of(request.scope).given_back():
+            outcome = await sender.send(trial.url, trial.headers, trial.body)
+    return answer(request, shown_trial(trial.identity, outcome))
+
+
+@router.post(
+    "/{webhook_id}/replay",
+    dependencies=_WRITING,
+    response_model=Webhook,
+    responses=described(400, 404, 409, 413, 415),
+)
+def replay_webhook(request: Request, services: ServicesDep, webhook_id: WebhookId, body: Replay) -> Response:
+    """Let a webhook go on from another place of the feed; what was sent already is sent again, under the same ids."""
+    if (body.after is None) == (body.from_time is None):
+        item = ProblemItem(part="body", pointer="#/after", detail="give either `after` or `from`")
+        raise ProblemError(422, "invalid-request", "body #/after: give either `after` or `from`", [item])
+    with services.storage.read() as unit:
+        known = unit.webhooks.get(webhook_id)
+        place = place_of(unit, known, body.after, body.from_time, request.scope["path"])
+    with services.storage.write() as unit:
+        moved = unit.webhooks.change(replace(unit.webhooks.locked(webhook_id), position=place))
+    return answer(request, shown_webhook(moved))
+
+
+@router.post(
+    "/{webhook_id}/secret",
+    dependencies=_WRITING,
+    response_model=RotatedSecret,
+    responses=described(404, 413, 415),
+)
+def rotate_webhook_secret(request: Request, services: ServicesDep, webhook_id: WebhookId, body: Rotation) -> Response:
+    """Let another secret sign; it is in this answer alone. Those before it sign beside it for a while."""
+    secret, now_ns = new_secret(), services.clock.now_ns()
+    until_ns = now_ns + body.overlap_s * SECOND_NS
+    with services.storage.write() as unit:
+        unit.webhooks.locked(webhook_id)
+        unit.webhooks.rotate(webhook_id, secret, now_ns, until_ns)
+    headers = {"Cache-Control": "no-store"}
+    return answer(request, rotated(webhook_id, secret, until_ns), status=HTTPStatus.OK, headers=headers)

@@ -2,25 +2,122 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from functools import lru_cache
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
+from pydantic import Field
 
 from api import cursors
 from api.answers import DEFAULT_LIMIT, Cursor, Limit, answer_payloads, operation, payload_of
 from api.asking import AskedDep
-from api.known import require_known
 from api.parameters import CODE, FleetFilter, Serial, VehicleFilter
 from api.problems import described
-from api.schemas import worklist
-from api.schemas.alerts import KnownKind
-from api.schemas.common import Page
+from api.schemas import registry
+from api.schemas.alerts import AlertKind, KnownKind
+from api.schemas.common import Page, Representation, Uncertain
+from api.schemas.derived import Derived
+from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.services import ServicesDep
-from estimation.values.alerts import Severity
+from api.times import Timestamp, to_rfc3339
+from api.visible_objects import require_known
+from estimation.values.alerts import AxlePosition, OpenAlert, Severity, Urgency, WorklistRow, WorklistState
 from estimation.values.quantities import Status
-from estimation.values.worklist import Urgency
+from estimation.values.reasons import ReasonCode
+from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistEntry, WorklistFilter, WorklistOrder, WorklistPlace
+
+WorklistSort = StrEnum(  # type: ignore[misc] # mypy wants the members written out; they are those of the order, twice
+    "WorklistSort",
+    {f"{name}{order.name}": f"{sign}{order}" for order in WorklistOrder for name, sign in (("", ""), ("DOWN_", "-"))},
+)
+
+
+class WorklistPosition(Derived, of=AxlePosition):
+    """Where a wheelset is under its vehicle; nulls where the vehicle has no bogies or its class is not on file."""
+
+
+class WorklistReason(Representation):
+    """Why a wheelset is as urgent as it is."""
+
+    code: ReasonCode
+    text: str = Field(description="In words.", examples=["due in 12,400 km (p10 8,000 km)"])
+
+
+class WorklistAlert(Derived, of=OpenAlert):
+    """An open alert, in short."""
+
+    kind: AlertKind
+
+
+_OWN = ("distance_to_limit_km", "date_of_limit_ns", "forecast_reason", "mileage", "reasons")
+
+
+class WheelsetState(
+    Derived,
+    of=WorklistState,
+    without=_OWN,
+    columns="status urgency urgency_rank reasons conicity_1 measured_until slope_1_per_1000_km limit_1"
+    " probability_over_limit_1 distance_to_limit_km since_trend_km date_of_limit mileage_km mileage_at last_data_at"
+    " alerts worst_severity",
+):
+    """How a wheelset is now: what is stored of it, kept current with every change."""
+
+    status: Status
+    conicity_1: Uncertain
+    last_data_at: Timestamp | None
+    urgency_rank: int = Field(description="1 is the most urgent class of `urgency`.", examples=[3])
+    reasons: list[WorklistReason] = Field(description="Why it is so urgent, the most important reason first.")
+    distance_to_limit_km: DistanceForecast = Field(
+        description="Still to run from `mileage_km`: the trend's own distance less `since_trend_km`."
+    )
+    date_of_limit: DateForecast
+    mileage_km: float | None = Field(description="Since new, by the last reading that is believed.")
+    mileage_at: Timestamp | None = Field(description="When it was read.")
+    worst_severity: Severity | None = Field(description="Of the open alerts; null where none is open.")
+
+
+class WheelsetRow(registry.Wheelset):
+    """A wheelset with where it runs and how it is."""
+
+    vehicle: str | None = Field(description="That it runs under now; null where it is not mounted.", examples=["V-101"])
+    vehicle_class: str | None = Field(description="Class of that vehicle.", examples=["coach"])
+    axle: int | None = Field(description="Number of its axle there, from 1.", examples=[1])
+    position: WorklistPosition | None
+    state: WheelsetState
+
+
+def wheelset_row(row: WorklistRow) -> WheelsetRow:
+    """Return the representation of a row of the worklist."""
+    mounting = row.wheelset.mounting
+    return WheelsetRow(
+        **dict(registry.wheelset(row.wheelset)),
+        vehicle=None if mounting is None else mounting.vehicle,
+        vehicle_class=row.vehicle_class,
+        axle=None if mounting is None else mounting.axle,
+        position=None if row.position is None else WorklistPosition.made(row.position),
+        state=_state(row.state),
+    )
+
+
+def row_of_document(document: str) -> WheelsetRow:
+    """Return the representation of a stored row."""
+    return wheelset_row(from_document(document))
+
+
+def _state(state: WorklistState) -> WheelsetState:
+    return WheelsetState.made(
+        state,
+        urgency_rank=state.urgency.rank,
+        reasons=[WorklistReason(code=reason.code, text=reason.text) for reason in state.reasons],
+        distance_to_limit_km=distance_forecast(state.distance_to_limit_km, state.forecast_reason),
+        date_of_limit=date_forecast(state.date_of_limit_ns, state.forecast_reason),
+        mileage_km=None if state.mileage is None else state.mileage.mileage_km,
+        mileage_at=None if state.mileage is None else to_rfc3339(state.mileage.at_ns),
+        worst_severity=state.alerts[0].severity if state.alerts else None,
+    )
+
 
 REMEMBERED = 8192
 """Rows whose JSON text is kept, by their content: it never gets out of date."""
@@ -32,7 +129,7 @@ OfUrgency = Annotated[Urgency | None, Query(description="Only of this urgency.")
 AlertKindFilter = Annotated[KnownKind | None, Query(description="Only with an open alert of this kind.")]
 SeverityFilter = Annotated[Severity | None, Query(description="Only where this is the worst severity of open alerts.")]
 Sort = Annotated[
-    worklist.WorklistSort,
+    WorklistSort,
     Query(
         description="What the list is ordered by, the smallest or most urgent first; `-` in front turns it round. What "
         "is not known comes last in both, ties are in the order of the serial."
@@ -40,7 +137,7 @@ Sort = Annotated[
 ]
 
 
-@router.get("", response_model=Page[worklist.WheelsetRow], responses=described(400, 404))
+@router.get("", response_model=Page[WheelsetRow], responses=described(400, 404))
 def list_wheelsets(
     request: Request,
     services: ServicesDep,
@@ -51,7 +148,7 @@ def list_wheelsets(
     urgency: OfUrgency = None,
     alert_kind: AlertKindFilter = None,
     alert_severity: SeverityFilter = None,
-    sort: Sort = worklist.WorklistSort("serial"),  # noqa: B008 - a constant
+    sort: Sort = WorklistSort("serial"),  # noqa: B008 - a constant
     cursor: Cursor = None,
     limit: Limit = DEFAULT_LIMIT,
 ) -> Response:
@@ -76,12 +173,12 @@ def list_wheelsets(
     return answer_payloads(request, filters, limit, rows, _key, _payload, _row)
 
 
-@router.get("/{serial}/state", response_model=worklist.WheelsetRow, responses=described(404))
+@router.get("/{serial}/state", response_model=WheelsetRow, responses=described(404))
 def get_wheelset_state(asked: AskedDep, serial: Serial) -> Response:
     """Return one wheelset as the list has it: where it runs, how it is, and how urgent that is."""
     with asked.read() as unit:
         found = unit.worklist.row(serial)
-    return asked.answer(worklist.row_of_document(found))
+    return asked.answer(row_of_document(found))
 
 
 def _key(entry: WorklistEntry) -> list[float | int | str | None]:
@@ -94,19 +191,15 @@ def _payload(entry: WorklistEntry) -> bytes:
 
 @lru_cache(REMEMBERED)
 def _payload_of_document(document: str) -> bytes:
-    return payload_of(worklist.row_of_document(document))
+    return payload_of(row_of_document(document))
 
 
-def _row(entry: WorklistEntry) -> worklist.WheelsetRow:
-    return worklist.row_of_document(entry.document)
+def _row(entry: WorklistEntry) -> WheelsetRow:
+    return row_of_document(entry.document)
 
 
 def _place(key: object) -> WorklistPlace | None:
-    """Return the place in a cursor; None at the beginning.
-
-    Raises:
-        ProblemError: 400: it is no place of this list.
-    """
+    """Return the place in a cursor; None at the beginning."""
     if key is None:
         return None
     match key:
@@ -115,3 +208,11 @@ def _place(key: object) -> WorklistPlace | None:
         ) and "\0" not in serial:
             return WorklistPlace(number, serial)
     raise cursors.refused("this is no cursor of this list")
+
+
+@router.get("/{serial}", response_model=registry.Wheelset, responses=described(404))
+def get_wheelset(asked: AskedDep, serial: Serial) -> Response:
+    """Return one wheelset, with links to its bin table, its trend and its alerts."""
+    with asked.read() as unit:
+        found = unit.registry.wheelset(serial)
+    return asked.answer(registry.wheelset(found))

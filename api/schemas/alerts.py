@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, WithJsonSchema
 
-from api.schemas.common import Links, Representation, Request
+from api.schemas.common import Body, Links, Representation
 from api.schemas.derived import Derived
 from api.schemas.evidence import AnyEvidence, evidence_of
 from api.schemas.registry import segment
@@ -97,14 +97,14 @@ By = Annotated[
 ]
 
 
-class Acknowledgement(Request):
+class Acknowledgement(Body):
     """Acknowledge the alert."""
 
     by: By = None
     note: str = Field(default="", max_length=2000, pattern=_WORDS, examples=["Inspection planned"])
 
 
-class Shelving(Request):
+class Shelving(Body):
     """Shelve the alert until then."""
 
     by: By = None
@@ -112,14 +112,14 @@ class Shelving(Request):
     reason: str = Field(min_length=1, max_length=2000, pattern=_WORDS, examples=["Reprofiling ordered"])
 
 
-class Unshelving(Request):
+class Unshelving(Body):
     """Bring the alert back before the end of its shelving."""
 
     by: By = None
     note: str = Field(default="", max_length=2000, pattern=_WORDS, examples=["The lathe is free today"])
 
 
-class ExternalReference(Request):
+class ExternalReference(Body):
     """The identity that a maintenance system gave to its work on the alert."""
 
     ref: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["maximo:WO-4711"])
@@ -191,10 +191,6 @@ class AlertRow(Alert):
 
 
 def alert_row(record: AlertValue, now_ns: int, place: tuple[str | None, int | None]) -> AlertRow:
-    """Return the representation of an alert in a list.
-
-    Args:
-        place: Vehicle and axle that its wheelset ran under when it was opened.
-    """
+    """Return the representation of an alert in a list."""
     vehicle, axle = place
     return AlertRow.made(record, **_own(record, now_ns), vehicle=vehicle, axle=axle)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Annotated, Generic, TypeVar
 
@@ -25,7 +26,7 @@ class Representation(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True)
 
 
-class Request(BaseModel):
+class Body(BaseModel):
     """A body that comes in; unknown fields are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
@@ -112,3 +113,11 @@ def uncertain(estimate: Estimate, scale: float = 1.0) -> Uncertain:
         reason=text_of(estimate.reason),
         reason_code=code_of(estimate.reason),
     )
+
+
+_FOLDERS = re.compile(r"(?<![\w:/.])/(?:[^\s/:'\"]+/)+")
+
+
+def without_folders(message: str) -> str:
+    """Return a message without the folders of the machine."""
+    return _FOLDERS.sub("", message)

@@ -25,7 +25,7 @@ from estimation.alerts.life_cycle import DELAYS, Delays
 from estimation.alerts.rules import low_adhesion
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.values.alerts import Alert, AlertScope
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 

@@ -10,10 +10,9 @@ from pydantic import Field
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
 from api.schemas.derived import Derived
 from api.schemas.registry import segment
-from api.schemas.unestimated import UnestimatedBecause, unestimated_because
+from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
-from estimation.values import window_reasons
 from estimation.values.geometry import (
     COMBINATIONS,
     LEFT_OUT,
@@ -25,8 +24,8 @@ from estimation.values.geometry import (
 )
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
-from estimation.values.window_reasons import WithoutEstimate
-from estimation.values.windows import WindowState
+from estimation.values.windows import WindowsOfReason as ReasonOfWindows
+from estimation.values.windows import WindowState, WithoutEstimate
 from fleet_db.stores.window_counts import WindowCounts
 
 MM = 1000.0
@@ -145,11 +144,7 @@ def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> 
 
 
 def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEstimate | None = None) -> Geometry:
-    """Return the representation of a wheelset of which nothing was ever estimated.
-
-    Args:
-        without: The same by its windows; None of a time that has passed.
-    """
+    """Return the representation of a wheelset of which nothing was ever estimated."""
     unknown, empty = Estimate.unknown(reason), BinValues(np.zeros(0), np.zeros(0), ())
     nothing = WheelsetGeometry(
         bin_edges=np.zeros(1),
@@ -288,12 +283,8 @@ def interval(record: GeometryRecord) -> Interval:
     )
 
 
-def data_quality(serial: str, found: WindowCounts, waiting: Sequence[window_reasons.WindowsOfReason]) -> DataQuality:
-    """Return the representation of the windows of a wheelset over time.
-
-    Args:
-        waiting: Those that wait, by what they wait for.
-    """
+def data_quality(serial: str, found: WindowCounts, waiting: Sequence[ReasonOfWindows]) -> DataQuality:
+    """Return the representation of the windows of a wheelset over time."""
     stretches: dict[int, dict[tuple[WindowState, ReasonCode | None], int]] = {}
     total: dict[tuple[WindowState, ReasonCode | None], int] = {}
     for one in found.counts:

@@ -11,7 +11,7 @@ from pydantic import Field
 from api.schemas.common import Links, Representation, Uncertain, finite, uncertain
 from api.schemas.derived import Derived
 from api.schemas.registry import segment
-from api.schemas.unestimated import UnestimatedBecause, unestimated_because
+from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import QUANTITY, conicity_at_limit_amplitude
 from estimation.trend.trend import refresh
@@ -20,7 +20,7 @@ from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.trend import TrendRecord, WearTrend
-from estimation.values.window_reasons import WithoutEstimate
+from estimation.values.windows import WithoutEstimate
 
 BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
 _NO_CURRENT = Estimate.unknown(
@@ -102,7 +102,6 @@ def distance_forecast(forecast: Forecast, unknown: Reason | None) -> DistanceFor
     """Return the quantiles of a distance.
 
     Args:
-        forecast: km.
         unknown: Why one is missing; None where it is beyond the horizon.
     """
     p10, p50, p90 = finite(forecast.p10), finite(forecast.p50), finite(forecast.p90)
@@ -116,12 +115,7 @@ def _moment(t_ns: float | None) -> str | None:
 
 
 def date_forecast(forecast: Forecast, unknown: Reason | None) -> DateForecast:
-    """Return the quantiles of a date.
-
-    Args:
-        forecast: ns UTC.
-        unknown: Why one is missing; None where it is beyond the horizon.
-    """
+    """Return the quantiles of a date."""
     p10, p50, p90 = _moment(forecast.p10), _moment(forecast.p50), _moment(forecast.p90)
     reason = (unknown or BEYOND) if None in (p10, p50, p90) else None
     return DateForecast(p10=p10, p50=p50, p90=p90, reason=text_of(reason), reason_code=code_of(reason))
@@ -131,7 +125,6 @@ def trend(record: TrendRecord, current: GeometryRecord | None, without: WithoutE
     """Return the representation of a trend.
 
     Args:
-        current: The current geometry of the wheelset; None where there is none.
         without: Why there is none, by its windows; None where there is one, and of a time that has passed.
     """
     recorded_ns = record.recorded_ns if current is None else max(record.recorded_ns, current.recorded_ns)
@@ -145,12 +138,7 @@ def trend(record: TrendRecord, current: GeometryRecord | None, without: WithoutE
 def no_trend(
     serial: str, baseline: int, reason: Reason, current: GeometryRecord | None, without: WithoutEstimate | None = None
 ) -> Trend:
-    """Return the representation of a wheelset that has no trend.
-
-    Args:
-        current: Its current geometry; None where there is none.
-        without: Why it has no geometry either, by its windows; None where it has one, and of a time that has passed.
-    """
+    """Return the representation of a wheelset that has no trend."""
     unknown = Estimate.unknown(reason)
     nothing = refresh((), math.nan, quantity=QUANTITY)
     found = replace(nothing, reason=reason, slope_per_1000_km=unknown, slope_per_year=unknown, fitted=unknown)

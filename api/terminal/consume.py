@@ -9,33 +9,32 @@ from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import partial
 
-from api import logs
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+
 from api.factory import (
     RECEIPT_PATIENCE_S,
     SystemClock,
     backlog_watch,
-    once_the_database_answers,
-    open_store,
     process_name,
     raw_store,
     receiver,
 )
+from api.measures import counter, gauge
 from api.settings import PREFIX, Settings, load_settings
-from api.terminal.consumer_health import serving_consumer_health
-from api.terminal.health_server import HealthAddress
+from api.terminal.health_server import Answer, HealthAddress, json_answer, served
+from api.terminal.store import begun, store_once_it_answers
 from api.topic import topic_of, with_named_setting
-from api.tracing import start_tracing
 from estimation.errors import ParameterError
-from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.storage import SqlStorage
 from ingest.live.backoff import Backoff
 from ingest.topic.client import Topic
 from ingest.topic.consuming import Consuming, Decoding
 from ingest.topic.reading import TopicReader
-from ingest.topic.status import ConsumerStatus
+from ingest.topic.reference import ConsumerStatus, Outcome
 from ingest.topic.taking import ReferenceTaking
 
 WATCH_EVERY_S = 0.2
+MEASURES = "treadwatch_consumer_"
 FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 30.0
 _log = logging.getLogger(__name__)
 
@@ -43,16 +42,13 @@ _log = logging.getLogger(__name__)
 def consume(health: HealthAddress | None) -> None:
     """Consume the topic."""
     settings = load_settings()
-    logs.configure(settings)
-    start_tracing()
     topic = topic_of(settings)
     if topic is None:
         raise ParameterError(
             "is needed: brokers as host:port, with commas between them", field=f"{PREFIX}KAFKA_SERVERS"
         )
-    stopping, status = threading.Event(), ConsumerStatus()
-    stop_on_signals(stopping)
-    opened = once_the_database_answers(partial(open_store, settings), settings, stopping)
+    stopping, status = begun(settings), ConsumerStatus()
+    opened = store_once_it_answers(settings, stopping)
     if opened is None:
         return
     reader = with_named_setting(lambda: TopicReader(topic, status))
@@ -60,7 +56,8 @@ def consume(health: HealthAddress | None) -> None:
     status.thread = threading.Thread(target=work.run, args=(reader,), name="consumer", daemon=True)
     with ExitStack() as stack:
         if health is not None:
-            port = stack.enter_context(serving_consumer_health(health, status))
+            answers = partial(_health, status), partial(_readiness, status)
+            port = stack.enter_context(served(health, *answers, [partial(_measures, status)]))
             _log.info("health and metrics at http://%s:%d", health.host, port)
         status.thread.start()
         while not stopping.wait(WATCH_EVERY_S) and status.alive:
@@ -119,3 +116,37 @@ class _Work:
         sender = f"topic {self._topic.name}"
         taking = ReferenceTaking(patient, raw, SystemClock(), backlog, sender)
         return Consuming(reader, taking, decoding, self._status, self._stopping.is_set)
+
+
+def _health(status: ConsumerStatus) -> Answer:
+    """Whether its thread runs."""
+    return json_answer(status.alive, {"thread": status.alive})
+
+
+def _readiness(status: ConsumerStatus) -> Answer:
+    """Whether references reach their receipts; one that waits because too much is not decoded yet is no fault."""
+    facts = {"faults": status.faults, "behind": status.behind, "partitions": status.partitions}
+    return json_answer(status.alive and not status.faults, facts)
+
+
+def _measures(status: ConsumerStatus) -> list[Metric]:
+    outcomes = {outcome.value: status.outcomes[outcome] for outcome in Outcome}
+    gauges = {
+        "partitions": ("Partitions that are this consumer's.", status.partitions),
+        "messages_waiting": ("Messages of these partitions that are not taken yet.", status.behind_by),
+        "last_message_timestamp_seconds": (
+            "When the last message was taken; 0 before the first.",
+            status.last_message_s or 0.0,
+        ),
+        "last_reference_age_seconds": ("How old the last reference was when it was taken.", status.last_age_s),
+    }
+    faults = {**status.faults, **({} if status.behind is None else {"backlog": status.behind})}
+    up = {what: 0.0 if what in faults else 1.0 for what in ("broker", "raw", "database", "backlog")}
+    failed = "Chunks that could not be decoded."
+    return [
+        counter(f"{MEASURES}messages", "Messages of the topic by what became of them.", "outcome", outcomes),
+        CounterMetricFamily(f"{MEASURES}chunks_decoded", "Chunks that were decoded.", value=status.decoded),
+        CounterMetricFamily(f"{MEASURES}chunks_not_decoded", failed, value=status.not_decoded),
+        *(GaugeMetricFamily(f"{MEASURES}{name}", text, value=value) for name, (text, value) in gauges.items()),
+        gauge(f"{MEASURES}up", "Whether it works.", "what", up),
+    ]

@@ -14,8 +14,7 @@ import numpy as np
 import orjson
 import typer
 
-from api.plots.contact import save_contact_figure
-from api.plots.contact_summary import AMPLITUDE_MM, ContactSummary, contact_summary
+from api.plots.contact import AMPLITUDE_MM, ContactSummary, contact_summary, save_contact_figure
 from estimation.contact.conicity import MeasuredShapes, conicity_std, equivalent_conicity, nonlinearity_parameter
 from estimation.contact.geometry import (
     ContactTable,

@@ -22,7 +22,7 @@ from api.demo.table import ServiceAddress, get, lines, tables, true_campaigns
 from api.demo.to_do import to_do
 from api.demo.track import track_lines
 from api.settings import Settings, load_settings
-from api.terminal.keys import make_stored_key
+from api.terminal.clients import make_stored_key
 from api.terminal.simulate import simulate_with_progress
 from estimation.errors import StorageError
 from estimation.jobs.stop_signals import stop_on_signals

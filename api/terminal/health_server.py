@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -14,7 +14,9 @@ from socket import socket
 from typing import Any
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
+from prometheus_client.core import Metric
 
+from api.measures import Measured
 from estimation.errors import ParameterError
 
 REQUEST_TIMEOUT_S = 5.0
@@ -32,34 +34,29 @@ class HealthAddress:
     port: int
 
 
-@dataclass(frozen=True, slots=True)
-class Health:
-    """What answers ``/healthz`` and ``/readyz``, and the measures of ``/metrics``."""
-
-    healthz: Callable[[], Answer]
-    readyz: Callable[[], Answer]
-    registry: CollectorRegistry
-
-
 @contextmanager
-def served(host: str, port: int, health: Health) -> Iterator[int]:
+def served(
+    address: HealthAddress,
+    healthz: Callable[[], Answer],
+    readyz: Callable[[], Answer],
+    measures: Sequence[Callable[[], Iterable[Metric]]],
+) -> Iterator[int]:
     """Serve ``/healthz``, ``/readyz`` and ``/metrics`` from threads of their own; yield the port.
-
-    Args:
-        host, port: Where; port 0 takes a free one.
 
     Raises:
         ParameterError: Nobody can listen there.
     """
+    registry = registry_of(*measures)
     answers: dict[str, Callable[[], Answer]] = {
-        "/healthz": health.healthz,
-        "/readyz": health.readyz,
-        "/metrics": lambda: (HTTPStatus.OK, CONTENT_TYPE_LATEST, generate_latest(health.registry)),
+        "/healthz": healthz,
+        "/readyz": readyz,
+        "/metrics": lambda: (HTTPStatus.OK, CONTENT_TYPE_LATEST, generate_latest(registry)),
     }
     try:
-        server = _Server((host, port), partial(_Handler, answers))
+        server = _Server((address.host, address.port), partial(_Handler, answers))
     except (OSError, OverflowError) as error:
-        raise ParameterError(f"nobody can listen on {host}:{port}: {error}", field="--health-port") from error
+        where = f"{address.host}:{address.port}"
+        raise ParameterError(f"nobody can listen on {where}: {error}", field="--health-port") from error
     thread = threading.Thread(target=server.serve_forever, name="health", daemon=True)
     thread.start()
     try:
@@ -70,14 +67,18 @@ def served(host: str, port: int, health: Health) -> Iterator[int]:
 
 
 def json_answer(well: bool, facts: Mapping[str, object]) -> Answer:  # noqa: FBT001 - the answer's first word
-    """Return an answer: whether all is well, in its status too, and the facts.
-
-    Args:
-        well: Else the status is 503.
-    """
+    """Return an answer: whether all is well, with status 503 where it is not, and the facts."""
     code = HTTPStatus.OK if well else HTTPStatus.SERVICE_UNAVAILABLE
     body = {"status": "ok" if well else "failing", **facts}
     return code, "application/json", json.dumps(body).encode()
+
+
+def registry_of(*measures: Callable[[], Iterable[Metric]]) -> CollectorRegistry:
+    """Return the registry of measures that are read when they are asked for."""
+    registry = CollectorRegistry()
+    for read in measures:
+        registry.register(Measured(read))
+    return registry
 
 
 class _Server(ThreadingHTTPServer):

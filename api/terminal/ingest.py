@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import typer
@@ -17,14 +17,15 @@ from api.factory import SystemClock, open_store
 from api.progress import bar
 from api.settings import load_settings
 from api.terminal.reasons import line_of
-from api.terminal.store import user_name
+from api.terminal.store import print_line, user_name
 from api.times import to_rfc3339
 from api.topic import publishing
 from api.tracing import start_tracing
 from api.window_reasons import WindowReasons
-from estimation.errors import InputError, TreadwatchError
+from estimation.errors import InputError, ParameterError, TreadwatchError
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS
 from ingest.logs import SUFFIXES
 from ingest.receiver import ChunkReceipt, Receiver
 from ingest.registry_entry.contents import Entry, LoadedRegistry
@@ -39,22 +40,16 @@ NOT_COUNTS = ("recorder_first_ns", "recorder_last_ns", "own_time")
 Outcome = tuple[Path, ChunkReceipt | Exception]
 
 
-@dataclass(frozen=True, slots=True)
-class Exchanges:
-    """Exchanges of runs, by their TOML files."""
-
-    descriptions: tuple[Path, ...]
-
-
 def ingest_and_report(
-    source: Sequence[Path] | Exchanges,
+    places: Sequence[Path],
+    exchanges: Sequence[Path],
     vehicle: str | None,
     registry: Path | None,
-    catalogues: Sequence[Path] = (),
+    catalogues: Sequence[Path],
     *,
-    take_deleted: bool = False,
+    take_deleted: bool,
 ) -> None:
-    """Receive recordings, and print a summary.
+    """Receive recordings and exchanges of runs, and print a summary.
 
     Raises:
         typer.Exit: Code 1: a recording was rejected.
@@ -71,36 +66,34 @@ def ingest_and_report(
             settings, storage, SystemClock(), catalogues, deleted_taken_by=taken_by, announce=announce
         )
         outcomes = _unfinished(receiver, console)
-        work_off(receiver, console)
-        if isinstance(source, Exchanges):
-            outcomes += [(path, _outcome(receiver.receive_exchange, path)) for path in source.descriptions]
-        else:
-            recordings, unnamed = recordings_of(source, vehicle)
-            _say_left_out(source, console)
+        _work_off(receiver, console)
+        for path in exchanges:
+            try:
+                outcomes.append((path, receiver.receive_exchange(path)))
+            except TreadwatchError as error:
+                outcomes.append((path, error))
+        if not exchanges:
+            recordings, unnamed = recordings_of(places, vehicle)
+            _say_left_out(places, console)
             outcomes += [*receive_with_progress(receiver, recordings, console), *unnamed]
         waiting = _waiting(storage, outcomes)
     print_outcomes(outcomes, console, waiting)
 
 
 def print_outcomes(outcomes: Sequence[Outcome], console: Console, waiting: Sequence[str] = ()) -> None:
-    """Print a summary, and what was not decoded or rejected.
-
-    Args:
-        outcomes: Recordings with their receipts, or why they have none.
-        console: Where what is not as it should be is printed.
-        waiting: What windows of the vehicles wait for, as lines.
+    """Print a summary, what windows wait for, and what was not decoded or rejected.
 
     Raises:
         typer.Exit: Code 1: a recording was rejected.
     """
     Console().print(summary(outcomes))
     for line in waiting:
-        console.print(f"windows: {line}", highlight=False, soft_wrap=True)
+        print_line(console, f"windows: {line}")
     for path, outcome in outcomes:
         if isinstance(outcome, ChunkReceipt) and outcome.record.reason:
-            console.print(f"stored, not decoded yet: {path}: {outcome.record.reason}", highlight=False, soft_wrap=True)
+            print_line(console, f"stored, not decoded yet: {path}: {outcome.record.reason}")
         elif isinstance(outcome, Exception):
-            console.print(f"rejected {path}: {outcome}", style="red", highlight=False, soft_wrap=True)
+            print_line(console, f"rejected {path}: {outcome}", "red")
     if any(isinstance(outcome, Exception) for _, outcome in outcomes):
         raise typer.Exit(1)
 
@@ -139,7 +132,7 @@ def _say_left_out(places: Iterable[Path], console: Console) -> None:
     left_out = Counter(path.suffix or "none" for path in inside if path.suffix.lower() not in SUFFIXES)
     if left_out:
         suffixes = ", ".join(f"{suffix}: {count}" for suffix, count in sorted(left_out.items()))
-        console.print(f"left out, not of {', '.join(SUFFIXES)}: {suffixes}", highlight=False, soft_wrap=True)
+        print_line(console, f"left out, not of {', '.join(SUFFIXES)}: {suffixes}")
 
 
 def vehicle_in_name(path: Path) -> str:
@@ -218,16 +211,12 @@ def registry_lines(loaded: LoadedRegistry) -> list[str]:
 
 
 def load_and_say(registry: Path, storage: SqlStorage, console: Console) -> None:
-    """Load a registry file, and print what people must know of it.
-
-    Raises:
-        InputError: The file cannot be used.
-    """
+    """Load a registry file, and print what people must know of it."""
     with storage.write() as unit:
         now_ns = SystemClock().now_ns()
         loaded = load_registry(registry, unit, now_ns, Entry(Decision(recorded_ns=now_ns), now_ns))
     for line in registry_lines(loaded):
-        console.print(line, highlight=False, soft_wrap=True)
+        print_line(console, line)
 
 
 def _unfinished(receiver: Receiver, console: Console) -> list[Outcome]:
@@ -237,19 +226,19 @@ def _unfinished(receiver: Receiver, console: Console) -> list[Outcome]:
         if isinstance(outcome, ChunkReceipt):
             outcomes.append((Path(outcome.record.digest), outcome))
         else:
-            console.print(f"stored earlier, not decoded: {outcome}", highlight=False, soft_wrap=True)
+            print_line(console, f"stored earlier, not decoded: {outcome}")
     return outcomes
 
 
-def work_off(receiver: Receiver, console: Console) -> None:
+def _work_off(receiver: Receiver, console: Console) -> None:
     """Assemble the windows again that something has made stale; print what changed."""
     try:
         changes = receiver.reassembler.work_off()
     except TreadwatchError as error:  # it stays stale; what comes now does not wait for it
-        console.print(f"not assembled again yet: {error}", highlight=False, soft_wrap=True)
+        print_line(console, f"not assembled again yet: {error}")
         return
     if changes.windows:
-        console.print(f"assembled again: {changes_line(changes)}", highlight=False, soft_wrap=True)
+        print_line(console, f"assembled again: {changes_line(changes)}")
 
 
 def changes_line(changes: SpanChanges) -> str:
@@ -258,8 +247,33 @@ def changes_line(changes: SpanChanges) -> str:
     return "windows " + ", ".join(f"{name} {count:,}" for name, count in counts.items())
 
 
-def _outcome(receive: Callable[..., ChunkReceipt], path: Path, *more: str) -> ChunkReceipt | Exception:
-    try:
-        return receive(path, *more)
-    except TreadwatchError as error:
-        return error
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def reassemble_and_report(vehicle: str, begin: datetime | None, end: datetime | None) -> None:
+    """Make the windows of a vehicle in ``[begin, end)`` again and print what changed; None is an open end."""
+    from_ns, to_ns = _nanoseconds(begin, "--from"), _nanoseconds(end, "--to")
+    if from_ns is not None and to_ns is not None and to_ns <= from_ns:
+        raise ParameterError("is not after --from", field="--to")
+    settings = load_settings()
+    console = Console(stderr=True)
+    with closing(open_store(settings)) as storage:
+        receiver = factory.receiver(settings, storage, SystemClock())
+        with storage.read() as unit:
+            waiting = [record for record in unit.chunks.of_known_vehicles() if record.vehicle == vehicle]
+        for outcome in receiver.decode(waiting):
+            if not isinstance(outcome, ChunkReceipt):
+                print_line(console, f"not decoded: {outcome}")
+        changes = receiver.reassembler.reassemble(vehicle, from_ns, to_ns)
+    print_line(Console(), f"vehicle {vehicle}: {changes_line(changes)}")
+
+
+def _nanoseconds(moment: datetime | None, field: str) -> int | None:
+    """Return a time as ns since 1970; one without a zone is UTC."""
+    if moment is None:
+        return None
+    since = (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)) - EPOCH
+    found = (since.days * 86_400_000_000 + since.seconds * 1_000_000 + since.microseconds) * 1000
+    if not EARLIEST_NS <= found <= LATEST_NS:
+        raise ParameterError(f"{moment.year} is outside the years that can be stored; leave it out", field=field)
+    return found

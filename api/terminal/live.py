@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import deque
-from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from prometheus_client.core import Metric
 from rich.console import Console
 
 from api import factory, logs
 from api.factory import SystemClock, open_store
-from api.measures import Measured
-from api.reference_measures import reference_measures
+from api.measures import counter, gauge, reference_measures
 from api.settings import Settings, load_settings
-from api.terminal.health_server import HealthAddress
+from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes
-from api.terminal.live_health import serving_health
 from api.topic import publisher
 from api.tracing import start_tracing
 from estimation.jobs.stop_signals import stop_on_signals
@@ -77,14 +77,14 @@ def receive_and_report(
         if references is not None:
             stack.callback(references.close)
         if health is not None:
-            more = [] if references is None else [Measured(lambda: reference_measures(references))]
-            port = stack.enter_context(serving_health(health.host, health.port, statuses, more))
+            more = [] if references is None else [lambda: reference_measures(references)]
+            port = stack.enter_context(serving_health(health, statuses, more))
             say(f"health and metrics at http://{health.host}:{port}")
         receive_buses(
             [
-                ReceivedBus(
-                    _live_settings(settings, bus),
-                    _source(bus),
+                _received_bus(
+                    settings,
+                    bus,
                     Stores(stores.connect, stores.check),
                     statuses[bus.vehicle],
                     Reports(say if len(buses) == 1 else _of_vehicle(say, bus.vehicle), received),
@@ -127,11 +127,6 @@ class _Stores:
             self._storage.close()
 
 
-def _source(bus: LiveBus) -> BusSource:
-    name = f"{bus.interface} {bus.channel} for {bus.vehicle}"
-    return BusSource(name, partial(open_bus, bus.interface, bus.channel))
-
-
 def _of_vehicle(say: Say, vehicle: str) -> Say:
     """Return what says which vehicle a sentence is about."""
 
@@ -141,8 +136,10 @@ def _of_vehicle(say: Say, vehicle: str) -> Say:
     return say_of_vehicle
 
 
-def _live_settings(settings: Settings, bus: LiveBus) -> LiveSettings:
-    return LiveSettings(
+def _received_bus(
+    settings: Settings, bus: LiveBus, stores: Stores, status: LiveStatus, reports: Reports
+) -> ReceivedBus:
+    live = LiveSettings(
         vehicle=bus.vehicle,
         spool_dir=settings.spool_dir,
         spool_bytes=settings.spool_mb * MEGABYTE,
@@ -150,6 +147,9 @@ def _live_settings(settings: Settings, bus: LiveBus) -> LiveSettings:
         piece_seconds=bus.chunk_seconds,
         shutdown_s=settings.shutdown_timeout_s,
     )
+    name = f"{bus.interface} {bus.channel} for {bus.vehicle}"
+    source = BusSource(name, partial(open_bus, bus.interface, bus.channel))
+    return ReceivedBus(live, source, stores, status, reports)
 
 
 def _say(settings: Settings, console: Console) -> Say:
@@ -168,3 +168,87 @@ def _say(settings: Settings, console: Console) -> Say:
             console.print(text, style="red" if bad else None, markup=False, highlight=False, soft_wrap=True)
 
     return say
+
+
+PREFIX = "treadwatch_live_"
+
+COUNTERS: Mapping[str, str] = {
+    "frames_received": "Frames taken off the bus.",
+    "frames_unreadable": "Frames left out because they are none of a classic CAN bus.",
+    "frames_spooled": "Frames that reached the disk.",
+    "frames_lost_by_bus": "Frames dropped before they came to this process, since its start.",
+    "frames_dropped": "Frames of this vehicle that were dropped, also before this start.",
+    "frames_rejected": "Frames of pieces that were rejected, so that no window is made of them.",
+    "pieces_stored": "Pieces that have their receipt.",
+    "pieces_rejected": "Pieces that were stored and rejected.",
+}
+GAUGES: Mapping[str, str] = {
+    "buffered_bytes": "Frames in memory that are not on the disk yet.",
+    "spool_bytes": "Frames on the disk without a receipt.",
+    "spool_limit_bytes": "How much the spool may hold.",
+    "pieces_waiting": "Pieces without a receipt.",
+    "rejected_in_a_row": "Pieces rejected since one was decoded.",
+    "pieces_aside": "Pieces that could not be stored whatever was tried.",
+}
+TIMES: Mapping[str, str] = {
+    "last_frame": "When the last frame came; 0 before the first.",
+    "last_receipt": "When the last receipt was committed; 0 before the first.",
+    "silent_since": "When the last frame came on a bus that is silent; 0 on one that speaks.",
+}
+
+
+@contextmanager
+def serving_health(
+    address: HealthAddress, statuses: Mapping[str, LiveStatus], more: Sequence[Callable[[], Iterable[Metric]]] = ()
+) -> Iterator[int]:
+    """Serve health and measures of receivers, by the vehicle, and ``more`` measures; yield the port.
+
+    Raises:
+        ParameterError: Nobody can listen there.
+    """
+    read = partial(live_measures, statuses)
+    with served(address, partial(_health, statuses), partial(_readiness, statuses), [read, *more]) as port:
+        yield port
+
+
+def _health(statuses: Mapping[str, LiveStatus]) -> Answer:
+    """Whether every thread runs."""
+    alive = all(status.alive for status in statuses.values())
+    threads = {
+        vehicle: {thread.name: thread.is_alive() for thread in status.threads} for vehicle, status in statuses.items()
+    }
+    return json_answer(alive, {"threads": threads})
+
+
+def _readiness(statuses: Mapping[str, LiveStatus]) -> Answer:
+    """Whether frames reach their receipts and can be used; a silent bus is no fault, a vehicle may be switched off."""
+    faults = {vehicle: status.faults for vehicle, status in statuses.items()}
+    alive = all(status.alive for status in statuses.values())
+    silent_s = {vehicle: _silent_s(status) for vehicle, status in statuses.items()}
+    bad = {vehicle: found for vehicle, found in faults.items() if found}
+    return json_answer(alive and not bad, {"faults": bad, "silent_for_s": silent_s})
+
+
+def _silent_s(status: LiveStatus) -> float | None:
+    since_s = status.silent_since_s
+    return None if since_s is None else round(max(0.0, time.time() - since_s), 1)
+
+
+def live_measures(statuses: Mapping[str, LiveStatus]) -> Iterator[Metric]:
+    """Yield the measures of receivers, by the vehicle."""
+
+    def of_all(name: str) -> dict[str, float]:
+        return {vehicle: getattr(status, name) or 0.0 for vehicle, status in statuses.items()}
+
+    for name, text in COUNTERS.items():
+        yield counter(f"{PREFIX}{name}", text, "vehicle", of_all(name))
+    for name, text in GAUGES.items():
+        yield gauge(f"{PREFIX}{name}", text, "vehicle", of_all(name))
+    for name, text in TIMES.items():
+        yield gauge(f"{PREFIX}{name}_timestamp_seconds", text, "vehicle", of_all(f"{name}_s"))
+    up = {
+        (vehicle, what): 0.0 if what in status.faults else 1.0
+        for vehicle, status in statuses.items()
+        for what in ("bus", "spool", "raw", "database", "recordings")
+    }
+    yield gauge(f"{PREFIX}up", "Whether it works.", "vehicle what", up)

@@ -11,16 +11,16 @@ from rich.console import Console
 from rich.table import Table
 
 from api.factory import open_store
-from api.schemas.worklist import WheelsetRow, row_of_document
+from api.routes.worklist import WheelsetRow, row_of_document
 from api.settings import Settings
 from api.times import from_rfc3339, to_rfc3339
 from api.window_reasons import SHOWN, WindowReasons, same_reason
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.window_reasons import WindowsOfReason, WithoutEstimate
+from estimation.values.windows import WindowsOfReason, WithoutEstimate
 from estimation.worklist.row import WITHOUT_GEOMETRY
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.window_reasons import COUNTED
+from fleet_db.stores.window_counts import COUNTED
 from fleet_db.stores.worklist import WorklistFilter
 
 READ = 200_000

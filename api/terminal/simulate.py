@@ -13,8 +13,7 @@ from estimation.errors import ParameterError
 from estimation.jobs.stop_signals import stop_on_signals
 from ingest.bus import open_bus
 from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.fleet import FleetReport, Recording, prepare, run_fleet
-from ingest.simulator.live import transmit
+from ingest.simulator.fleet import FleetReport, Recording, prepare, run_fleet, transmit
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import builtin_scenarios, load_scenario
 

@@ -1,17 +1,38 @@
-"""What commands share: a transaction of the database of this deployment, who uses it, and lists in columns."""
+"""What commands share: the database of this deployment, who uses it, how a process begins, and lines of text."""
 
 from __future__ import annotations
 
 import getpass
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from functools import partial
 
-from api.factory import open_store
-from api.settings import load_settings
-from fleet_db.storage import SqlUnitOfWork
+from rich.console import Console
+
+from api import logs
+from api.factory import once_the_database_answers, open_store
+from api.settings import Settings, load_settings
+from api.tracing import start_tracing
+from estimation.jobs.stop_signals import stop_on_signals
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 NAMELESS = "command line"
 """Who is recorded where the user of the system has no name, as in a container."""
+
+
+def begun(settings: Settings) -> threading.Event:
+    """Begin a process that runs until it is asked to stop: logs, tracing, signals; return what is set then."""
+    logs.configure(settings)
+    start_tracing()
+    stopping = threading.Event()
+    stop_on_signals(stopping)
+    return stopping
+
+
+def store_once_it_answers(settings: Settings, stopping: threading.Event) -> SqlStorage | None:
+    """Return the opened database as soon as it answers; None when a stop is asked for before."""
+    return once_the_database_answers(partial(open_store, settings), settings, stopping)
 
 
 @contextmanager
@@ -40,6 +61,11 @@ def user_here() -> str:
     """Return who is recorded with what the command line does."""
     name = user_name()
     return f"the {NAMELESS}" if name == NAMELESS else f"{name} at the command line"
+
+
+def print_line(console: Console, text: str, style: str | None = None) -> None:
+    """Print a line as it is, however long."""
+    console.print(text, style=style, highlight=False, soft_wrap=True)
 
 
 def columns(rows: Sequence[Sequence[str]]) -> str:

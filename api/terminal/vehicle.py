@@ -6,8 +6,14 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from estimation.vehicle.linear_model import HIGHEST_SPEED, critical_speed, linear_model, modes
-from estimation.vehicle.linear_wheelset import LinearContact, klingel_wavelength
+from estimation.vehicle.linear_model import (
+    HIGHEST_SPEED,
+    LinearContact,
+    critical_speed,
+    klingel_wavelength,
+    linear_model,
+    modes,
+)
 from estimation.vehicle.observability import CAUSES, Running, conicity_shifts, observability
 from estimation.vehicle.vehicle_class import VehicleClass
 from ingest.vehicle_class_file import read_vehicle_class, shipped_class, shipped_classes

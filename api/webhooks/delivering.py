@@ -1,27 +1,90 @@
 """Hands the events of the feed to the webhooks: of each in order, all at once, from where each stands.
 
 A position is moved only when a receiver's 2xx is stored with it, so that nothing is lost when the process dies; what
-was sent and not stored is sent again, under the same id.
+was sent and not stored is sent again, under the same id. One thread delivers, in whichever process of a deployment
+holds the lock; the others wait for it.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import random
+import socket
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC
+from email.utils import parsedate_to_datetime
 
-from api.webhooks.cloud_events import cloud_event, event_id
-from api.webhooks.schedule import Schedule, asked_delay_s
+from api.services import Services
+from api.webhooks.cloud_events import cloud_event, event_id, signed_headers
 from api.webhooks.sending import Outcome, Sender
-from api.webhooks.signing import signed_headers
 from estimation.errors import NotFoundError, TreadwatchError
 from estimation.storage import Clock
 from estimation.values.alerts import AlertEvent
+from fleet_db.session import BUSY_TIMEOUT_MS
+from fleet_db.sole_sender import sending_alone
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.feed_branches import FeedBranch
+from fleet_db.stores.installation import FeedBranch
 from fleet_db.webhook_records import Delivery, DeliveryState, DisabledReason, Failure, Webhook, WebhookState
+
+SECOND_NS = 1_000_000_000
+LONGEST_DIGITS = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """Delays that grow from attempt to attempt; an event is given up when it was tried for long and often enough.
+
+    Attributes:
+        first_s, factor, longest_s: First delay, what each is times the one before, and the longest, s.
+        jitter_1: Share by which a delay is made shorter or longer at random: receivers that failed together are not
+            asked together.
+        span_s, least_attempts: An event is given up after an attempt that fails so long after the first, s, and only
+            after so many: a service that was off for days does not give up what it has hardly tried.
+        longest_asked_s: What a receiver may ask for by ``Retry-After``, s.
+    """
+
+    first_s: float = 5.0
+    factor: float = 3.0
+    longest_s: float = 28_800.0
+    jitter_1: float = 0.2
+    span_s: float = 259_200.0
+    least_attempts: int = 10
+    longest_asked_s: float = 43_200.0
+
+    def next_ns(
+        self, first_ns: int, attempts: int, now_ns: int, chance_1: float, asked_s: float | None = None
+    ) -> int | None:
+        """Return when an event is sent again; None where it is given up.
+
+        Args:
+            chance_1: Of a fair draw from 0 to 1, for the jitter.
+        """
+        end_ns = first_ns + round(self.span_s * SECOND_NS)
+        if now_ns >= end_ns and attempts >= self.least_attempts:
+            return None
+        delay_s = min(self.first_s * self.factor ** min(attempts - 1, 64), self.longest_s)
+        delay_s *= 1.0 + self.jitter_1 * (2.0 * chance_1 - 1.0)
+        if asked_s is not None:
+            delay_s = max(delay_s, min(asked_s, self.longest_asked_s))
+        after_ns = now_ns + round(delay_s * SECOND_NS)
+        return min(after_ns, end_ns) if now_ns < end_ns else after_ns
+
+
+def asked_delay_s(retry_after: str | None, now_ns: int) -> float | None:
+    """Return how long a receiver asks to wait, in seconds; None where it says nothing that can be understood."""
+    text = (retry_after or "").strip()
+    if text.isascii() and text.isdecimal():
+        return float(text[:LONGEST_DIGITS]) if len(text) <= LONGEST_DIGITS else float(10**LONGEST_DIGITS)
+    try:
+        moment = parsedate_to_datetime(text)
+        asked_ns = moment.replace(tzinfo=moment.tzinfo or UTC).timestamp() * SECOND_NS
+    except (ValueError, TypeError, OverflowError):
+        return None
+    return max(0.0, (asked_ns - now_ns) / SECOND_NS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +96,7 @@ class Verdict:
 
 
 def begun(webhook: Webhook, event: AlertEvent, identity: str, now_ns: int) -> Delivery:
-    """Return the delivery of an event that is about to be sent for the first time.
-
-    Args:
-        now_ns: Our time, ns UTC.
-    """
+    """Return the delivery of an event that is about to be sent for the first time."""
     return Delivery(
         delivery_id=0,
         webhook_id=webhook.webhook_id,
@@ -58,12 +117,7 @@ def begun(webhook: Webhook, event: AlertEvent, identity: str, now_ns: int) -> De
 
 
 def after_attempt(delivery: Delivery, outcome: Outcome, schedule: Schedule, now_ns: int, chance_1: float) -> Verdict:
-    """Return what follows from an attempt.
-
-    Args:
-        now_ns: Our time, ns UTC.
-        chance_1: Of a fair draw from 0 to 1, for the jitter.
-    """
+    """Return what follows from an attempt."""
     tried = replace(
         delivery,
         attempts=delivery.attempts + 1,
@@ -106,12 +160,7 @@ class _Next:
 
 @dataclass(slots=True)
 class Deliveries:
-    """Sends what is due; one in all processes, see :func:`fleet_db.sole_sender.sending_alone`.
-
-    Args:
-        storage: Of all fleets.
-        chance: Returns a fair draw from 0 to 1, for the jitter.
-    """
+    """Sends what is due; one in all processes, see :func:`fleet_db.sole_sender.sending_alone`."""
 
     storage: SqlStorage
     sender: Sender
@@ -124,11 +173,7 @@ class Deliveries:
     _ending: bool = False
 
     async def look(self) -> None:
-        """Begin to send to every webhook for which something may be due, and to which nothing is being sent.
-
-        Raises:
-            StorageError: The database cannot be read.
-        """
+        """Begin to send to every webhook for which something may be due, and to which nothing is being sent."""
         for webhook_id in await asyncio.to_thread(self._due):
             if webhook_id not in self._under_way and not self._ending:
                 self._under_way[webhook_id] = asyncio.create_task(self._deliver(webhook_id))
@@ -139,11 +184,7 @@ class Deliveries:
             await asyncio.gather(*self._under_way.values())
 
     async def end(self, patience_s: float) -> None:
-        """Begin nothing more, wait for what is being sent, and give up what takes longer.
-
-        Args:
-            patience_s: How long, s.
-        """
+        """Begin nothing more, wait for what is being sent, and give up what takes longer."""
         self._ending = True
         if self._under_way:
             _, late = await asyncio.wait(self._under_way.values(), timeout=patience_s)
@@ -222,7 +263,7 @@ class Deliveries:
             body = cloud_event(found.branches, identity, found.event)
             headers = signed_headers(found.secrets, identity, self.clock.now_ns(), body)
             return await self.sender.send(found.webhook.url, headers, body)
-        except Exception:  # noqa: BLE001 - whatever it is, the attempt has failed, and is tried again
+        except Exception:  # noqa: BLE001 - one webhook must not end the others
             _log.exception("webhook %d: an event could not be sent", found.webhook.webhook_id)
             return Outcome(None, Failure.NOT_SENT, "the service could not send it; the log says why", None, 0.0)
 
@@ -250,3 +291,63 @@ def _report(webhook: Webhook, delivery: Delivery, disabled: DisabledReason | Non
         _log.error(text, *values)
     elif delivery.failure is not None and delivery.attempts == 1:
         _log.warning("webhook %d: event %d was not taken: %s", webhook.webhook_id, delivery.sequence, delivery.detail)
+
+
+INTERVAL_S = 1.0
+"""Between two looks at what is due."""
+TAKE_OVER_S = 5.0
+"""Between two looks at whether the process that delivers has ended."""
+PATIENCE_S = 3.0
+"""How long what is being sent may take when the service ends."""
+
+
+class WebhookWorker:
+    """Delivers from :meth:`start` to :meth:`stop`, while no other process does."""
+
+    def __init__(self, services: Callable[[], Services | None], sender: Sender) -> None:
+        self._services = services
+        self._sender = sender
+        self._holder = f"{socket.gethostname()}, process {os.getpid()}, webhooks"
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin, in a thread."""
+        self._thread = threading.Thread(target=self._run, name="webhooks", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End, once what is being sent has been stored or has taken too long."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join(2 * PATIENCE_S)  # a database that is silent must not hold the end up
+        self._sender.close()
+
+    def _run(self) -> None:
+        wait_s, waits = 0.0, False
+        while not self._stopping.wait(wait_s):
+            services = self._services()
+            wait_s = INTERVAL_S if services is None else TAKE_OVER_S
+            if services is None:
+                continue
+            try:
+                with sending_alone(services.storage.engine, self._holder) as still_alone:
+                    waits = False
+                    if still_alone is not None:
+                        asyncio.run(self._deliver(services, still_alone))
+            except TreadwatchError as error:
+                _log.log(logging.DEBUG if waits else logging.WARNING, "webhooks wait for the database: %s", error)
+                waits = True
+            except Exception:  # noqa: BLE001 - the thread must outlive what went wrong once
+                _log.exception("webhooks are not delivered to for %g s", TAKE_OVER_S)
+
+    async def _deliver(self, services: Services, still_alone: Callable[[], bool]) -> None:
+        """Deliver until the service ends, or another process may have taken over."""
+        patient = replace(services.storage, patience_s=BUSY_TIMEOUT_MS / 1000)  # requests do not wait for it
+        deliveries = Deliveries(patient, self._sender, services.clock)
+        try:
+            while not self._stopping.is_set() and await asyncio.to_thread(still_alone):
+                await deliveries.look()
+                await asyncio.to_thread(self._stopping.wait, INTERVAL_S)
+        finally:
+            await deliveries.end(PATIENCE_S)

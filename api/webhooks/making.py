@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
-from api.feed import cursors as feed_cursors
-from api.feed.filters import FeedFilter
-from api.feed.pages import LATEST
-from api.known import require_known
+from api.feed import pages as feed_cursors
+from api.feed.pages import LATEST, FeedFilter
 from api.problems import ProblemError
-from api.webhooks.signing import new_secret
+from api.visible_objects import require_known
+from api.webhooks.cloud_events import new_secret
 from estimation.errors import ConflictError
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.webhook_records import Webhook, WebhookState
@@ -35,16 +34,7 @@ class Wanted:
 
 
 def make_webhook(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> tuple[Webhook, str]:
-    """Make a webhook that begins with what happens from now on; return it with its secret.
-
-    Args:
-        wanted: What it is to be; its URL has been looked up.
-        now_ns: Our time, ns UTC.
-
-    Raises:
-        ConflictError: There are too many.
-        NotFoundError: There is no such fleet.
-    """
+    """Make a webhook that begins with what happens from now on; return it with its secret. Too many are refused."""
     if len(unit.webhooks.page(None, MOST_WEBHOOKS)) == MOST_WEBHOOKS:
         raise ConflictError(f"there are {MOST_WEBHOOKS} webhooks, which is the most", kind="webhook")
     for fleet in sorted(wanted.fleets):
@@ -52,12 +42,7 @@ def make_webhook(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> t
     secret = new_secret()
     made = Webhook(
         webhook_id=0,
-        url=wanted.url,
-        description=wanted.description,
-        fleets=wanted.fleets,
-        kinds=wanted.kinds,
-        severities=wanted.severities,
-        bound=wanted.bound,
+        **asdict(wanted),
         state=WebhookState.ACTIVE,
         disabled_reason=None,
         since_ns=now_ns,
@@ -69,12 +54,7 @@ def make_webhook(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> t
 
 
 def in_state(webhook: Webhook, state: WebhookState, now_ns: int) -> Webhook:
-    """Return a webhook as a person puts it: one that is active again is no longer disabled.
-
-    Args:
-        state: Active or paused.
-        now_ns: Our time, ns UTC.
-    """
+    """Return a webhook as a person puts it: one that is active again is no longer disabled."""
     if state is webhook.state:
         return webhook
     return replace(webhook, state=state, disabled_reason=None, since_ns=now_ns)
@@ -87,9 +67,6 @@ def place_of(unit: SqlUnitOfWork, webhook: Webhook, after: str | None, from_ns: 
         after: A cursor of the feed of the webhook's filter or of all that it may carry, the id of an event, or
             ``latest``.
         from_ns: From the first event on that was recorded at or after this time, ns UTC; wins over ``after``.
-
-    Raises:
-        ProblemError: 400: it is no such cursor; 409: it is of another history of the database.
     """
     if from_ns is not None:
         return unit.webhooks.last_before(from_ns)
@@ -98,10 +75,10 @@ def place_of(unit: SqlUnitOfWork, webhook: Webhook, after: str | None, from_ns: 
     whole = FeedFilter(visible=webhook.bound)
     own = replace(whole, fleets=webhook.fleets, kinds=webhook.kinds, severities=webhook.severities)
     try:
-        narrowed, given = whole, feed_cursors.decode(whole, after)
+        narrowed, given = whole, feed_cursors.cursor_of(whole, after)
     except ProblemError:
-        narrowed, given = own, feed_cursors.decode(own, after)
-    last = feed_cursors.position(unit, narrowed, path, given)
+        narrowed, given = own, feed_cursors.cursor_of(own, after)
+    last = feed_cursors.event_of(unit, narrowed, path, given)
     return 0 if last is None else last.sequence
 
 
@@ -109,10 +86,6 @@ def handled_up_to(unit: SqlUnitOfWork, webhook: Webhook) -> int:
     """Return the number of the event up to which nothing waits for a webhook under the filter that it has.
 
     Another filter must not bring what this one has left out.
-
-    Args:
-        unit: A transaction that sees all fleets.
-        webhook: As it is before its filter is changed.
     """
     fleets = webhook.fleets or webhook.bound or frozenset()
     waits = unit.alerts.feed(webhook.position, 1, fleets=fleets, kinds=webhook.kinds, severities=webhook.severities)

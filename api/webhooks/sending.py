@@ -36,9 +36,7 @@ class Outcome:
     """What came back.
 
     Args:
-        status_code: Of the answer; None without one.
         failure, detail: Why the event was not taken, as code and sentence; None where it was.
-        took_s: How long it took, s.
     """
 
     status_code: int | None
@@ -50,11 +48,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Sender:
-    """Sends to receivers.
-
-    Args:
-        timeout_s: For all of an attempt, s.
-    """
+    """Sends to receivers."""
 
     targets: Targets
     timeout_s: float = 15.0
@@ -64,11 +58,7 @@ class Sender:
         return httpx.create_ssl_context()  # of the package, or those of SSL_CERT_FILE or SSL_CERT_DIR
 
     async def send(self, url: str, headers: Mapping[str, str], body: bytes) -> Outcome:
-        """Return what came back of one attempt; it never raises for what a receiver does.
-
-        Args:
-            headers: That sign the body, and its media type.
-        """
+        """Return what came back of one attempt; it never raises for what a receiver does."""
         began_s = time.monotonic()
         status: int | None = None
         retry_after: str | None = None
@@ -92,11 +82,7 @@ class Sender:
         return Outcome(status, failure, detail, retry_after, time.monotonic() - began_s)
 
     async def look_up(self, url: str) -> Target:
-        """Return where a URL leads now, for who wants to know it before anything is sent.
-
-        Raises:
-            ParameterError, RefusedTargetError: As :meth:`api.webhooks.targets.Targets.look_up`.
-        """
+        """Return where a URL leads now, for who wants to know it before anything is sent."""
         try:
             async with asyncio.timeout(LOOK_UP_S):
                 return await self.targets.look_up(url)
@@ -144,11 +130,7 @@ class Sender:
 
 
 def sender_of(settings: Settings) -> Sender:
-    """Return what sends to the webhooks of a deployment.
-
-    Raises:
-        ParameterError: A network that they may lead to is none; names the environment variable.
-    """
+    """Return what sends to the webhooks of a deployment."""
     return Sender(Targets(networks_of(settings.webhook_networks)), settings.webhook_timeout_s)
 
 

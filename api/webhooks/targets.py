@@ -61,11 +61,7 @@ class Target:
 
 
 def parsed(text: str) -> httpx.URL:
-    """Return a URL to which a webhook may lead, as far as that can be read from it.
-
-    Raises:
-        ParameterError: It is none: names the field ``url``.
-    """
+    """Return a URL to which a webhook may lead, as far as that can be read from it."""
     try:
         url = httpx.URL(text)
     except (httpx.InvalidURL, ValueError):
@@ -88,11 +84,7 @@ def parsed(text: str) -> httpx.URL:
 
 
 def check(url: httpx.URL, addresses: Sequence[Address], networks: Sequence[Network]) -> None:
-    """Refuse a URL one of whose addresses is not public and of no network that is allowed.
-
-    Raises:
-        RefusedTargetError: It leads where nothing may be sent.
-    """
+    """Refuse a URL one of whose addresses is not public and of no network that is allowed."""
     if not addresses:
         raise RefusedTargetError(Failure.UNKNOWN_HOST, "the host has no address")
     allowed = [any(_plain(one) in network for network in networks) for one in addresses]
@@ -112,14 +104,7 @@ def is_public(address: Address) -> bool:
 
 
 def networks_of(setting: str | None) -> tuple[Network, ...]:
-    """Return the private networks that a deployment allows.
-
-    Args:
-        setting: CIDRs with commas between them; None for none.
-
-    Raises:
-        ParameterError: One is no network; names the environment variable.
-    """
+    """Return the private networks that a deployment allows."""
     parts = [part for one in (setting or "").split(",") if (part := one.strip())]
     try:
         return tuple(ipaddress.ip_network(part) for part in parts)
@@ -135,12 +120,7 @@ class Targets:
     _threads: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(LOOK_UPS, "webhook-names"))
 
     async def look_up(self, text: str) -> Target:
-        """Return where a URL leads now.
-
-        Raises:
-            ParameterError: It is none to which a webhook may lead.
-            RefusedTargetError: Its host has no address, or one where nothing may be sent.
-        """
+        """Return where a URL leads now; refused (ParameterError, RefusedTargetError) where nothing may be sent."""
         url = parsed(text)
         port = _port(url)
         loop = asyncio.get_running_loop()

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sqlalchemy import Insert, func, insert, literal, select
 
-from estimation.alerts.rules.evidence import estimate_evidence, unknown_evidence
+from estimation.alerts.rules.rule import estimate_evidence, unknown_evidence
 from estimation.trend.trend import TrendPoint, refresh
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
 from estimation.values.geometry import GEOMETRY, BinStatus, BinValues, GeometryRecord, WheelsetGeometry

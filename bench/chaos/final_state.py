@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 
 from sqlalchemy import text
 
-from estimation.alerts.rules.hunting import HuntingRule
-from estimation.alerts.rules.sensor_fault import SensorFaultRule
+from estimation.alerts.rules.running_gear import HuntingRule
+from estimation.alerts.rules.sensor_data import SensorFaultRule
 from estimation.values.alerts import Alert
 from fleet_db.packed_values import pack_geometry, pack_value
 from fleet_db.storage import SqlStorage, SqlUnitOfWork

@@ -21,7 +21,7 @@ from api.factory import SystemClock, open_store, raw_store, receiver
 from api.settings import Settings
 from estimation.values.runs import JobOutcome
 from fleet_db.keeping.deep_check import check_deep
-from fleet_db.keeping.orphans import orphaned_recordings
+from fleet_db.keeping.kept_files import orphaned_recordings
 from fleet_db.migrate import upgrade
 from fleet_db.packed_values import pack_geometry
 from fleet_db.storage import SqlStorage

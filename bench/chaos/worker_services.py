@@ -23,7 +23,7 @@ from bench.dask_cluster import DaskCluster, dask_cluster
 from bench.service_environment import environment_of
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import WorkClaimRow, WorkLeaseRow
+from fleet_db.tables.operation import WorkClaimRow, WorkLeaseRow
 
 PROCESSES, DASK_WORKERS = 4, 2
 LEASE_S = 2.0

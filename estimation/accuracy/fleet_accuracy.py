@@ -16,11 +16,11 @@ from estimation.accuracy.wheel_contact import AMPLITUDES, WheelContact
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, conicity_at_limit_amplitude
 from estimation.values.arrays import FloatArray
+from estimation.values.fields import Served
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
-from estimation.values.served import Served
 from estimation.values.trend import IdentityChange
 
 

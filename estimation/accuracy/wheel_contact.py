@@ -20,9 +20,9 @@ from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.fields import IN_MM, Served
 from estimation.values.quantities import NORMAL_95, Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.served import MM, Served
 
 AMPLITUDES: FloatArray = np.arange(1, 9, dtype=np.float64) * 1e-3  # m
 REACH = 12e-3  # m: an amplitude of 8 mm about a centre that is 4 mm off
@@ -35,7 +35,7 @@ class RailShare:
 
     rail: Annotated[str, Served(name="rail_profile", example="60E1")]  # name of the profile
     inclination: Annotated[float, Served(name="rail_inclination_1", example=0.025)]  # tangent
-    gauge: Annotated[float, Served(name="nominal_gauge_mm", scale=MM, example=1435.0)]  # m, nominal
+    gauge: Annotated[float, Served(name="nominal_gauge_mm", scale=IN_MM, example=1435.0)]  # m, nominal
     share: Annotated[float, Served("Share of the running on them.", "share_1", example=1.0)]
 
 

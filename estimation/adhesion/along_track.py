@@ -22,15 +22,13 @@ their friction, are there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from estimation.adhesion.parameters import FrictionParameters
 from estimation.adhesion.pass_sums import PassSums
-from estimation.values.adhesion import INVERSE
-from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.opinions import INVERSE
 
 POINTS = 160
 GRID = frozen_array(np.geomspace(1.0, INVERSE[-1], POINTS), (POINTS,), name="GRID")
@@ -40,26 +38,10 @@ WRONG_SHARE, WRONG_BY = 0.05, 3.0  # of places, whose error is so many times tha
 LEAST_LIKELIHOOD = 1e-12  # of the largest: no place makes another one impossible
 
 
-@dataclass(frozen=True, slots=True)
-class Along(FrozenArrays):
-    """1/mu of c places."""
-
-    mean: Annotated[FloatArray, "n"]
-    std: Annotated[FloatArray, "n"]
-
-
-@dataclass(frozen=True, slots=True)
-class AlongParameters:
-    """What is known of 1/mu beforehand."""
-
-    usual: float  # mean
-    usual_std: float
-    change_std: float  # of the logarithm of 1/mu from a place to the next
-    fresh: float  # share of places that have nothing in common with the one before
-
-
-def along_track(cells: IntArray, misfits: FloatArray, place_std: FloatArray, parameters: AlongParameters) -> Along:
-    """Return 1/mu of the places, each from all of them.
+def along_track(
+    cells: IntArray, misfits: FloatArray, place_std: FloatArray, parameters: FrictionParameters
+) -> tuple[FloatArray, FloatArray]:
+    """Return 1/mu of the places and its std (c,), each from all of them.
 
     Args:
         cells: (c,) numbers of the places, rising; the chain begins again behind a gap.
@@ -84,7 +66,7 @@ def along_track(cells: IntArray, misfits: FloatArray, place_std: FloatArray, par
     posterior = forward * back
     posterior /= posterior.sum(axis=1, keepdims=True)
     mean = posterior @ GRID
-    return Along(mean, np.sqrt(np.maximum(posterior @ GRID**2 - mean**2, 0.0)))
+    return mean, np.sqrt(np.maximum(posterior @ GRID**2 - mean**2, 0.0))
 
 
 def _likelihoods(misfits: FloatArray, place_std: FloatArray, width: FloatArray) -> FloatArray:
@@ -120,9 +102,6 @@ def common_std(sums: PassSums, inverse: FloatArray, creep: FloatArray, slope: Fl
     """Return the std of 1/mu (c,) that what all passes of a place have in common leaves.
 
     Args:
-        inverse: (c,) 1/mu of the places.
-        creep: (v,) b of the vehicles.
-        slope: (w,) a of the wheelsets.
         usual: 1/mu about which creep is taken to be in proportion to it.
     """
     b, a = creep[sums.vehicle], slope[sums.wheelset]
@@ -154,28 +133,12 @@ MEDIAN_ERROR = 1.2533  # std of a median over that of a mean
 ROBUST = 1.4826  # std over median absolute deviation
 
 
-@dataclass(frozen=True, slots=True)
-class RailsBefore:
-    """What is known beforehand of b and of the rails of a section."""
-
-    usual: float  # 1/mu of half of the places
-    level_std: float  # of it
-    creep_error_std: float  # of b
-
-
-@dataclass(frozen=True, slots=True)
-class CreepLevels(FrozenArrays):
-    """b of v vehicles, and the std that what all share leaves to it."""
-
-    creep: Annotated[FloatArray, "n"]
-    std: float
-
-
-def creep_levels(sums: PassSums, slope: FloatArray, slippery: BoolArray, before: RailsBefore) -> CreepLevels:
-    """Return b of the vehicles.
+def creep_levels(
+    sums: PassSums, slope: FloatArray, slippery: BoolArray, before: FrictionParameters
+) -> tuple[FloatArray, float]:
+    """Return b (v,) of the vehicles, and the std that what all share leaves to it.
 
     Args:
-        slope: (w,) a of the wheelsets.
         slippery: (c,) places that are no usual rails; a vehicle that has met them for the most part is held against all
             of its.
     """
@@ -194,7 +157,7 @@ def creep_levels(sums: PassSums, slope: FloatArray, slippery: BoolArray, before:
         chosen = of_vehicle & usual_rails
         chosen = chosen if 2 * chosen.sum() >= of_vehicle.sum() else of_vehicle
         found.append(_shrunk(exceeds[chosen], by_rails, before.creep_error_std))
-    return CreepLevels(np.array(found), float(1.0 / np.sqrt(before.creep_error_std**-2 + by_rails**-2)))
+    return np.array(found), float(1.0 / np.sqrt(before.creep_error_std**-2 + by_rails**-2))
 
 
 def _shrunk(exceeds: FloatArray, by_rails: float, likely: float) -> float:

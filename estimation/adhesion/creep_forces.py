@@ -13,23 +13,96 @@ expects does not follow the vehicle: ``diverged``, and nothing is published.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import scipy.signal
 
-from estimation.adhesion.gear_segments import ROLL, GearSegment, GearSegments, gear_segments
-from estimation.adhesion.stationary_filter import AXLE, FilterParameters, StationaryFilter, stationary_filter
+from estimation.adhesion.stationary_filter import AXLE, StationaryFilter, stationary_filter
 from estimation.compiled import compiled
 from estimation.filters.smoothing_spline import remove_wander
-from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment
+from estimation.motion.checks import moving_samples
+from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, integrate
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.windows import Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.values.windows import ACCELERATIONS, Window
+from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
+
+ROLL, LATERAL, YAW, MASS = (
+    ACCELERATIONS.index(f"{name}_acceleration") for name in ("roll", "lateral", "yaw", "mass_lateral")
+)
+
+
+@dataclass(frozen=True, slots=True)
+class GearSegment(FrozenArrays):
+    """A segment of m samples of all a wheelsets of a running gear.
+
+    The accelerations are lateral and yaw of each axle, then the lateral ones above; 0 where they are not known.
+    """
+
+    axles: tuple[IntegratedSegment, ...]
+    rolls: tuple[FloatArray, ...]  # (m,) rad, of each
+    accelerations: Annotated[FloatArray, "3a", "m"]  # without gravity and means
+
+
+@dataclass(frozen=True, slots=True)
+class GearSegments(FrozenArrays):
+    """All segments of the windows of a running gear."""
+
+    segments: tuple[GearSegment, ...]
+    usable: Annotated[BoolArray, None]  # samples of the windows
+    sample_interval_s: float
+    axles: int
+
+
+def gear_segments(
+    windows: Sequence[Window], vehicle_class: VehicleClass, signals: SignalParameters
+) -> GearSegments | Reason:
+    """Return the segments of a running gear, or why there are none.
+
+    Args:
+        windows: Of one time: of a wheelset, or of front and rear wheelset of a bogie; (n,) samples each.
+    """
+    axles = 1 if vehicle_class.bogie is None else AXLES_OF_A_BOGIE
+    if len(windows) != axles or len({(one.start_ns, len(one.valid)) for one in windows}) != 1:
+        raise ValueError(f"{len(windows)} windows for a running gear of {axles} wheelsets, or not of one time")
+    usable = np.logical_and.reduce([moving_samples(window, signals) for window in windows])
+    if not usable.any():
+        return Reason(ReasonCode.NO_USABLE_SAMPLE, "no sample of the running gear can be used")
+    found = [integrate(window, usable, signals).segments for window in windows]
+    if not found[0]:
+        return Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of {signals.shortest_segment_s:g} s")
+    segments = tuple(_segment(windows, parts) for parts in zip(*found, strict=True))
+    return GearSegments(segments, usable, windows[0].sample_interval_s, axles)
+
+
+def _segment(windows: Sequence[Window], parts: tuple[IntegratedSegment, ...]) -> GearSegment:
+    rolls = tuple(remove_wander(one.displacements[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts)
+    return GearSegment(parts, rolls, _accelerations(windows, parts, rolls))
+
+
+def _accelerations(
+    windows: Sequence[Window], parts: Sequence[IntegratedSegment], rolls: Sequence[FloatArray]
+) -> FloatArray:
+    """Return the accelerations (3 a, m) without gravity and means: lateral and yaw of each axle, then those above.
+
+    The sensors above are on one frame, which rests on both axles and rolls with their mean.
+    """
+    part, known = parts[0].part, parts[0].known
+    mean_roll = np.mean(rolls, axis=0)
+    rows = []
+    for window, roll in zip(windows, rolls, strict=True):
+        rows += [_level(window, LATERAL, part, roll), getattr(window, ACCELERATIONS[YAW])[part]]
+    rows += [_level(window, MASS, part, mean_roll) for window in windows]
+    values = np.stack(rows)
+    return np.where(known, values - values[:, known].mean(axis=1)[:, None], 0.0)
+
+
+def _level(window: Window, channel: int, part: slice, roll: FloatArray) -> FloatArray:
+    values = getattr(window, ACCELERATIONS[channel])[part]
+    return np.asarray(values - GRAVITY * roll if window.measures_gravity else values)
 
 
 @compiled(nogil=True)
@@ -49,11 +122,9 @@ def filter_forward(
 
     Args:
         transition, measured, gain: (n, n), (n, m) and (m, n): columns of the matrices of the filter.
-        measurements: (s, m).
         known: (s,) samples that were measured; over the others the state runs on, and the innovation is zero.
         varying: (a,) states by which the last a measurements vary from sample to sample.
         excess: (s,) what is added to their rows there, of a scaled state.
-        predicted, filtered, innovations: Written: (s, n), (s, n) and (s, m).
     """
     samples, n = predicted.shape
     first = measurements.shape[1] - len(varying)
@@ -78,13 +149,7 @@ def filter_forward(
 
 @compiled(nogil=True)
 def add_product(columns: FloatArray, vector: FloatArray, product: FloatArray) -> None:
-    """Add the product (n,) of a matrix and a vector (m,); every sum goes in the order of its terms.
-
-    Args:
-        columns: (m, n) columns of the matrix: n sums are formed side by side.
-        vector: (m,).
-        product: (n,) changed.
-    """
+    """Add the product (n,) of a matrix and a vector (m,); every sum goes in the order of its terms."""
     for j in range(len(vector)):
         for k in range(len(product)):
             product[k] += columns[j, k] * vector[j]
@@ -92,13 +157,7 @@ def add_product(columns: FloatArray, vector: FloatArray, product: FloatArray) ->
 
 @compiled(nogil=True)
 def smooth_back(back: FloatArray, predicted: FloatArray, filtered: FloatArray) -> None:
-    """Change filtered states (s, n) to what all samples together give.
-
-    Args:
-        back: (n, n) columns of the matrix of the smoother.
-        predicted: (s, n) states before each sample.
-        filtered: (s, n) states after each sample; changed.
-    """
+    """Change filtered states (s, n) to what all samples together give."""
     samples, n = filtered.shape
     gained = np.zeros(n)
     for i in range(samples - 2, -1, -1):
@@ -120,9 +179,11 @@ def without_vibration(
     Args:
         accelerations: (k, n) without means, 0 where not known; m/s2 and rad/s2.
     """
+    from scipy import signal  # noqa: PLC0415 - slow to import, and few need it
+
     rate = 1.0 / sample_interval_s
-    weights = scipy.signal.firwin(2 * round(HALF_LENGTH_S * rate) + 1, BAND_HZ, fs=rate)
-    smooth = scipy.signal.fftconvolve(accelerations, weights[None], mode="same", axes=1)
+    weights = signal.firwin(2 * round(HALF_LENGTH_S * rate) + 1, BAND_HZ, fs=rate)
+    smooth = signal.fftconvolve(accelerations, weights[None], mode="same", axes=1)
     rest = (accelerations - smooth)[lateral][:, known]
     if float(np.sqrt(np.mean(rest**2, axis=1)).max()) <= VIBRATING:
         return accelerations, False
@@ -130,14 +191,6 @@ def without_vibration(
 
 
 MOST_INNOVATION = 10.0  # mean square of a channel's innovations over what the filter expects; see docs/adhesion.md
-
-
-@dataclass(frozen=True, slots=True)
-class ForceParameters:
-    """How the forces of a window are found, and when they are not believed."""
-
-    filter: FilterParameters = field(default_factory=FilterParameters)
-    most_innovation: float = MOST_INNOVATION
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,34 +206,22 @@ class ContactForces(FrozenArrays):
     smoothed: bool = False  # without vibration of the axle boxes, and what is as fast
 
 
-def contact_forces(
-    windows: Sequence[Window], vehicle_class: VehicleClass, signals: SignalParameters, parameters: ForceParameters
-) -> tuple[ContactForces, ...] | Reason:
-    """Return the forces on each wheelset of a running gear, or why they cannot be had.
-
-    Args:
-        windows: Of one time: of a wheelset, or of front and rear wheelset of a bogie; (n,) samples each.
-    """
-    segments = gear_segments(windows, vehicle_class, signals)
-    return segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class, parameters)
-
-
 def forces_on(
-    gear: GearSegments, vehicle_class: VehicleClass, parameters: ForceParameters
+    gear: GearSegments, vehicle_class: VehicleClass, most_innovation: float = MOST_INNOVATION
 ) -> tuple[ContactForces, ...] | Reason:
     """Return the forces on each wheelset of a running gear, or why they cannot be had."""
     axles, usable = gear.axles, gear.usable
-    values = np.full((axles, len(_NAMED), len(usable)), np.nan)
+    values = np.full((axles, 4, len(usable)), np.nan)
     worst, vibrating = 0.0, False
     for segment in gear.segments:
-        found = _smoothed(gear, segment, vehicle_class, parameters.filter)
-        values[:, :, segment.axles[0].part] = found.named
-        worst, vibrating = max(worst, found.innovation), vibrating or found.vibrating
-    if not (np.isfinite(worst) and worst <= parameters.most_innovation):
+        named, innovation, vibrates = _smoothed(gear, segment, vehicle_class)
+        values[:, :, segment.axles[0].part] = named
+        worst, vibrating = max(worst, innovation), vibrating or vibrates
+    if not (np.isfinite(worst) and worst <= most_innovation):
         return Reason(
             ReasonCode.DIVERGED,
             f"the innovations of the filter are {np.sqrt(worst):.1f} times what the vehicle's class lets expect, at"
-            f" most {np.sqrt(parameters.most_innovation):.1f} times are believed; check class and sensors",
+            f" most {np.sqrt(most_innovation):.1f} times are believed; check class and sensors",
         )
     return tuple(
         ContactForces(contact, moment, yaw_rate, roll, usable, worst, vibrating)
@@ -188,24 +229,15 @@ def forces_on(
     )
 
 
-_NAMED = ("contact", "moment", "yaw_rate", "roll")
+def _smoothed(gear: GearSegments, segment: GearSegment, vehicle_class: VehicleClass) -> tuple[FloatArray, float, bool]:
+    """Return the signals (a, 4, m) of a segment in the order of ``ContactForces``.
 
-
-@dataclass(frozen=True, slots=True)
-class _Smoothed:
-    named: FloatArray  # (a, 4, m)
-    innovation: float  # largest mean square of a channel's
-    vibrating: bool
-
-
-def _smoothed(
-    gear: GearSegments, segment: GearSegment, vehicle_class: VehicleClass, known: FilterParameters
-) -> _Smoothed:
-    """Return the named signals of a segment."""
+    Beside them the largest mean square of a channel's innovations, and whether its axle boxes vibrate.
+    """
     p, parts, rolls = vehicle_class.parameters, segment.axles, segment.rolls
     first = parts[0]
     speed = float(first.speed.mean())
-    made = stationary_filter(vehicle_class, gear.sample_interval_s, speed, known)
+    made = stationary_filter(vehicle_class, gear.sample_interval_s, speed)
     roll_rates = [remove_wander(one.rates[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts]
     measurements = np.zeros((len(first.speed), len(made.measured)))
     lateral = slice(0, 2 * made.axles, 2)
@@ -215,19 +247,13 @@ def _smoothed(
     states, innovations = smoothed_states(made, measurements, first.known, first.speed)
     squares = (innovations[first.known, : made.accelerations] / made.innovation_std[: made.accelerations]) ** 2
     named = [_named(made, states, axle, one, rolls[axle], roll_rates[axle], p) for axle, one in enumerate(parts)]
-    return _Smoothed(np.stack(named), float(squares.mean(axis=0).max()), vibrating)
+    return np.stack(named), float(squares.mean(axis=0).max()), vibrating
 
 
 def smoothed_states(
     made: StationaryFilter, measurements: FloatArray, known: BoolArray, speed: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the smoothed states (s, n), in SI, and the innovations (s, m) of the filter.
-
-    Args:
-        measurements: (s, m).
-        known: (s,) samples that were measured.
-        speed: (s,) m/s.
-    """
+    """Return the smoothed states (s, n), in SI, and the innovations (s, m) of the filter."""
     samples, (n, m) = len(known), made.gain.shape
     predicted, filtered, innovations = np.empty((samples, n)), np.empty((samples, n)), np.empty((samples, m))
     varying = AXLE * np.arange(made.axles) + 1

@@ -19,25 +19,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from estimation.adhesion.along_track import (
-    Along,
-    AlongParameters,
-    CreepLevels,
-    RailsBefore,
     along_track,
     common_std,
     creep_levels,
 )
-from estimation.adhesion.file_errors import FileErrors
-from estimation.adhesion.pass_sums import PassSums, pass_sums
-from estimation.adhesion.scales import Agreed, contradicting
-from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
+from estimation.adhesion.parameters import FrictionParameters
+from estimation.adhesion.pass_sums import Agreed, PassSums, contradicting, pass_sums
 from estimation.values.arrays import FloatArray
+from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 
@@ -46,12 +41,7 @@ LEAST_SUPPORT = 0.8  # of the squares that an error of linear creep would leave,
 
 
 def slippery_throughout(sums: PassSums, creep: FloatArray, slope: FloatArray, creep_error_std: float) -> bool:
-    """Return whether it is the rails that make the creep of all vehicles large.
-
-    Args:
-        creep: (v,) b of the vehicles against usual rails.
-        slope: (w,) a of the wheelsets.
-    """
+    """Return whether it is the rails that make the creep of all vehicles large."""
     common = float(np.mean(creep))
     if common < MOST_CREEP * creep_error_std:
         return False
@@ -75,33 +65,6 @@ def _left(sums: PassSums, creep: FloatArray, slope: FloatArray) -> float:
 LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of a place
 TINY = np.finfo(float).tiny
 MEDIAN_SQUARE = 0.4549  # of a standard normal variable
-
-
-@dataclass(frozen=True, slots=True)
-class FrictionParameters:
-    """When friction is published, and when it is low."""
-
-    low: float = 0.15  # limit of low adhesion
-    likely: float = 0.45  # probability of a friction below the limit from which a place has low adhesion
-    at_ends: float = 0.3  # the same of the places around it, to which its stretch reaches
-    good: float = 0.4  # friction of good rails: an interval that holds it shows no low friction
-    certain: float = 0.9  # that probability where a vehicle is alone, and from which samples are left out elsewhere
-    beside_others: float = 0.7  # the same of a place that one vehicle met, where others have passed the section
-    fewest_vehicles: int = 2  # that agree, where the probability is less
-    fewest_passes: int = 3  # of wheelsets
-    creep_error_std: float = 0.1  # of b, relative
-    usual: float = 3.3  # 1/mu of rails that nothing is known of: a friction of 0.3
-    usual_std: float = 3.0  # of it, at a place
-    most_usual: float = 6.7  # 1/mu of a place that is usual yet
-    level_std: float = 1.0  # of it, of the middle one of all places of a section
-    law_std: float = 0.1  # of 1/mu, relative: creep laws differ
-    file: FileErrors = field(default_factory=FileErrors)  # what file and sensors leave open of all vehicles alike
-    track_std: float = 0.45  # of 1/mu of a place, at least: the error of the alignment is the same in all passes
-    smoothed_std: float = 1.0  # the same of what forces have lost with the vibration of axle boxes
-    change_std: float = 0.2  # of the logarithm of 1/mu from a place to the next
-    fresh: float = 0.05  # share of places whose friction has nothing to do with that of the place before
-    least_upper: float = 0.6  # an interval that reaches beyond says no more than a lower bound
-    rounds: int = 12
 
 
 def section_adhesion(
@@ -133,16 +96,11 @@ def section_adhesion(
 def pooled_friction(
     passes: Sequence[WindowAdhesion], parameters: FrictionParameters
 ) -> tuple[tuple[CellFriction, ...], tuple[LeftOut, ...]]:
-    """Return the friction of every place that passes have met, in order of distance, and whose passes are left out.
-
-    Args:
-        parameters: Limits and what is known beforehand.
-    """
+    """Return the friction of every place that passes have met, in order of distance, and whose passes are left out."""
     left_out: list[LeftOut] = []
     while (sums := pass_sums(_staying(passes, left_out))) is not None:
         found = _solved(sums, parameters)
-        agreed = Agreed(found.inverse, found.slope, found.noise, parameters.creep_error_std)
-        other = contradicting(sums, agreed, parameters.file)
+        other = contradicting(sums, found, parameters.file)
         if other is None:
             return _places(sums, found, parameters), tuple(left_out)
         left_out.append(other)
@@ -156,36 +114,27 @@ def _staying(passes: Sequence[WindowAdhesion], left_out: Sequence[LeftOut]) -> S
 
 
 def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> tuple[CellFriction, ...]:
-    left = _left_std(sums, found, parameters)
-    scatter = _scatter(sums, found, parameters)
-    along = _along(sums, found, left, scatter, parameters)
-    slope = _slope(sums, along.mean)
-    by_creep, by_scale = found.creep_std * slope, parameters.file.creep_std * _everywhere(slope, along.mean, parameters)
-    smoothed, vehicles = sums.by_place(sums.smoothed) > 0.0, sums.vehicles_of_places
-    places = zip(sums.cells, sums.counts, left, strict=True)
-    found_here = (
-        _cell(
-            int(cell),
-            int(n),
-            own,
-            _Inverse(float(along.mean[c]), float(along.std[c]), float(by_creep[c]), float(by_scale[c])),
-            parameters,
-        )
-        for c, (cell, n, own) in enumerate(places)
-    )
-    counted = (replace(one, vehicles=int(vehicles[c])) for c, one in enumerate(found_here))
-    return tuple(_two_sided(one) if smoothed[c] else one for c, one in enumerate(counted))
+    left, counts, vehicles = _left_std(sums, found, parameters), sums.counts, sums.vehicles_of_places
+    mean, std = _along(sums, found, left, _scatter(sums, found, parameters), parameters)
+    slope = _slope(sums, mean)
+    by_creep = found.left_creep_std * slope
+    by_scale = parameters.file.creep_std * _everywhere(slope, mean, parameters)
+    smoothed = sums.by_place(sums.smoothed) > 0.0
+    places = []
+    for c, cell in enumerate(sums.cells):
+        inverse = _Inverse(*(float(one[c]) for one in (mean, std, by_creep, by_scale)))
+        place = _cell(int(cell), int(counts[c]), left[c], inverse, parameters)
+        place = replace(place, vehicles=int(vehicles[c]))
+        places.append(_two_sided(place) if smoothed[c] else place)
+    return tuple(places)
 
 
 @dataclass(frozen=True, slots=True)
-class _Solution:
-    """What all passes of a section agree on."""
+class _Solution(Agreed):
+    """What all passes of a section agree on, and what that leaves."""
 
-    inverse: FloatArray  # (c,) 1/mu
     creep: FloatArray  # (v,) b
-    slope: FloatArray  # (w,) a
-    noise: float  # m2: variance of e times the samples that say as much as one
-    creep_std: float  # that a b of all vehicles is left
+    left_creep_std: float  # that a b of all vehicles is left
     common_std: FloatArray  # (c,) of 1/mu: by what all passes of a place have wrong
 
 
@@ -194,29 +143,23 @@ def _solved(sums: PassSums, parameters: FrictionParameters) -> _Solution:
     found = _in_turn(sums, parameters, None)
     if not slippery_throughout(sums, found.creep, found.slope, parameters.creep_error_std):
         return found
-    own = found.creep - found.creep.mean()
-    return _in_turn(sums, parameters, CreepLevels(own, parameters.creep_error_std))
+    return _in_turn(sums, parameters, (found.creep - found.creep.mean(), parameters.creep_error_std))
 
 
-def _in_turn(sums: PassSums, parameters: FrictionParameters, given: CreepLevels | None) -> _Solution:
-    """Return 1/mu of the places, b of the vehicles, a of the wheelsets, and the noise, in turn until they hold.
-
-    b is ``given``, or that of the level of creep.
-    """
+def _in_turn(sums: PassSums, parameters: FrictionParameters, given: tuple[FloatArray, float] | None) -> _Solution:
+    """Return 1/mu, b (``given`` with its std, or by the level of creep), a and the noise, in turn until they hold."""
     creep, slope = np.zeros(len(sums.vehicles)), np.zeros(len(sums.wheelsets))
-    before = RailsBefore(parameters.usual, parameters.level_std, parameters.creep_error_std)
     inverse, common = _least(sums.by_place(_own_misfits(sums, creep, slope))), np.zeros(len(sums.cells))
-    noise = _noise(sums, sums.at(inverse), creep, slope)
+    noise, left_std = _noise(sums, sums.at(inverse), creep, slope), 0.0
     for _ in range(parameters.rounds):
-        level = given or creep_levels(sums, slope, inverse > parameters.most_usual + common, before)
-        creep = level.creep
+        creep, left_std = given or creep_levels(sums, slope, inverse > parameters.most_usual + common, parameters)
         inverse = _least(sums.by_place(_misfits(sums, creep, slope, noise, parameters)))
         at = sums.at(inverse)
         noise = _noise(sums, at, creep, slope)
         left = sums.squares[:, 3] - at[3] - creep[sums.vehicle] * sums.squares[:, 4]
         slope = np.bincount(sums.wheelset, left) / (np.bincount(sums.wheelset, sums.squares[:, 5]) + TINY)
         common = common_std(sums, inverse, creep, slope, parameters.usual)
-    return _Solution(inverse, creep, slope, noise, level.std, common)
+    return _Solution(inverse, slope, noise, parameters.creep_error_std, creep, left_std, common)
 
 
 def _noise(sums: PassSums, at: FloatArray, creep: FloatArray, slope: FloatArray) -> float:
@@ -281,14 +224,13 @@ def _scatter(sums: PassSums, found: _Solution, parameters: FrictionParameters) -
 
 def _along(
     sums: PassSums, found: _Solution, left: FloatArray, scatter: FloatArray, parameters: FrictionParameters
-) -> Along:
-    """Return 1/mu of the places, each from all; passes that scatter by more than the noise say less of their place."""
+) -> tuple[FloatArray, FloatArray]:
+    """Return 1/mu of the places and its std; passes that scatter by more than the noise say less of their place."""
     widened = (left / np.maximum(scatter, left)) ** 2
     misfits = sums.by_place(_own_misfits(sums, found.creep, found.slope))
     smoothed = parameters.smoothed_std * sums.by_place(sums.smoothed) / sums.counts
     place_std = np.hypot(np.maximum(parameters.track_std, found.common_std), smoothed)
-    known = AlongParameters(parameters.usual, parameters.usual_std, parameters.change_std, parameters.fresh)
-    return along_track(sums.cells, misfits * widened[:, None] / max(found.noise, TINY), place_std, known)
+    return along_track(sums.cells, misfits * widened[:, None] / max(found.noise, TINY), place_std, parameters)
 
 
 def _slope(sums: PassSums, inverse: FloatArray) -> FloatArray:
@@ -353,9 +295,6 @@ def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters)
     One place of a stretch, at least, is likely to be low by what vehicles agree on, or near to certain by what one
     shows, and is no good rails; the stretch reaches as far as that is not unlikely. One other place may be between.
     The creep of one vehicle is better known on a section where it is held against that of others.
-
-    Args:
-        cells: Of one section, in order of distance.
     """
     reached = min(parameters.at_ends, parameters.likely)
     beside = any(one.vehicles >= parameters.fewest_vehicles for one in cells)
@@ -379,9 +318,6 @@ def certain_stretches(cells: Sequence[CellFriction], parameters: FrictionParamet
     """Return where friction is certainly low: (begin, end) in m of adjoining places, in order of distance.
 
     A vehicle that is alone is certain of nothing: the geometries by which it judges the rails are its own.
-
-    Args:
-        cells: Of one section, in order of distance.
     """
     certain = max(parameters.certain, parameters.likely)
     found: list[tuple[float, float]] = []

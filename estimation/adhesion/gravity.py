@@ -18,8 +18,7 @@ import numpy as np
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
-from estimation.contact.wear import TreadWear, worn
-from estimation.contact.worn_family import WHEELS
+from estimation.contact.wear import HOLLOWS, TreadWear, worn
 from estimation.errors import ContactError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
@@ -43,19 +42,11 @@ class ContactAngles(FrozenArrays):
     misfit: float  # m, rms of rL - rR against the estimate
 
     def difference_at(self, difference: FloatArray) -> FloatArray:
-        """Return dL - dR (n,), rad, at rL - rR (n,), m; beyond the table its last values.
-
-        Args:
-            difference: (n,) m.
-        """
+        """Return dL - dR (n,), rad, at rL - rR (n,), m; beyond the table its last values."""
         return np.asarray(np.interp(difference, self.difference, self.angle_difference))
 
     def sum_at(self, difference: FloatArray) -> FloatArray:
-        """Return dL + dR (n,), rad, at rL - rR (n,), m; beyond the table its last values.
-
-        Args:
-            difference: (n,) m.
-        """
+        """Return dL + dR (n,), rad, at rL - rR (n,), m; beyond the table its last values."""
         return np.asarray(np.interp(difference, self.difference, self.angle_sum))
 
 
@@ -65,9 +56,7 @@ def contact_angles(
     """Return the angles over R of the wear that meets an estimated curve best, or why the profiles on file do not.
 
     Args:
-        displacement: (b,) y - d, m.
-        difference: (b,) rL - rR, m, estimated there; NaN where it is not.
-        radius: Nominal rolling radius, m.
+        displacement, difference: (b,) y - d and rL - rR there, m; NaN where it is not estimated.
     """
     known = np.isfinite(difference)
     if known.sum() < FEWEST_NODES:
@@ -98,7 +87,7 @@ def _family(
     wheel: str, rail: str, inclination: float, gauge: float, radius: float
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return R, D and dL + dR (9, n) of a wheel worn more and more; None where it never touches the rail."""
-    centre, half_width = next((hollow for name, *hollow in WHEELS if name == wheel), USUAL_HOLLOW)
+    centre, half_width = HOLLOWS.get(wheel, USUAL_HOLLOW)
     found = []
     try:
         on = rail_profile(rail)

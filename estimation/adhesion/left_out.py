@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.values.adhesion import CELL_LENGTH, WindowAdhesion
+from estimation.values.opinions import CELL_LENGTH, WindowAdhesion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction
 from estimation.values.windows import Window
@@ -20,12 +20,7 @@ TOO_LITTLE = frozenset({ReasonCode.NO_USABLE_SAMPLE, ReasonCode.INTERRUPTED, Rea
 def away_from_low_adhesion(
     window: Window, stretches: Sequence[tuple[float, float]], correction: Correction | None = None
 ) -> Window | Reason:
-    """Return the window with its samples on low friction not valid, or that none is left.
-
-    Args:
-        stretches: Begin and end of where friction is low, m.
-        correction: From the measured positions to the true ones; None where the measured ones are used.
-    """
+    """Return the window with its samples on low friction not valid, or that none is left."""
     if not stretches:
         return window
     distance = window.distance if correction is None else correction.at(window.distance)
@@ -48,12 +43,7 @@ def refused_for_low_adhesion(reason: Reason, window: Window, kept: Window) -> Re
 
 
 def touched(one: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
-    """Return the stretches of low friction that a window was on.
-
-    Args:
-        one: Its creep; a window without sums was on none.
-        stretches: Begin and end, m.
-    """
+    """Return the stretches of low friction that a window was on."""
     if one.sums is None or not len(one.sums.cells):
         return ()
     first, behind = CELL_LENGTH * one.sums.cells[0], CELL_LENGTH * (one.sums.cells[-1] + 1)

@@ -36,37 +36,27 @@ from typing import Annotated
 import numpy as np
 import scipy.linalg
 
-from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass
 
 AXLE = 4  # states of a wheelset: y, y', psi, psi'
-SENSORS = 2  # of a wheelset itself: lateral and yaw acceleration
 
 
 @dataclass(frozen=True, slots=True)
-class GearEquations:
+class GearEquations(FrozenArrays):
     """Rates of n states of a running gear of a axles; SI.
 
     The first 4 a states are those of the wheelsets, then those of what is above; ``inputs`` are F and M of each axle.
     """
 
-    rates: FloatArray  # (n, n) of the states by the states
-    inputs: FloatArray  # (n, 2 a) of the states by F and M of each axle
-    measured: FloatArray  # (3 a, n) accelerations that the sensors measure, by the states: 2 a of wheelsets, a above
-    measured_inputs: FloatArray  # (3 a, 2 a) the same by the inputs
+    rates: Annotated[FloatArray, "n", "n"]  # of the states by the states
+    inputs: Annotated[FloatArray, "n", "2a"]  # of the states by F and M of each axle
+    measured: Annotated[FloatArray, "3a", "n"]  # accelerations of the sensors, by the states: 2 a of wheelsets, a above
+    measured_inputs: Annotated[FloatArray, "3a", "2a"]  # the same by the inputs
     anchored: tuple[int, ...]  # displacements and angles that nothing ties to the track
     angles: tuple[int, ...]  # those of them that are angles
     axles: int
-
-    def __post_init__(self) -> None:
-        n, k = len(self.rates), 2 * self.axles
-        sensors = self.axles * (SENSORS + 1)
-        object.__setattr__(self, "rates", frozen_array(self.rates, (n, n), name="rates"))
-        object.__setattr__(self, "inputs", frozen_array(self.inputs, (n, k), name="inputs"))
-        object.__setattr__(self, "measured", frozen_array(self.measured, (sensors, n), name="measured"))
-        by_inputs = frozen_array(self.measured_inputs, (sensors, k), name="measured_inputs")
-        object.__setattr__(self, "measured_inputs", by_inputs)
 
 
 def gear_equations(parameters: VehicleParameters, bogie: BogieParameters | None) -> GearEquations:
@@ -142,22 +132,12 @@ SPEED_STEP = 0.5  # m/s, to which the mean speed of a window is rounded
 LEAST_DENSITY = 1e-5  # m/s2 or rad/s2 per root hertz: of sensors that have no noise on file
 ROUNDING = 1e-13  # of the scaled states, which keeps the covariance positive
 KEPT = 32  # filters
-
-
-@dataclass(frozen=True, slots=True)
-class FilterParameters:
-    """What is known of forces and creepages beforehand.
-
-    The forces are in parts of the load on a wheelset; 1 m stands for the arm of the moment.
-    """
-
-    force_share: float = 0.02
-    moment_share: float = 0.075
-    change_s: float = 0.02  # of a force
-    creepage_std: float = 1e-4  # 1
-    creepage_change_s: float = 0.15
-    kinematic_std: float = 2e-5  # 1, white, of the angle of rolling
-    corner_wavelength: float = 130.0  # m
+# known beforehand: stds of forces in parts of the load on a wheelset, 1 m stands for the arm of the moment
+FORCE_SHARE, MOMENT_SHARE = 0.02, 0.075
+CHANGE_S = 0.02  # of a force
+CREEPAGE_STD, CREEPAGE_CHANGE_S = 1e-4, 0.15
+KINEMATIC_STD = 2e-5  # white, of the angle of rolling
+CORNER_WAVELENGTH = 130.0  # m
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,9 +159,7 @@ class StationaryFilter(FrozenArrays):
         return 3 * self.axles
 
 
-def stationary_filter(
-    vehicle_class: VehicleClass, sample_interval_s: float, speed: float, parameters: FilterParameters
-) -> StationaryFilter:
+def stationary_filter(vehicle_class: VehicleClass, sample_interval_s: float, speed: float) -> StationaryFilter:
     """Return the filter of a class at a speed.
 
     Raises:
@@ -189,20 +167,15 @@ def stationary_filter(
     """
     rounded = max(SPEED_STEP, SPEED_STEP * round(speed / SPEED_STEP))
     gear = (vehicle_class.parameters, vehicle_class.bogie, vehicle_class.sensors)
-    return _filter(*gear, sample_interval_s, rounded, parameters)
+    return _filter(*gear, sample_interval_s, rounded)
 
 
 @lru_cache(maxsize=KEPT)
 def _filter(
-    vehicle: VehicleParameters,
-    bogie: BogieParameters | None,
-    sensors: SensorLayout,
-    dt: float,
-    speed: float,
-    known: FilterParameters,
+    vehicle: VehicleParameters, bogie: BogieParameters | None, sensors: SensorLayout, dt: float, speed: float
 ) -> StationaryFilter:
     gear = gear_equations(vehicle, bogie)
-    rates, noise, scale = _with_inputs(gear, vehicle.load, known)
+    rates, noise, scale = _with_inputs(gear, vehicle.load)
     n = len(rates)
     rates, noise = rates * scale / scale[:, None], noise / np.outer(scale, scale)
     # Van Loan 1978: transition and covariance over a sample from one exponential
@@ -212,7 +185,7 @@ def _filter(
     process = 0.5 * (process + process.T) + ROUNDING * np.eye(n)
     rows = _measured(gear, n, speed) * scale
     wheelbase = None if bogie is None else bogie.wheelbase
-    variance = _variances(gear, sensors, wheelbase, dt, 2.0 * math.pi * speed / known.corner_wavelength, known)
+    variance = _variances(gear, sensors, wheelbase, dt, 2.0 * math.pi * speed / CORNER_WAVELENGTH)
     predicted = scipy.linalg.solve_discrete_are(transition.T, rows.T, process, np.diag(variance))
     innovation = rows @ predicted @ rows.T + np.diag(variance)
     gain = np.linalg.solve(innovation, rows @ predicted).T
@@ -229,24 +202,22 @@ def _filter(
     )
 
 
-def _with_inputs(
-    gear: GearEquations, load: float, known: FilterParameters
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _with_inputs(gear: GearEquations, load: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return rates (n, n), noise intensity (n, n) and scale (n,) of states, forces, their derivatives and creepages."""
     own, forces = len(gear.rates), 2 * gear.axles
     n = own + 2 * forces + gear.axles
     rates, noise, scale = np.zeros((n, n)), np.zeros((n, n)), np.full(n, 1e-3)
     rates[:own, :own], rates[:own, own : own + forces] = gear.rates, gear.inputs
-    corner = 1.0 / known.change_s
-    stds = load * np.array([known.force_share, known.moment_share] * gear.axles)
+    corner = 1.0 / CHANGE_S
+    stds = load * np.array([FORCE_SHARE, MOMENT_SHARE] * gear.axles)
     for force, std in enumerate(stds):
         value, slope = own + force, own + forces + force
         rates[value, slope], rates[slope, value], rates[slope, slope] = 1.0, -(corner**2), -2.0 * corner
         noise[slope, slope] = 4.0 * corner**3 * std**2
         scale[value], scale[slope] = 1e3, 1e3 * corner
     for creepage in range(n - gear.axles, n):
-        rates[creepage, creepage] = -1.0 / known.creepage_change_s
-        noise[creepage, creepage] = 2.0 * known.creepage_std**2 / known.creepage_change_s
+        rates[creepage, creepage] = -1.0 / CREEPAGE_CHANGE_S
+        noise[creepage, creepage] = 2.0 * CREEPAGE_STD**2 / CREEPAGE_CHANGE_S
         scale[creepage] = 1e-4
     return rates, noise, scale
 
@@ -263,12 +234,7 @@ def _measured(gear: GearEquations, n: int, speed: float) -> FloatArray:
 
 
 def _variances(
-    gear: GearEquations,
-    sensors: SensorLayout,
-    wheelbase: float | None,
-    dt: float,
-    corner: float,
-    known: FilterParameters,
+    gear: GearEquations, sensors: SensorLayout, wheelbase: float | None, dt: float, corner: float
 ) -> FloatArray:
     """Return the variance (m,) of each measurement, sample by sample; ``corner`` is an angular frequency, 1/s."""
     on_wheelset = [sensors.lateral.noise_density, sensors.yaw.noise_density] * gear.axles
@@ -283,5 +249,5 @@ def _variances(
             drift.append(above[0] * (math.sqrt(2.0) / wheelbase if turned and wheelbase else 1.0))
     density = np.maximum([*on_wheelset, *above], LEAST_DENSITY)
     anchors = np.maximum(drift, LEAST_DENSITY) / corner**2
-    rolling = np.full(gear.axles, known.kinematic_std**2)
+    rolling = np.full(gear.axles, KINEMATIC_STD**2)
     return np.concatenate([density**2 / (2.0 * dt), anchors**2 / (2.0 * dt), rolling])

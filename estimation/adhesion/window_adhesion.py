@@ -18,14 +18,14 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.adhesion.creep_forces import ContactForces
-from estimation.adhesion.file_errors import ForceErrors
 from estimation.adhesion.gravity import ContactAngles, contact_angles
+from estimation.adhesion.parameters import force_errors
 from estimation.compiled import compiled
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.parameters import WindowParameters
-from estimation.values.adhesion import CELL_LENGTH, INVERSE, FrictionSums, WindowAdhesion
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array, runs
 from estimation.values.geometry import WheelsetGeometry
+from estimation.values.opinions import CELL_LENGTH, INVERSE, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackSectionRecord
@@ -51,12 +51,7 @@ def excess_table() -> FloatArray:
 
 @compiled(nogil=True)
 def excess_at(table: FloatArray, utilisation: float) -> float:
-    """Return linear over true creep force of a wheel less 1.
-
-    Args:
-        table: (4097,) of :func:`excess_table`.
-        utilisation: T/(mu N), not negative; of more than 0.98 the excess at 0.98.
-    """
+    """Return linear over true creep force of a wheel less 1 at T/(mu N), beyond 0.98 that at 0.98."""
     at = min(utilisation / MOST_UTILISATION, 1.0) * STEPS
     below = min(int(at), STEPS - 1)
     return float(table[below] + (at - below) * (table[below + 1] - table[below]))
@@ -74,13 +69,10 @@ def add_saturated(
     """Add the sums of g e, g g, g q and g x, g = q times the mean excess of both wheels, to each place and friction.
 
     Args:
-        table: (4097,) of :func:`excess_table`.
         signals: (3, n) e, q and x.
         forces: (3, n) of a wheel: longitudinal and lateral creep force without spin, and the linear lateral force of
             spin, which is the other way round on the right wheel.
-        place: (n,) index of the place.
         bounds: (k,) mu N.
-        saturated: (c, 4, k) changed.
     """
     for i in range(len(place)):
         e, q, x = signals[0, i], signals[1, i], signals[2, i]
@@ -118,11 +110,7 @@ class CreepSignals(FrozenArrays):
     valid: Annotated[BoolArray, "n"]
 
     def resultants(self, half_contact_distance: float) -> FloatArray:
-        """Return the resultant creep force of left and right wheel (2, n), N.
-
-        Args:
-            half_contact_distance: l, m.
-        """
+        """Return the resultant creep force of left and right wheel (2, n), N."""
         lateral = np.stack([0.5 * self.lateral + self.spin, 0.5 * self.lateral - self.spin])
         return np.asarray(np.hypot(0.5 * self.moment / half_contact_distance, lateral))
 
@@ -137,14 +125,7 @@ def creep_signals(
     *,
     mounted_reversed: bool = False,
 ) -> CreepSignals:
-    """Return the creep of a wheelset, high-passed as its motion is.
-
-    Args:
-        motion: (n,) of the same window.
-        cutoff_wavelength: Of the high-pass of the motion, m.
-        angles: dL - dR of the wheelset; None where it is not known.
-        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
-    """
+    """Return the creep of a wheelset, high-passed as its motion is."""
     p, V = vehicle, motion.speed
     f11 = p.longitudinal_creep_coefficient / motion.stiffness_ratio
     turning = 2.0 * p.half_contact_distance * p.nominal_radius / V * forces.yaw_rate
@@ -180,8 +161,6 @@ def friction_sums(
     """Return the sums of a window by place, over samples that are ``SUMMED_S`` apart or what is next below.
 
     Args:
-        signals: (n,) creep.
-        distance: (n,) m along the section.
         curve: (b,) centres of bins of y - d, m, and (b,) rL - rR there, m, NaN where it is not known.
     """
     p, step = vehicle, max(1, int(SUMMED_S / sample_interval_s + 1e-6))
@@ -239,11 +218,7 @@ class AdhesionInputs:
 def window_adhesion(
     window: Window, content_digest: str, forces: ContactForces | Reason, motion: Motion | Reason, inputs: AdhesionInputs
 ) -> WindowAdhesion:
-    """Return the creep of a window, or why there is none.
-
-    Args:
-        forces: On its wheelset, or why they are not known.
-    """
+    """Return the creep of a window, or why there is none."""
     of_window = (window.wheelset, window.start_ns, window.vehicle, window.track_section, content_digest)
     if isinstance(forces, Reason):
         return refused(*of_window, forces)
@@ -266,55 +241,42 @@ def window_adhesion(
         few = Reason(ReasonCode.TOO_FEW_USABLE, f"{found.valid.sum()} samples of creep, {FEWEST_SAMPLES} are needed")
         return refused(*of_window, few)
     error = float(np.hypot(FORCE_ERROR, SMOOTHED_ERROR)) if forces.smoothed else FORCE_ERROR
-    forces_found = _forces(found, angles, parameters.vehicle_class, vehicle.half_contact_distance, error)
     distance = inputs.correction.at(window.distance)
     of_samples = (found, motion, distance, curve, vehicle, window.sample_interval_s)
     sums = None if isinstance(angles, Reason) else friction_sums(*of_samples)
     return WindowAdhesion(
         *of_window,
         Status.ESTIMATED,
-        forces_found.contact,
-        forces_found.lateral,
-        forces_found.moment,
-        forces_found.used,
+        *_forces(found, angles, parameters.vehicle_class, error),
         sums=sums,
         reason=angles if isinstance(angles, Reason) else None,
         smoothed=forces.smoothed,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Forces:
-    contact: Estimate
-    lateral: Estimate
-    moment: Estimate
-    used: Estimate
-
-
 def _forces(
     found: CreepSignals,
     angles: ContactAngles | Reason,
     vehicle_class: VehicleClass,
-    half_contact_distance: float,
     force_error: float,
-) -> _Forces:
-    """Return the rms of forces, and the adhesion that was used."""
-    file = ForceErrors.of(vehicle_class)
+) -> tuple[Estimate, Estimate, Estimate, Estimate]:
+    """Return the rms of contact and lateral force and of the moment, and the adhesion that was used."""
+    of_lateral, of_moment, of_load = force_errors(vehicle_class)
     contact, moment = (_rms(values[found.valid]) for values in (found.contact, found.moment))
-    contact_force = with_interval(contact, contact * math.hypot(force_error, file.lateral))
-    yaw_creep = with_interval(moment, moment * math.hypot(force_error, file.moment))
+    contact_force = with_interval(contact, contact * math.hypot(force_error, of_lateral))
+    yaw_creep = with_interval(moment, moment * math.hypot(force_error, of_moment))
     if isinstance(angles, Reason):
         unknown = Estimate.unknown(angles, 1.0)
-        return _Forces(contact_force, unknown, yaw_creep, unknown)
+        return contact_force, unknown, yaw_creep, unknown
     lateral = _rms(found.lateral[found.valid])
-    larger = found.resultants(half_contact_distance)[:, found.valid].max(axis=0)
+    larger = found.resultants(vehicle_class.parameters.half_contact_distance)[:, found.valid].max(axis=0)
     used = float(np.quantile(larger, USED_QUANTILE)) / (0.5 * vehicle_class.parameters.load)
-    error = math.hypot(LATERAL_ERROR, file.lateral, file.load)
-    return _Forces(
+    error = math.hypot(LATERAL_ERROR, of_lateral, of_load)
+    return (
         contact_force,
         with_interval(lateral, lateral * error),
         yaw_creep,
-        with_interval(used, used * math.hypot(error, file.moment)),
+        with_interval(used, used * math.hypot(error, of_moment)),
     )
 
 

@@ -13,11 +13,10 @@ from typing import Annotated
 
 from estimation.alerts.life_cycle import DELAYS, SEVERITY_RANK, updated, without_stale_acknowledgement
 from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
-from estimation.alerts.rules.evidence import Evidence
+from estimation.alerts.rules.rule import Evidence
 from estimation.errors import InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Transition
-from estimation.values.json_value import JsonValue
-from estimation.values.served import Served
+from estimation.values.fields import JsonValue, Served
 
 HOUR_NS = 3_600_000_000_000
 MOST_NAMED = 5  # wheelsets in the evidence

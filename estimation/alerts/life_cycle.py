@@ -21,8 +21,7 @@ from typing import Annotated
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
-from estimation.values.json_value import JsonValue
-from estimation.values.served import Served
+from estimation.values.fields import JsonValue, Served
 
 DELAYS = "delays"
 RUN_FROM = "run_from_km"  # among them: mileage of the first of the findings on end that are counted
@@ -318,3 +317,26 @@ def must_be_open(alert: Alert) -> None:
 def conflict(alert: Alert, reason: str) -> ConflictError:
     """Return the error that an alert is in another state than is asked for."""
     return ConflictError(reason, kind="alert", key=str(alert.alert_id))
+
+
+def section_transition(
+    open_alert: Alert | None,
+    finding: Finding,
+    now_ns: int,
+    *,
+    fleet: str,
+    track_section: str,
+    delays: AlertDelays,
+    rules_version: str,
+) -> Transition | None:
+    """Return what a finding does to the open alert of a section and kind; None where nothing changes.
+
+    Args:
+        open_alert: The open alert of the fleet about the section; None where there is none.
+        finding: Of the rule; its wheelset is empty.
+    """
+    nameless = None if open_alert is None else replace(open_alert, wheelset="")
+    found = transition(nameless, finding, now_ns, fleet=fleet, delays=delays, rules_version=rules_version)
+    if found is None:
+        return None
+    return replace(found, alert=replace(found.alert, wheelset=None, track_section=track_section))

@@ -3,16 +3,7 @@
 The integration (EN 15302:2021 Annex B): with S(y) the integral of Delta r from its zero crossing, a free wheelset
 moves such that psi^2 = 2 (C - S(y)) / (e r0); its wavelength over the travel between the two points where S = C,
 put into Klingel's formula, gives tan(gamma_e) = pi^2 / I^2 with I = integral dy / sqrt(C - S(y)); e and r0 cancel.
-
-Rules for curves that a measurement gives:
-
-- The curve is straight between its points; points that are not finite are left out.
-- Of several upward zero crossings the one counts where the integral of Delta r is lowest, the deepest equilibrium;
-  on an interval of zeros its middle.
-- Where S is not convex nothing changes; where it even falls, going outwards, its running maximum seen from the zero
-  crossing takes its place: the wheelset turns back where it first meets S = C. An amplitude on a level
-  part of that maximum gets 0, because the wheelset would come to rest there.
-- An amplitude whose travel leaves the curve, and every amplitude of a curve without an upward crossing, gives NaN.
+Curves that a measurement gives: ``docs/decisions/contact-conicity-rules.md``.
 """
 
 from __future__ import annotations
@@ -40,15 +31,11 @@ _REST = 1e-9  # share by which S is below its running maximum where a wheelset h
 def equivalent_conicity(
     lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike, amplitudes: npt.ArrayLike
 ) -> FloatArray:
-    """Return tan(gamma_e) at each amplitude by the integration of EN 15302.
+    """Return tan(gamma_e) (k,) at each amplitude (k,), m, by EN 15302; NaN where the curve does not cover it.
 
     Args:
         lateral_displacement: (n,) m, strictly increasing, positive to the left.
         rolling_radius_difference: (n,) m, left minus right.
-        amplitudes: (k,) m, positive.
-
-    Returns:
-        (k,) tan(gamma_e); NaN where the curve does not cover the amplitude.
 
     Raises:
         ParameterError: Lengths that differ, displacements that do not increase, an amplitude that is not positive.
@@ -58,11 +45,7 @@ def equivalent_conicity(
 
 
 def zero_crossing(lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike) -> float:
-    """Return the lateral displacement where the radii are equal (of several, the deepest equilibrium), m, or NaN.
-
-    Args:
-        lateral_displacement, rolling_radius_difference: (n,) m, as :func:`equivalent_conicity` takes them.
-    """
+    """Return the lateral displacement where the radii are equal (of several, the deepest equilibrium), m, or NaN."""
     y, difference = _curve(lateral_displacement, rolling_radius_difference)
     return float(_equilibrium(y, difference)[0])
 
@@ -70,12 +53,7 @@ def zero_crossing(lateral_displacement: npt.ArrayLike, rolling_radius_difference
 def middle_of_travel(
     lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike, amplitude: float
 ) -> float:
-    """Return the middle between the turning points at an amplitude, m; NaN where the curve does not cover it.
-
-    Args:
-        lateral_displacement, rolling_radius_difference: (n,) m, as :func:`equivalent_conicity` takes them.
-        amplitude: m, positive.
-    """
+    """Return the middle between the turning points at an amplitude, m; NaN where the curve does not cover it."""
     y, difference = _curve(lateral_displacement, rolling_radius_difference)
     (a,) = _amplitudes(amplitude)
     crossing = _equilibrium(y, difference)[0]
@@ -87,11 +65,7 @@ def middle_of_travel(
 
 
 def nonlinearity_parameter(lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike) -> float:
-    """Return NP = (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2, in 1/mm as EN 15302 gives it; NaN if not covered.
-
-    Args:
-        lateral_displacement, rolling_radius_difference: (n,) m, as :func:`equivalent_conicity` takes them.
-    """
+    """Return NP = (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2, in 1/mm as EN 15302 gives it; NaN if not covered."""
     low, high = equivalent_conicity(lateral_displacement, rolling_radius_difference, (2e-3, 4e-3))
     return float((high - low) / 2.0)
 
@@ -314,8 +288,7 @@ def conicity_std(
     cover. Errors of an instrument that are alike along the whole profile (scale, tilt) are not in it.
 
     Args:
-        lateral_displacement: (n,) m, strictly increasing: the grid of the contact search.
-        amplitudes: (k,) m, positive.
+        lateral_displacement, amplitudes: (n,) m, strictly increasing; (k,) m.
 
     Raises:
         ContactError: The profiles never touch.

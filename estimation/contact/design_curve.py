@@ -64,10 +64,9 @@ class DesignCurve(FrozenArrays):
 
 
 def nearest_design(kind: ProfileKind, points: FloatArray) -> DesignCurve | None:
-    """Return the design nearest to measured points, moved to them; None if they are of no known design.
+    """Return the design nearest to measured points (n, 2), mm, moved to them; None if they are of no known design.
 
-    Args:
-        points: (n, 2) mm, y to the field side and z down, along the profile; a wheel's y from about its tread datum.
+    Axes are those of profiles; a wheel's y is from about its tread datum.
     """
     shown = points[np.unique(np.linspace(0, len(points) - 1, POINTS).astype(np.int64))]
     found = []
@@ -90,8 +89,7 @@ def explains(design: DesignCurve, points: FloatArray, noise: FloatArray, length:
     """Return whether points differ from a design by no more than their noise, where wheel and rail may touch.
 
     Args:
-        points: (n, 2) mm, without outliers.
-        noise: (n,) standard deviation of each across the profile, mm.
+        points, noise: (n, 2) mm, without outliers; (n,) standard deviation of each across the profile, mm.
         length: Arc over which neighbours share it, mm.
     """
     arc = design.foot(points)

@@ -36,8 +36,7 @@ _USUAL_SLOPE = 100.0 / 15.0
 def en13715_wheel(name: str) -> tuple[Segment, ...] | None:
     """Return the profile of a designation as ``EN13715-S1002/h30/e31.5/6.7%``; None if the name is no designation.
 
-    Args:
-        name: The designation; ``EN13715``, the outer slope (per cent, by default 1:15) and punctuation are free.
+    ``EN13715``, the outer slope (per cent, by default 1:15) and punctuation are free.
 
     Raises:
         ProfileError: A dimension outside the standard's range.

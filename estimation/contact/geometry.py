@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from estimation.contact import kernels
 from estimation.contact.method import ContactMethod
-from estimation.contact.profiles import TREAD_DATUM, Profile
-from estimation.contact.surface import Surface, rail_surface, wheel_surface
+from estimation.contact.profiles import TREAD_DATUM, Profile, Surface, rail_surface, wheel_surface
 from estimation.errors import ContactError
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, freeze, frozen_array
 
@@ -143,18 +142,15 @@ def contact_table(
     """Return the contact geometry at every lateral displacement and gauge deviation.
 
     Args:
-        lateral_displacement: (n,) m, strictly increasing: of the axle's middle relative to the track centre, positive
-            to the left.
+        lateral_displacement: (n,) m, strictly increasing: of the axle's middle, positive to the left.
         gauge_deviation: (g,) m, strictly increasing: actual minus nominal gauge.
         method: ``RIGID``: the wheelset rolls about the axle's middle until both wheels touch. ``EN15302``: it does not
-            roll, and each wheel touches where its vertical gap is smallest (EN 15302:2021, as its reference results are
-            made).
-        outside: What to do at displacements where no contact exists (a wheel on the tip of its flange, or off the
-            rail): ``raise``, or ``hold`` the values of the nearest displacement that has contact, marked in ``exists``.
+            roll, and each wheel touches where its vertical gap is smallest, as the reference results are made.
+        outside: What to do where there is no contact (a wheel on the tip of its flange, or off the rail): ``raise``,
+            or ``hold`` the values of the nearest displacement that has contact, marked in ``exists``.
 
     Raises:
-        ContactError: A grid that is not finite and increasing; profiles that never touch; with ``outside="raise"`` any
-            displacement without contact.
+        ContactError: A grid that is not finite and increasing; profiles that never touch; no contact somewhere.
     """
     displacement, deviation, setting, values, outcomes = search_contacts(
         wheelset, lateral_displacement, gauge_deviation, method=method, outside=outside
@@ -174,10 +170,7 @@ def search_contacts(
 ) -> tuple[FloatArray, FloatArray, Setting, FloatArray, IntArray]:
     """Return displacements (n,), deviations (g,), the kernels' setting, values (5, n, g) and outcomes (n, g).
 
-    The values are those of :func:`estimation.contact.kernels.table`.
-
-    Raises:
-        ContactError: As :func:`contact_table`.
+    They are those of ``kernels.table``; what is raised is as :func:`contact_table` raises it.
     """
     displacement = _grid(lateral_displacement, "lateral_displacement")
     deviation = _grid(gauge_deviation, "gauge_deviation")
@@ -299,13 +292,8 @@ def radius_difference_curve(
     """Return the rolling radius difference, refined between the points of a grid.
 
     Each cell is halved until the curve is straight in it to 0.2 um; a jump is placed by bisection of the contact
-    search to 1 nm. So integrals over the curve (EN 15302) do not depend on the grid.
-
-    Args:
-        lateral_displacement: (n,) m, strictly increasing: of the axle's middle relative to the track centre, positive
-            to the left.
-        gauge_deviation: Actual minus nominal gauge, m.
-        method: How contact points are found, as :func:`estimation.contact.geometry.contact_table` takes it.
+    search to 1 nm. So integrals over the curve (EN 15302) do not depend on the grid. Arguments are as those of
+    :func:`contact_table`.
 
     Raises:
         ContactError: A grid that is not finite and increasing; profiles that never touch.
@@ -317,12 +305,7 @@ def radius_difference_curve(
 
 
 def refined_curve(wheelset: WheelsetOnTrack, table: ContactTable, column: int) -> RadiusDifferenceCurve:
-    """Return the same curve from a contact table that has been searched already, at one of its gauges.
-
-    Args:
-        table: As :func:`estimation.contact.geometry.contact_table` returns it.
-        column: Of ``table.gauge_deviation``, from 0.
-    """
+    """Return the same curve from a contact table that has been searched already, at one of its gauges (``column``)."""
     contacts = (
         table.roll,
         table.contact_position_left,

@@ -110,15 +110,7 @@ def _scan(gaps, shift, cosine, sine, half, radius, wheel, rail):  # type: ignore
 def nearest(shift, roll, half, radius, wheel, rail):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Return gap, wheel coordinate, rail position, d gap / d roll and outcome of the smallest gap of one wheel.
 
-    Args:
-        shift: Of the wheel to its field side relative to the rail, m.
-        roll: Roll angle that lifts the wheel, rad.
-        radius: Nominal rolling radius, m.
-        wheel, rail: Gridded surface each: first lateral coordinate and step, m; height (n,), m; slope (n,).
-
-    Returns:
-        gap, wheel coordinate, rail position, rate, outcome: m, m, m, m/rad, and one of ``FOUND``, ``NO_OVERLAP``,
-            ``FLANGE_TIP``, ``OUTER_EDGE``.
+    ``radius`` is its own, ``wheel`` and ``rail`` are one surface each; the outcome is not ``NO_ROLL``.
     """
     cosine, sine = math.cos(roll), math.sin(roll)
     gaps = np.empty((len(wheel[2]) - 1) // STRIDE + 1)
@@ -149,11 +141,7 @@ def nearest(shift, roll, half, radius, wheel, rail):  # type: ignore[no-untyped-
 def touching_roll(start, left_shift, right_shift, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Return the roll at which both gaps are equal, both contacts, and the outcome: safeguarded Newton-Raphson.
 
-    Contacts are (wheel coordinate, rail position) of the left and right wheel.
-
-    Args:
-        start: Roll to begin with, rad.
-        left_shift, right_shift: Of each wheel to its field side relative to its rail, m.
+    It begins at roll ``start``. Contacts are (wheel coordinate, rail position) of the left and right wheel.
     """
     roll, low, high = start, -ROLL_LIMIT, ROLL_LIMIT
     left = nearest(left_shift, roll, half, radii[0], wheels[0], rails[0])
@@ -181,10 +169,7 @@ def touching_roll(start, left_shift, right_shift, half, radii, wheels, rails):  
 def contact(displacement, deviation, start, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Return roll, wheel coordinates, rail positions (left, right each) and outcome of one position of the wheelset.
 
-    Args:
-        start: Roll to begin the search with, rad.
-        rigid: Whether the wheelset rolls until both wheels touch; without, the roll is zero and each side on its own,
-            as in EN 15302:2021.
+    ``rigid``: it rolls, from roll ``start`` on, until both wheels touch; without, each side is on its own (EN 15302).
     """
     left_shift, right_shift = displacement - 0.5 * deviation, -displacement - 0.5 * deviation
     if rigid:
@@ -245,11 +230,7 @@ def _is_jump(low, high, first, second, deviation, rigid, half, radii, wheels, ra
 
 @compiled()
 def jumps(displacement, deviation, values, outcomes, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Return (n - 1, g): whether a contact jumps between a displacement and the next.
-
-    Args:
-        values, outcomes: (5, n, g) and (n, g): what :func:`table` returned for them.
-    """
+    """Return (n - 1, g): whether a contact jumps between a displacement and the next, by what :func:`table` has."""
     n, g = outcomes.shape
     crossed = np.zeros((max(n - 1, 0), g), np.bool_)
     for j in range(g):
@@ -278,10 +259,8 @@ def refined(displacement, deviation, values, outcomes, rigid, half, radii, wheel
 
     Cells of the grid are halved where a contact moves by more than `JUMP_DISTANCE` or where the difference half-way
     is off the straight line by more than `CURVE_TOLERANCE`, down to `CURVE_INTERVAL`: a jump is between two points
-    that are no farther apart than that. A cell without contact in its middle is left as it is.
-
-    Args:
-        values, outcomes: (5, n) and (n,): what :func:`table` returned for them.
+    that are no farther apart than that. A cell without contact in its middle is left as it is. Values (5, n) and
+    outcomes (n,) are those of one gauge.
     """
     points = [(math.nan, math.nan, math.nan) for _ in range(0)]
     upper = [(0.0, (math.nan, math.nan, math.nan, math.nan, math.nan, FOUND)) for _ in range(0)]

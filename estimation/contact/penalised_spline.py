@@ -1,15 +1,10 @@
 """A smooth curve through noisy points along their arc: a quintic spline whose penalty follows the data.
 
-Both coordinates are splines of the arc length s. The penalty is on their third derivative, the change of curvature,
-so that straight lines and arcs, of which new profiles consist, cost next to nothing. Its weight varies along the arc:
-it is the inverse of the local variance of the third derivative, which maximises the evidence (MacKay, 1992; over
-neighbouring coefficients together), so that a corner, or a joint of two arcs, is kept where the data show one. The
-level of the penalty then minimises the generalised cross-validation score (Craven and Wahba, 1979), or, where the
-noise is known, the unbiased estimate of the risk (Mallows' Cp). The covariance is that of Wahba's Bayesian model
-(1983), for white noise with one variance in height and one in lateral position.
-
-Where the points are those of a known design but for their noise, the curve is this design and a spline: the difference,
-of which all third derivatives have one variance, and which no joint of arcs bends.
+The penalty is on the third derivative, weighted by the inverse of its local variance, which maximises the evidence
+(MacKay, 1992), so that corners and joints of arcs are kept where the data show them. Its level minimises the
+generalised cross-validation score (Craven and Wahba, 1979), or, where the noise is known, Mallows' Cp; the covariance
+is that of Wahba (1983). Points of a known design are fitted by this design and a spline, the difference. See
+``docs/decisions/measured-profile-smoothing.md``.
 """
 
 from __future__ import annotations
@@ -105,8 +100,7 @@ def fit_spline(
     """Return the smooth curve through points and its uncertainty.
 
     Args:
-        points: (n, 2) mm, in their order along the curve.
-        weight: (n,) 1, or 0 for points that are left out.
+        points, weight: (n, 2) mm, in their order along the curve; (n,) 1, or 0 for points that are left out.
         noise_std: Of the points across the curve, mm; None if it is to be estimated.
         design: The curve is the sum of this and a spline; without, the spline is all of it.
     """
@@ -147,13 +141,10 @@ def _on_design(design: DesignCurve | None, knots: FloatArray) -> BoolArray | Non
 
 
 def correlated_noise(points: FloatArray) -> tuple[float, float]:
-    """Return the noise of points across their curve, and the arc over which it is alike, both mm; before any fit.
+    """Return the noise of points (n, 2) across their curve, and the arc over which it is alike, all mm; before any fit.
 
     Fourth differences at several distances: of white noise they are alike, of noise that neighbours share they grow
     with the distance. The correlation is taken as exponential.
-
-    Args:
-        points: (n, 2) mm, in their order along the curve.
     """
     spacing = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
     steps = sorted({max(1, round(distance / max(spacing, _TINY))) for distance in NOISE_DISTANCES})
@@ -175,11 +166,7 @@ def correlated_noise(points: FloatArray) -> tuple[float, float]:
 
 
 def rough_noise(points: FloatArray, step: int = 1) -> float:
-    """Return the noise of points across their curve from differences of neighbours, mm: robust, before any fit.
-
-    Args:
-        points: (n, 2) mm, in their order along the curve.
-    """
+    """Return the noise of points (n, 2) across their curve from differences of neighbours, mm: robust, before a fit."""
     if len(points) < 4 * step + 1:
         return 0.0
     chord = points[2 * step :] - points[: -2 * step]
@@ -262,7 +249,6 @@ def _over_neighbours(values: FloatArray) -> FloatArray:
 
 
 def _levelled(rows: _Rows, fit: _Fit, *, known: bool) -> _Fit:
-    """Return the fit at the level of the penalty with the best score."""
     design, target = rows
     n = float(len(design))
     normal = design.T @ design, design.T @ target

@@ -16,13 +16,10 @@ MOST_POINTS = 4000  # one in 0.05 mm of a wheel's arc: the spacing at which smoo
 
 
 def thinned(points: FloatArray) -> IntArray:
-    """Return the indices of at most `MOST_POINTS` points, evenly spaced along the arc; all where there are no more.
+    """Return the indices of at most `MOST_POINTS` of points (n, 2), mm, evenly spaced along the arc.
 
     Points are chosen, not averaged: each keeps the noise of the instrument, its place in the file, and whether it is
     an outlier. The arc is that of the running mean of the points, which noise lengthens little.
-
-    Args:
-        points: (n, 2) mm, in their order along the curve.
     """
     n = len(points)
     if n <= MOST_POINTS:
@@ -83,16 +80,15 @@ def smoothed_profile(
     """Return the smooth profile through measured points; the penalty is chosen from the points or by known noise.
 
     Points that are farther from the curve than 5 times the local noise are left out, one after another where they
-    are alone. Points without noise (less than 0.1 um) are taken as they are. Of more points than
-    `estimation.contact.smoothed_profile.MOST_POINTS` so many are smoothed, evenly spaced along the arc.
+    are alone. Points without noise (less than 0.1 um) are taken as they are. Of more than `MOST_POINTS` so many are
+    smoothed, evenly spaced along the arc.
 
     Args:
         points: (n, 2) mm, y to the field side and z down, along the profile with y increasing on the whole.
         noise_std: Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
 
     Raises:
-        ProfileError: Fewer than four points, points that are not in order along the profile, or too few for their
-            scatter.
+        ProfileError: Fewer than four points, points that are not in order, or too few for their scatter.
     """
     level = correlated_noise(points)[0] if noise_std is None else noise_std
     if level < EXACT_BELOW:
@@ -163,12 +159,7 @@ def datum_at_zero(profile: Profile) -> Profile:
 
 
 def advancing(y: FloatArray, peak: int) -> IntArray:
-    """Return the indices of the points that advance, seen from the peak outwards to both sides.
-
-    Args:
-        y: (n,) mm, increasing on the whole.
-        peak: Index of the tip of the flange, or of the crown.
-    """
+    """Return the indices of the points that advance, seen from the peak (flange tip, crown) outwards to both sides."""
     right = _beyond_all_before(y[peak:])
     left = _beyond_all_before(-y[peak::-1])
     return np.concatenate([peak - left[:0:-1], peak + right])
@@ -201,7 +192,6 @@ def without_spikes(points: FloatArray, level: float) -> FloatArray:
     """Return weight 0 (n,) for points far off the median of their neighbours, which would bend the first fit, else 1.
 
     Args:
-        points: (n, 2) mm, in their order along the curve.
         level: Noise across the curve, mm.
     """
     n = len(points)

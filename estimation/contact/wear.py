@@ -1,40 +1,31 @@
-"""Wear of a wheel profile: a hollow in the tread and a thinner flange, both smooth.
+"""Wear of wheels and rail heads, smooth so that it adds no corner to the contact, and what depots measure of it.
 
-A new profile becomes a worn one by two steps. The tread loses ``depth * (1 - u^2)^3`` of height, u the distance from
-the centre of the hollow over its half width: twice continuously differentiable, so that wear adds no corner to the
-contact. The flange face is moved towards the flange back by ``flange_wear``, blended in over the root and out over the
-tip. Reprofiling needs no function: a reprofiled wheel has the new profile again.
+A tread or head loses ``depth * (1 - u^2)^3`` of height, u the distance from the centre of the hollow over its half
+width (``docs/decisions/contact-wear-form.md``). The flange face is moved towards the flange back by ``flange_wear``,
+blended in over the root and out over the tip.
 
-What a depot measures on a wheel: flange height Sh, thickness Sd and gradient qR, and the hollow of the tread.
-
-Sh, Sd and qR are those of EN 15313:2016 (and of profile gauges, which print them): with the tread datum 70 mm from the
-flange back, Sh is the height of the flange tip over the tread there, Sd the distance of the flange face from the flange
-back 10 mm beyond the tread, and qR the lateral distance of that point from the face 2 mm short of the tip. EN 15313
-leaves the hollow to the operator; here it is the depth of the tread below the highest point farther out, which is what
-a straight edge from the field side finds.
-
-Wear of a rail head: a band of the running surface that is worn away, smooth at both ends.
-
-The head loses ``depth * (1 - u^2)^3`` of height, u the distance from the middle of the band over its half width: the
-form of the hollow in a tread (``estimation.contact.wear``), twice continuously differentiable, so that wear adds no
-corner to the contact. A band towards the gauge side lets the contact of a wheel near its flange go down to the field
-side; one in the middle flattens the head. Where the band reaches over the gauge corner, the gauge face is worn too,
-because its steep surface is lowered.
+Flange height Sh, thickness Sd and gradient qR are those of EN 15313:2016: with the tread datum 70 mm from the flange
+back, Sh is the height of the flange tip over the tread there, Sd the distance of the flange face from the flange back
+10 mm beyond the tread, and qR the lateral distance of that point from the face 2 mm short of the tip. The hollow is the
+depth of the tread below the highest point farther out, which is what a straight edge from the field side finds.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
+from importlib.resources import as_file, files
 from typing import Annotated
 
 import numpy as np
 
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.errors import ParameterError, ProfileError
-from estimation.values.arrays import FloatArray
-from estimation.values.served import MM, Served
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
+from estimation.values.fields import IN_MM, Served
 
 DEEPEST_HOLLOW = 6e-3  # largest depth that the form is meant for, m
 
@@ -74,17 +65,11 @@ class WearFamily(StrEnum):
 
 
 def wear_course(family: WearFamily, depth: float) -> TreadWear:
-    """Return the wear of a wheel of that family when its tread has lost ``depth`` metres.
+    """Return the wear of a wheel of that family when its tread has lost ``depth`` metres at its centre.
 
     The hollow is where the pair's contact patches are; the flange loses as much as the tread. On the pair's new
     rail at 1435 mm equivalent conicity at 3 mm (EN 15302) grows steadily with depth: P8 on 56E1 from 0.195 to 0.44
     at 2.2 mm, S1002 on 60E1 from 0.174 to 0.42 at 1.3 mm; beyond, P8 grows on and S1002 levels off near 0.46.
-
-    Args:
-        depth: Height lost at the centre of the tread, m.
-
-    Raises:
-        ParameterError: As `TreadWear`.
     """
     centre, half_width = {WearFamily.P8_ON_56E1: (3e-3, 44e-3), WearFamily.S1002_ON_60E1: (4e-3, 33e-3)}[family]
     return TreadWear(depth, centre, half_width, depth)
@@ -147,7 +132,7 @@ class WearMeasures:
         Served(
             "Sh: tip of the flange over the tread 70 mm from the flange back.",
             "flange_height_mm",
-            MM,
+            IN_MM,
             28.0,
             finite=False,
         ),
@@ -155,7 +140,7 @@ class WearMeasures:
     flange_thickness: Annotated[
         float,
         Served(
-            "Sd: flange face to flange back, 10 mm beyond the tread.", "flange_thickness_mm", MM, 32.5, finite=False
+            "Sd: flange face to flange back, 10 mm beyond the tread.", "flange_thickness_mm", IN_MM, 32.5, finite=False
         ),
     ]
     flange_gradient: Annotated[
@@ -163,7 +148,7 @@ class WearMeasures:
         Served(
             "qR: lateral distance of the face 10 mm beyond the tread from that 2 mm short of the tip.",
             "flange_gradient_mm",
-            MM,
+            IN_MM,
             10.8,
             finite=False,
         ),
@@ -173,7 +158,7 @@ class WearMeasures:
         Served(
             "Depth of the tread below the highest point farther out; 0 for a new wheel.",
             "hollow_mm",
-            MM,
+            IN_MM,
             0.0,
             finite=False,
         ),
@@ -253,3 +238,35 @@ def worn_rail(rail: Profile, wear: RailWear) -> Profile:
     rest = 1.0 - u * u
     loss, slope = wear.depth * rest**3, -6.0 * wear.depth / wear.half_width * u * rest**2
     return Profile("rail", f"{rail.name} worn", rail.y, rail.z + loss, rail.slope + slope)
+
+
+HOLLOWS: Mapping[str, tuple[float, float]] = {  # centre and half width of the hollow of each design wheel, m
+    "P8": (3e-3, 44e-3),
+    "S1002": (4e-3, 33e-3),
+    "EN13715-1/40/h28/e32.5": (3e-3, 38e-3),
+    "EN13715-S1002/h30/e29": (4e-3, 36e-3),
+    "EN15302-A": (3e-3, 40e-3),
+    "EN15302-B": (3e-3, 40e-3),
+    "EN15302-H": (3e-3, 40e-3),
+    "EN15302-I": (3e-3, 40e-3),
+}
+TABLE = "worn_family.npy"  # written by ``python -m bench.worn_family``
+UNIT = 1e-4  # of a stored conicity
+AMPLITUDES: FloatArray = np.arange(2, 13, dtype=np.float64) * 0.25e-3  # m
+
+
+@dataclass(frozen=True, slots=True)
+class WornFamily(FrozenArrays):
+    """Conicities by amplitude of many wheelsets, new and worn: how conicity goes on with amplitude."""
+
+    amplitude: Annotated[FloatArray, "a"]  # m
+    conicity: Annotated[FloatArray, "m", "a"]
+    pair: Annotated[IntArray, "m"]  # number of the pair of design wheel and rail
+
+
+@cache
+def worn_family() -> WornFamily:
+    """Return all pairs, as they are kept beside this module."""
+    with as_file(files("estimation.contact") / TABLE) as path:
+        stored = np.load(path, allow_pickle=False)
+    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * UNIT), stored[:, 0].astype(np.int64))

@@ -1,13 +1,9 @@
-"""Wheel profiles and rail heads by their standards. Millimetres; y to the field side from the tread datum, z down.
+"""Wheel profiles and rail heads by their standards. Millimetres; y to the field side, z down.
 
-The tread datum is 70 mm from the flange back. Sources: EN 15302:2021 Annex I (wheels A, B, C, H, I; wheel C is the
-BR P8 profile), UIC 510-2 / EN 13715 Annex C (S1002, flange height 28 mm, flange thickness 32.5 mm).
-
-Rail heads as their standards define them. Millimetres; y to the field side, z down.
-
-Sources: EN 13674-1:2017 (radii, widths between the joints of arcs, inclination of the sides; each arc is tangent to the
-one before), UIC 861-3 (the older UIC60 head), EN 15302:2021 Annex I.7 (rail A, given in track axes: inclined
-1:20 already, y = 0 at 750 mm from the track centre at a gauge of 1435.16 mm).
+y of a wheel is from its tread datum, 70 mm from the flange back. Sources: EN 15302:2021 Annex I (wheels A, B, C, H, I;
+wheel C is the BR P8 profile; rail A in track axes, inclined 1:20 already, y = 0 at 750 mm from the track centre at a
+gauge of 1435.16 mm), UIC 510-2 / EN 13715 Annex C (S1002, flange height 28 mm, thickness 32.5 mm), EN 13674-1:2017
+(radii, widths between the joints of arcs, inclination of the sides), UIC 861-3 (the older UIC60 head).
 
 The heads of EN 13674-1 are here whose dimensions agree with each other: their arcs end where the head is a whole
 number of millimetres wide, to 0.001 mm (56E1: 69.85 mm; 46E3: where its sides meet the top). The transcribed 54E2,
@@ -114,12 +110,7 @@ Segment = Arc | Line | Polynomial
 
 
 def evaluate(segments: Sequence[Segment], y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return height and slope of adjoining segments at y; NaN outside all of them.
-
-    Args:
-        segments: In increasing y, each beginning where the one before ends.
-        y: (n,) mm. A joint belongs to the segment that ends there.
-    """
+    """Return height and slope of adjoining segments at y (n,), mm, NaN outside; a joint is of the one ending there."""
     height = np.full(len(y), np.nan)
     slope = np.full(len(y), np.nan)
     for segment in reversed(segments):
@@ -132,12 +123,9 @@ def evaluate(segments: Sequence[Segment], y: FloatArray) -> tuple[FloatArray, Fl
 def sample(segments: Sequence[Segment], step: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return y, z and dz/dy (n,) along adjoining segments, every joint included, without vertical ends; mm.
 
-    Printed coefficients leave steps of up to 8e-4 mm at joints. They are closed by raising or lowering the segments
-    away from y = 0: a step of 5e-5 mm, smeared over one sample, would move a contact on near-conformal arcs by 0.05 mm.
-
-    Args:
-        segments: In increasing y, each beginning where the one before ends; mm.
-        step: Largest distance between points along the surface, mm.
+    Points are at most ``step`` apart along the surface. Printed coefficients leave steps of up to 8e-4 mm at joints.
+    They are closed by raising or lowering the segments away from y = 0: a step of 5e-5 mm, smeared over one sample,
+    would move a contact on near-conformal arcs by 0.05 mm.
     """
     y = np.unique(np.concatenate([segment.knots(step) for segment in segments]))
     y = y[np.concatenate([[True], np.diff(y) > _SAME_POINT])]

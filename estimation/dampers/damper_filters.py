@@ -17,10 +17,15 @@ import numpy as np
 import scipy.linalg
 
 from estimation.compiled import compiled
-from estimation.dampers.suspension_equations import suspension_equations, uncertain_parameters
-from estimation.dampers.thinning import between_samples, low_pass, stride_of
+from estimation.dampers.suspension_equations import (
+    between_samples,
+    low_pass,
+    stride_of,
+    suspension_equations,
+    uncertain_parameters,
+)
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
-from estimation.values.dampers import SHARES
+from estimation.values.opinions import SHARES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass
 
 
@@ -42,7 +47,6 @@ def add_innovation_products(
         transition, by_input, measured, gain: (q, v, n, n), (q, v, 2, n), (q, v, n) and (q, v, n) of the filters.
         source: (v,) which row of the accelerations each variant takes.
         below, above: (k, s) accelerations of the wheelsets and of what is above them, m/s2.
-        counted: (s,) samples whose innovations are summed.
         products: (q - 1, v + 1, v + 1) of the innovations of a particle's variants, and of the next particle's first;
             added to.
     """
@@ -92,8 +96,6 @@ def step(
             and gain of the filters.
         now, then: (f,) accelerations of the wheelsets at this sample and at the next, m/s2.
         innovation: (f,) accelerations of what is above at this one, m/s2; changed to the innovations.
-        state: (n, f) changed.
-        corrected: (n, f) work space.
     """
     n, f = state.shape
     for k in range(n):
@@ -112,13 +114,7 @@ def step(
 
 @compiled(nogil=True)
 def add_outer(innovations: FloatArray, signals: FloatArray, products: FloatArray) -> None:
-    """Add the products of the innovations of a sample to the lower half of every particle's.
-
-    Args:
-        innovations: (q, v) of the variants of every particle, m/s2.
-        signals: (v + 1,) work space.
-        products: (q - 1, v + 1, v + 1) added to.
-    """
+    """Add the products of the innovations of a sample to the lower half of every particle's."""
     q, v = innovations.shape
     for particle in range(q - 1):
         for variant in range(v):
@@ -180,21 +176,23 @@ class _Kept:
 @lru_cache(maxsize=KEPT)
 def _filters(kept: _Kept, sample_interval_s: float) -> DamperFilters:
     vehicle_class, step_s = kept.vehicle_class, stride_of(sample_interval_s) * sample_interval_s
-    physical, gain = uncertain_parameters(vehicle_class), {GAIN: gain_std(vehicle_class)}
+    physical = uncertain_parameters(vehicle_class)
     variants: list[Mapping[str, float]] = [{}]
-    variants += [{name: sign * std} for sign in (1.0, -1.0) for name, std in physical.items()] + [gain]
+    variants += [{name: sign * std} for sign in (1.0, -1.0) for name, std in physical.items()]
+    variants += [{GAIN: gain_std(vehicle_class)}]
     sources = [0] * len(variants)
     if vehicle_class.bogie is not None:
         variants, sources = [*variants, {}, {}, {}], [*sources, 1, 2, 3]
     made = [[_one(vehicle_class, share, one, step_s) for one in variants] for share in SHARES]
+    transition, by_input, measured, gain = (np.array([[one[k] for one in row] for row in made]) for k in range(4))
     apart = [std / math.sqrt(2.0) for std in _scale_stds(vehicle_class.sensors)]
     signals = _signals(len(physical), len(sources))
     size = len(signals)
     filters = DamperFilters(
-        transition=np.array([[one.transition for one in row] for row in made]),
-        by_input=np.array([[one.by_input for one in row] for row in made]),
-        measured=np.array([[one.measured for one in row] for row in made]),
-        gain=np.array([[one.gain for one in row] for row in made]),
+        transition=transition,
+        by_input=by_input,
+        measured=measured,
+        gain=gain,
         source=np.array(sources),
         apart=(apart[0], apart[1]),
         step_s=step_s,
@@ -241,11 +239,7 @@ def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) ->
 
 
 def of_signals(filters: DamperFilters, products: FloatArray) -> FloatArray:
-    """Return the products (q - 1, m, m) of the signals.
-
-    Args:
-        products: (q - 1, v + 2, v + 2) of the innovations, lower halves.
-    """
+    """Return the products (q - 1, m, m) of the signals."""
     whole = products + np.tril(products, -1).transpose(0, 2, 1)
     return np.asarray(filters.signals @ whole @ filters.signals.T)
 
@@ -260,8 +254,6 @@ def add_products(
 
     Args:
         below, above: (k, s) accelerations of wheelsets and of what is above, as ``SOURCES`` names them, m/s2.
-        counted: (s,) samples whose innovations are summed.
-        products: (q - 1, v + 2, v + 2) the lower half of each is added to.
     """
     add_innovation_products(
         filters.transition,
@@ -289,15 +281,10 @@ def _axles(vehicle_class: VehicleClass) -> int:
     return 1 if vehicle_class.bogie is None else AXLES_OF_A_BOGIE
 
 
-@dataclass(frozen=True, slots=True)
-class _Filter:
-    transition: FloatArray
-    by_input: FloatArray
-    measured: FloatArray
-    gain: FloatArray
-
-
-def _one(vehicle_class: VehicleClass, share: float, stds: Mapping[str, float], step_s: float) -> _Filter:
+def _one(
+    vehicle_class: VehicleClass, share: float, stds: Mapping[str, float], step_s: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return transition, by_input, measured and gain of a filter with some parameters off by these relative stds."""
     factors = {name: 1.0 + std for name, std in stds.items() if name != GAIN}
     equations = suspension_equations(vehicle_class, share, factors)
     n = len(equations.rates) + 1
@@ -316,7 +303,7 @@ def _one(vehicle_class: VehicleClass, share: float, stds: Mapping[str, float], s
     predicted = scipy.linalg.solve_discrete_are(transition.T, row.T, 0.5 * (process + process.T), np.eye(1))
     variance = float(measured @ predicted @ measured) + 1.0
     gain = predicted @ measured / variance
-    return _Filter(transition, _held(rates, by_input, step_s), measured, gain)
+    return transition, _held(rates, by_input, step_s), measured, gain
 
 
 def _held(rates: FloatArray, by_input: FloatArray, step_s: float) -> FloatArray:

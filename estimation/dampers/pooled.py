@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import chdtri, ndtr
 
 from estimation.values.arrays import FloatArray
-from estimation.values.dampers import SHARES, GearDamper, WindowDamper
+from estimation.values.opinions import SHARES, GearDamper, WindowDamper
 from estimation.values.quantities import NORMAL_95, Estimate, Status, jackknife_std, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
@@ -44,11 +44,7 @@ class DamperParameters:
 
 
 def gear_damper(windows: Sequence[WindowDamper], parameters: DamperParameters) -> GearDamper:
-    """Return what the newest windows of a running gear say of its damper; in any order they say the same.
-
-    Args:
-        windows: Of one running gear, at least one.
-    """
+    """Return what the newest windows of a running gear say of its damper; in any order they say the same."""
     ordered = sorted(windows, key=lambda one: one.start_ns)
     newest = ordered[-1]
     chosen = [
@@ -167,7 +163,6 @@ def posterior(sums: FloatArray, curved: int) -> Posterior | None:
 
     Args:
         sums: (q - 1, m, m) products of the signals of q particles over the windows.
-        curved: Parameters whose effect has a second order.
     """
     t = (np.arange(BETWEEN) + 0.5) / BETWEEN
     low, apart = np.array(SHARES[:-1]), np.diff(SHARES)

@@ -14,11 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
 
-from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass
 
@@ -96,3 +97,38 @@ def _bogie(p: VehicleParameters, bogie: BogieParameters, share: float) -> Suspen
     rates[0, 1] = rates[2, 3] = 1.0
     rates[1], rates[3] = frame, -secondary / bogie.body_mass - frame
     return SuspensionEquations(rates, np.array([0.0, -1.0, 0.0, 0.0]), frame)
+
+
+PASSED_HZ, STOPPED_HZ, STOPPED_DB = 5.0, 8.0, 70.0
+STEP_S = 0.016  # between the samples that the filters take
+
+
+def stride_of(sample_interval_s: float) -> int:
+    """Return of how many samples one is kept."""
+    return max(round(STEP_S / sample_interval_s), 1)
+
+
+@lru_cache(maxsize=4)
+def low_pass(sample_interval_s: float) -> FloatArray:
+    """Return the taps (k,) of the low-pass, odd in number and symmetric."""
+    from scipy.signal import firwin, kaiserord  # noqa: PLC0415 - slow to import, and few need it
+
+    count, beta = kaiserord(STOPPED_DB, 2.0 * sample_interval_s * (STOPPED_HZ - PASSED_HZ))
+    corner = 0.5 * (PASSED_HZ + STOPPED_HZ)
+    taps = firwin(count | 1, corner, window=("kaiser", beta), fs=1.0 / sample_interval_s)
+    return frozen_array(taps, (None,), name="taps")
+
+
+def thinned(values: FloatArray, sample_interval_s: float) -> FloatArray:
+    """Return the low-passed samples (s,) at which the filter sees measured values alone."""
+    from scipy.signal import oaconvolve  # noqa: PLC0415 - slow to import, and few need it
+
+    passed = oaconvolve(values, low_pass(sample_interval_s), mode="valid")
+    return np.asarray(passed[:: stride_of(sample_interval_s)])
+
+
+def between_samples(values: FloatArray) -> FloatArray:
+    """Return what, run straight from sample to sample, is the signal: a straight line takes (pi f dt)^2/3 of it."""
+    raised = values.copy()
+    raised[1:-1] -= np.diff(values, 2) / 12.0
+    return raised

@@ -7,18 +7,24 @@ noise as on file adds to the products is known, and is taken off (bias-compensat
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
-from estimation.adhesion.gear_segments import GearSegment, GearSegments
+from estimation.adhesion.creep_forces import GearSegment, GearSegments
 from estimation.dampers.damper_filters import LATE_STD_S, DamperFilters, add_products, damper_filters, of_signals
-from estimation.dampers.suspension_equations import mass_std, nominal_damping, uncertain_parameters
-from estimation.dampers.thinning import PASSED_HZ, between_samples, low_pass, stride_of, thinned
+from estimation.dampers.suspension_equations import (
+    PASSED_HZ,
+    between_samples,
+    low_pass,
+    mass_std,
+    nominal_damping,
+    stride_of,
+    thinned,
+    uncertain_parameters,
+)
 from estimation.motion.integration import bridged
-from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
-from estimation.values.dampers import DamperSums, WindowDamper
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.opinions import DamperSums, WindowDamper
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass
@@ -30,14 +36,6 @@ FEWEST_SAMPLES = 600.0  # of a window that are counted: 10 s
 MOST_UNEXPLAINED = 0.05  # mean square of the innovations beside noise, over that of the acceleration above
 EVERY = 3  # windows, one of which is looked at: a damper changes over months
 LARGEST_STD = 0.3  # relative, of parameters beside the damper: beyond it their effect is not proportional
-
-
-@dataclass(frozen=True, slots=True)
-class WindowSums:
-    """The sums of a window, or why there are none; mean square of the innovations over the largest that is believed."""
-
-    sums: DamperSums | Reason
-    innovation: float | None = None
 
 
 def looked_at(first: Window) -> bool:
@@ -52,13 +50,9 @@ def looked_at(first: Window) -> bool:
 def window_damper(
     first: Window, content_digest: str, gear: GearSegments | Reason, on_file: ClassOnFile
 ) -> WindowDamper:
-    """Return what a window says of the damper of a running gear, or why it says nothing.
-
-    Args:
-        gear: Segments of all its wheelsets, or why there are none.
-    """
+    """Return what a window says of the damper of a running gear, or why it says nothing."""
     vehicle_class = on_file.vehicle_class
-    found = WindowSums(gear) if isinstance(gear, Reason) else window_sums(gear, vehicle_class)
+    found, innovation = (gear, None) if isinstance(gear, Reason) else _window_sums(gear, vehicle_class)
     return WindowDamper(
         vehicle=first.vehicle,
         first_axle=first.axle,
@@ -68,17 +62,20 @@ def window_damper(
         content_digest=content_digest,
         class_digest=on_file.digest,
         mass_std=mass_std(vehicle_class),
-        innovation=found.innovation,
-        sums=None if isinstance(found.sums, Reason) else found.sums,
-        reason=found.sums if isinstance(found.sums, Reason) else None,
+        innovation=innovation,
+        sums=None if isinstance(found, Reason) else found,
+        reason=found if isinstance(found, Reason) else None,
     )
 
 
-def window_sums(gear: GearSegments, vehicle_class: VehicleClass) -> WindowSums:
-    """Return what a window says of the damper of a running gear."""
+def _window_sums(gear: GearSegments, vehicle_class: VehicleClass) -> tuple[DamperSums | Reason, float | None]:
+    """Return the sums of a window, or why there are none.
+
+    Beside them the mean square of the innovations over the largest that is believed.
+    """
     refused = not_judged(vehicle_class)
     if refused is not None:
-        return WindowSums(refused)
+        return refused, None
     filters = damper_filters(vehicle_class, gear.sample_interval_s)
     q, v, _ = filters.measured.shape
     products = np.zeros((q - 1, v + 1, v + 1))
@@ -87,11 +84,12 @@ def window_sums(gear: GearSegments, vehicle_class: VehicleClass) -> WindowSums:
         taken = _taken(segment, gear, filters.apart)
         if taken is None:
             continue
-        add_products(filters, taken.below, taken.above, taken.counted, products)
-        count += int(taken.counted.sum())
-        square += float((taken.above[0, taken.counted] ** 2).sum())
+        _, above, counted = taken
+        add_products(filters, *taken, products)
+        count += int(counted.sum())
+        square += float((above[0, counted] ** 2).sum())
     if count < FEWEST_SAMPLES:
-        return WindowSums(Reason(ReasonCode.TOO_FEW_USABLE, f"{count} samples of deflections are known"))
+        return Reason(ReasonCode.TOO_FEW_USABLE, f"{count} samples of deflections are known"), None
     return _judged(products, count, square, filters)
 
 
@@ -101,24 +99,18 @@ def not_judged(vehicle_class: VehicleClass) -> Reason | None:
         return Reason(ReasonCode.DAMPER_NOT_ON_FILE, f"class {vehicle_class.code!r} has no lateral damper on file")
     for name, std in uncertain_parameters(vehicle_class).items():
         if std > LARGEST_STD:
-            text = (
-                f"{name} of class {vehicle_class.code!r} is known to {std:.0%} only, at most {LARGEST_STD:.0%} will do"
-            )
-            return Reason(ReasonCode.SUSPENSION_UNCERTAIN, text)
+            text = f"{name} of class {vehicle_class.code!r} is known to {std:.0%} only"
+            return Reason(ReasonCode.SUSPENSION_UNCERTAIN, f"{text}, at most {LARGEST_STD:.0%} will do")
     return None
 
 
-@dataclass(frozen=True, slots=True)
-class _Taken(FrozenArrays):
-    """Accelerations as ``SOURCES`` names them, (k, s) m/s2, and which samples count, (s,)."""
+def _taken(
+    segment: GearSegment, gear: GearSegments, apart: tuple[float, float]
+) -> tuple[FloatArray, FloatArray, BoolArray] | None:
+    """Return accelerations below and above as ``SOURCES`` names them, (k, s) m/s2, and which samples count, (s,).
 
-    below: Annotated[FloatArray, None, None]
-    above: Annotated[FloatArray, None, None]
-    counted: Annotated[BoolArray, None]
-
-
-def _taken(segment: GearSegment, gear: GearSegments, apart: tuple[float, float]) -> _Taken | None:
-    """Return the samples that the filters take of a segment; None where it is too short."""
+    None where the segment is too short for the filters.
+    """
     axles, known, dt = gear.axles, segment.axles[0].known, gear.sample_interval_s
     stride, half = stride_of(dt), len(low_pass(dt)) // 2
     unknown = round(UNKNOWN_S / (stride * dt))
@@ -133,27 +125,26 @@ def _taken(segment: GearSegment, gear: GearSegments, apart: tuple[float, float])
     counted[:unknown] = counted[-1:] = False
     of_wheelsets = [raised, raised + apart[0] * raised_apart, raised, raised + late * np.gradient(raised_apart)]
     of_above = [above, above, above + apart[1] * above_apart, above + late * np.gradient(above_apart)]
-    return _Taken(np.stack(of_wheelsets), np.stack(of_above), counted)
+    return np.stack(of_wheelsets), np.stack(of_above), counted
 
 
-def _judged(products: FloatArray, count: int, square: float, filters: DamperFilters) -> WindowSums:
+def _judged(
+    products: FloatArray, count: int, square: float, filters: DamperFilters
+) -> tuple[DamperSums | Reason, float]:
     """Return sums over the mean square of what the best particle does not explain, where its filter has followed."""
     whole = of_signals(filters, products)
     least = min(_least(one, count) for one in whole)
-    innovation = least / (float(filters.noise[:, 0, 0].max()) + MOST_UNEXPLAINED * square / count)
+    innovation = float(least) / (float(filters.noise[:, 0, 0].max()) + MOST_UNEXPLAINED * square / count)
     if not (np.isfinite(innovation) and innovation <= 1.0):
         text = f"the innovations of the suspension's filters are {np.sqrt(innovation):.1f} times what is believed"
-        return WindowSums(Reason(ReasonCode.DIVERGED, f"{text}; check class and sensors"), float(innovation))
+        return Reason(ReasonCode.DIVERGED, f"{text}; check class and sensors"), innovation
     independent = count * min(2.0 * PASSED_HZ * filters.step_s, 1.0)
     scale = independent / (count * least + MODEL_ERROR**2 * square)
     excited = _excitation(whole * scale, count * scale * filters.noise)
     if not excited > LEAST_EXCITATION:
         text = f"the motion shows the damper {max(excited, 0.0):.1f} times as much as noise does"
-        few = Reason(ReasonCode.DAMPER_NOT_EXCITED, f"{text}, {LEAST_EXCITATION:g} times are needed")
-        return WindowSums(few, float(innovation))
-    return WindowSums(
-        DamperSums((whole - count * filters.noise) * scale, independent, filters.curved), float(innovation)
-    )
+        return Reason(ReasonCode.DAMPER_NOT_EXCITED, f"{text}, {LEAST_EXCITATION:g} times are needed"), innovation
+    return DamperSums((whole - count * filters.noise) * scale, independent, filters.curved), innovation
 
 
 def _excitation(products: FloatArray, noise: FloatArray) -> float:

@@ -26,7 +26,6 @@ def local_cubic_kernel(cutoff_wavelength: float, step: float) -> FloatArray:
 
     Args:
         cutoff_wavelength: Wavelength, m, of which half remains after the high-pass.
-        step: Grid spacing, m.
     """
     width = cutoff_wavelength / CUT_OFF_IN_WIDTHS
     m = int(np.ceil(REACH_IN_WIDTHS * width / step))
@@ -42,7 +41,6 @@ def high_pass(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) 
     """Return ``signals`` (m, n) minus their local fit; the first and last len(weights)//2 samples mean nothing.
 
     Args:
-        signals: (n,) or (m, n) on a uniform grid of distance, in any unit.
         weights: (2 k + 1,) from :func:`local_cubic_kernel` for that grid, of the same precision.
     """
     n, reach = signals.shape[-1], len(weights) // 2
@@ -58,12 +56,7 @@ def _spectrum(weights: bytes, kind: str, size: int) -> npt.NDArray[Any]:
 
 
 def valid_support(valid: BoolArray, weights: FloatArray) -> BoolArray:
-    """Return where every sample within the reach of the filter is valid.
-
-    Args:
-        valid: (n,) samples on a uniform grid.
-        weights: (2 k + 1,) of the filter.
-    """
+    """Return where every sample within the reach of the filter is valid."""
     m = len(weights) // 2
     padded = np.concatenate([np.zeros(m), ~valid, np.zeros(m)])
     padded[:m] = padded[len(padded) - m :] = 1.0

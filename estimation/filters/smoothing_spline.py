@@ -37,13 +37,7 @@ LANES = 8  # partial sums of a long product
 
 @compiled(nogil=True)
 def place(distance: FloatArray, end: float, per_step: float, interval: IntArray, pieces: FloatArray, last: int) -> None:
-    """Write the knot interval (n,) of every place, and the four B-splines there (4, n).
-
-    Args:
-        distance: (n,) m, not decreasing.
-        end, per_step: The largest place that is looked up, m, and knot intervals per m.
-        interval, pieces: Written: (n,) and (4, n).
-    """
+    """Write the knot interval (n,) of every place, and the four B-splines there (4, n)."""
     for i in range(len(distance)):
         at = min(distance[i], end) * per_step
         j = min(int(at), last) if at > 0.0 else 0  # of what is no number, too
@@ -58,12 +52,7 @@ def place(distance: FloatArray, end: float, per_step: float, interval: IntArray,
 
 @compiled(nogil=True)
 def add_band(weight: FloatArray, interval: IntArray, pieces: FloatArray, band: FloatArray) -> None:
-    """Add the weighted products of B-splines to the rows of the band (k, 4).
-
-    Args:
-        weight: (n,) of each sample.
-        band: (k, 4), added to.
-    """
+    """Add the weighted products of B-splines to the rows of the band (k, 4)."""
     for i in range(len(weight)):
         j, w = interval[i], weight[i]
         b0, b1, b2, b3 = pieces[0, i], pieces[1, i], pieces[2, i], pieces[3, i]
@@ -92,12 +81,7 @@ def add_roughness(band: FloatArray, scale: float) -> None:
 
 @compiled(nogil=True)
 def project(rows: FloatArray, weight: FloatArray, interval: IntArray, pieces: FloatArray, sums: FloatArray) -> None:
-    """Add to ``sums`` (m, k) the weighted products of rows (m, n) with every B-spline.
-
-    Args:
-        rows, weight: (m, n) and (n,).
-        sums: (m, k), added to.
-    """
+    """Add to ``sums`` (m, k) the weighted products of rows (m, n) with every B-spline."""
     n = len(weight)
     first = 0
     while first < n:
@@ -123,12 +107,7 @@ def project(rows: FloatArray, weight: FloatArray, interval: IntArray, pieces: Fl
 
 @compiled(nogil=True)
 def multiply(weighted: FloatArray, rows: FloatArray, products: FloatArray) -> None:
-    """Write the products (k, m) of weighted functions (k, n) with rows (m, n).
-
-    Args:
-        weighted, rows: (k, n) and (m, n).
-        products: (k, m), written.
-    """
+    """Write the products (k, m) of weighted functions (k, n) with rows (m, n)."""
     n = weighted.shape[1]
     for p in range(len(weighted)):
         for r in range(len(rows)):
@@ -183,13 +162,7 @@ def subtract(
     removed: FloatArray,
     shares: FloatArray,
 ) -> None:
-    """Take splines of these coefficients (m, k), and shares (r, m) of functions (r, n), from rows (m, n).
-
-    Args:
-        rows: (m, n), changed.
-        coefficients: (m, k) of the splines.
-        removed, shares: (r, n) functions, and (r, m) how much of each is taken out.
-    """
+    """Take splines of these coefficients (m, k), and shares (r, m) of functions (r, n), from rows (m, n)."""
     n = len(interval)
     first = 0
     while first < n:
@@ -311,14 +284,12 @@ def remove_wander(
     *,
     in_place: bool = False,
 ) -> FloatArray:
-    """Return ``signals`` (m, n) without what varies more slowly along the track than ``cutoff_wavelength``.
+    """Return ``signals`` (m, n) without what varies more slowly along the track than ``cutoff_wavelength``, m.
 
     Args:
         signals: (m, n), of one segment; values at samples that are not known are no part of the fit.
-        distance: (n,) m run since the start of the segment, not decreasing.
         known: (n,) samples that were measured. After a gap the rates are off by an unknown constant and the
             displacements by a straight line: both are taken out for every modelled gap.
-        cutoff_wavelength: m, of which half is left.
         bridged: Gaps of up to so many samples are not modelled: straight lines bridge them well enough.
         in_place: Whether ``signals`` may be written over, and are what is returned.
     """
@@ -337,12 +308,7 @@ def _line_and_parabola(n: int) -> FloatArray:
 
 
 def modelled_gaps(known: BoolArray, bridged: int) -> list[tuple[int, int]]:
-    """Return the gaps ``[first, behind)`` between known samples that are longer than ``bridged`` samples.
-
-    Args:
-        known: (n,) samples that were measured.
-        bridged: Samples of the longest gap that is left out.
-    """
+    """Return the gaps ``[first, behind)`` between known samples that are longer than ``bridged`` samples."""
     edges = np.flatnonzero(np.diff(known.astype(np.int8))) + 1
     first, behind = edges[~known[edges]], edges[known[edges]]
     behind = behind[behind > first[0]] if len(first) else behind

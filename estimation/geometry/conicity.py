@@ -77,12 +77,7 @@ class CurveEstimates:
 
 
 def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> CurveEstimates:
-    """Return conicity by amplitude, NP (1/mm) and the zero crossing, each with its interval or its reason.
-
-    Args:
-        curve: rL - rR over the bins, with its replicates and systematic errors.
-        parameters: Amplitudes, m, at which the conicity is published.
-    """
+    """Return conicity by amplitude, NP (1/mm) and the zero crossing, each with its interval or its reason."""
     amplitude = np.array(parameters.amplitudes)
     run = _run_around_zero(curve)
     groups = len(curve.difference) - 1
@@ -110,11 +105,7 @@ def _centre(row: _Row, curve: CurveReplicates, amplitude: float, conicity: float
 
 
 def not_covered(amplitude: float) -> Reason:
-    """Return that the bins do not reach an amplitude.
-
-    Args:
-        amplitude: In m.
-    """
+    """Return that the bins do not reach an amplitude."""
     return Reason(ReasonCode.AMPLITUDE_NOT_COVERED, f"amplitude {1e3 * amplitude:g} mm is not covered")
 
 
@@ -272,12 +263,7 @@ def _conicity(values: FloatArray, groups: int, count: float, amplitude: float) -
 def at_reference_amplitude(
     amplitude: FloatArray, conicity: tuple[Estimate, ...], parameters: CurveParameters
 ) -> tuple[Estimate, float]:
-    """Return the conicity at the reference amplitude, or at the largest covered below it.
-
-    Args:
-        amplitude: (a,) m.
-        conicity: (a,) the estimate at each amplitude.
-    """
+    """Return the conicity at the reference amplitude, or at the largest covered below it."""
     for a, value in sorted(zip(amplitude, conicity, strict=True), key=lambda pair: -pair[0]):
         if a <= parameters.reference_amplitude + 1e-9 and value.value is not None:
             return value, float(a)

@@ -55,7 +55,6 @@ def solve_with_shared_scales(
 
     Args:
         packed: (r, b, packed_size) moments of r replicates of b bins.
-        weight: (r, b) sums of weights.
         prior_stds: (q,) of the coefficients that are shared, which are those of the first regressors and zero
             beforehand.
         counted_as_one: (q,) samples that say as much of a shared coefficient as one with an error of its own would; by
@@ -142,7 +141,6 @@ def model_fit(table: BinTable, bins: BinParameters, expected_noise: float = 0.0)
     """Return how well a table follows the yaw equation; None where there are too few samples.
 
     Args:
-        table: Statistics made with ``bins``.
         expected_noise: Std of the error of y - d by its sensors and the alignment, m.
     """
     p = bins.vehicle
@@ -192,12 +190,7 @@ def _alone(packed: FloatArray, regressors: int, shared: int) -> float:
 
 
 def mismatch(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool) -> Contradiction | None:
-    """Return what of the class does not fit, and how sure that is; None where it fits.
-
-    Args:
-        stiffness_std, creep_std: Relative stds of yaw stiffness and creep coefficients of the class.
-        in_bogie: Whether the yaw spring is tied to the frame of a bogie.
-    """
+    """Return what of the class does not fit, and how sure that is; None where it fits."""
     return _spring_differs(fit, stiffness_std, creep_std, in_bogie=in_bogie) or _unexplained(fit)
 
 

@@ -31,7 +31,7 @@ import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.geometry.sharpening import displaced, split_at_rises
-from estimation.motion.cross_level import HIDDEN_SHARE
+from estimation.motion.rolling_radius_difference import HIDDEN_SHARE
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import NORMAL_95
 from estimation.vehicle.equations_of_motion import RAIL_HEAD_RADIUS
@@ -76,11 +76,7 @@ def left_in_difference(vehicle_class: VehicleClass, slope: float) -> FloatArray:
 
 
 def held_difference_std(shares: tuple[float, ...], conicity: float) -> float:
-    """Return the std of the mean of R, m, of a wheelset whose difference of diameters is not known.
-
-    Args:
-        shares: As :func:`held_shares` returns them.
-    """
+    """Return the std of the mean of R, m, of a wheelset whose difference of diameters is not known."""
     return 0.5 * DIAMETER_STD * float(np.interp(2.0 * conicity, SLOPES, shares))
 
 
@@ -89,11 +85,6 @@ def moved_off(x: FloatArray, curve: FloatArray, amplitude: FloatArray, std: floa
 
     About the running position the curve is nearly as it is about the rolling line, so that small differences change
     little and large ones much. Where a change leaves the range covered, the other way counts.
-
-    Args:
-        x, curve: (n,) displacement and R, m.
-        amplitude: (a,) m.
-        std: Of the mean of R, m.
     """
     here = equivalent_conicity(x, curve, amplitude)
     shares = (-NORMAL_95, -1.0, 1.0, NORMAL_95)
@@ -119,7 +110,6 @@ def standard_curve(x: FloatArray, curve: FloatArray, roll: ContactRoll) -> tuple
     Args:
         x, curve: (n,) m, strictly increasing displacement as ``motion.cross_level`` gives it, and R. Where R is nowhere
             zero it is left as it is.
-        roll: Whether that displacement has measured the roll of the contact.
     """
     middle = zero_crossing(x, curve)
     if not np.isfinite(middle):

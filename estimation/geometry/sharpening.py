@@ -45,12 +45,7 @@ class Bounded:
 def non_negative(gram: FloatArray, right: FloatArray, most: int) -> Bounded | None:
     """Return the least squares of which the first unknown has any sign, and the others are not negative.
 
-    Args:
-        gram: (n, n) normal matrix, positive definite.
-        right: (n,) right side.
-
-    Returns:
-        Bounded or None: None where ``most`` exchanges do not suffice, or the matrix does not determine the unknowns.
+    None where ``most`` exchanges do not suffice, or the matrix (n, n) does not determine the unknowns.
     """
     diagonal = np.diag(gram)
     if not (diagonal > 0.0).all():
@@ -117,11 +112,7 @@ class Sharpening:
 
 
 def edges_and_centres(low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return the nodes of adjoining bins, ascending: (2 b + 1,).
-
-    Args:
-        low, high: (b,) edges of the bins.
-    """
+    """Return the nodes of adjoining bins, ascending: (2 b + 1,)."""
     return np.append(np.column_stack([low, 0.5 * (low + high)]).ravel(), high[-1])
 
 
@@ -158,8 +149,6 @@ def sharpen(
     Args:
         low, high: (b,) m, edges of adjoining bins of one width.
         nodes: (2 b + 1,) m, the curve at :func:`edges_and_centres`.
-        std: (2 b + 1,) m, of the nodes.
-        longest: m, std of the blur that is to be expected at most.
         steps: Of the search for slopes; a blur for which they do not suffice counts as one that does not fit.
     """
     weight = 1.0 / np.hypot(std, LEAST_STD)
@@ -241,13 +230,7 @@ STEEP = 2.0  # times the median slope: what is steeper is part of a jump
 
 
 def jumps_displaced(x: FloatArray, curve: FloatArray, middle: float, by: float) -> FloatArray:
-    """Return a curve (n,) whose contact jumps are further from ``middle`` by ``by`` (m; negative: nearer).
-
-    Args:
-        x, curve: (n,) m, strictly increasing displacement and its rolling radius difference.
-        middle: m, displacement from which jumps move away.
-        by: m.
-    """
+    """Return a curve (n,) whose contact jumps are further from ``middle`` by ``by`` (m; negative: nearer)."""
     _, rises = split_at_rises(x, curve, middle)
     return np.asarray(curve - rises + displaced(x, rises, middle, by))
 
@@ -262,11 +245,6 @@ def split_at_rises(x: FloatArray, curve: FloatArray, middle: float) -> tuple[Flo
 
 
 def displaced(x: FloatArray, values: FloatArray, middle: float, by: float | FloatArray) -> FloatArray:
-    """Return values (n,) that are further from ``middle`` by ``by`` (m, or (n,) m; negative: nearer).
-
-    Args:
-        values: (n,) over ``x``.
-        by: m.
-    """
+    """Return values (n,) that are further from ``middle`` by ``by`` (m, or (n,) m; negative: nearer)."""
     away = x - middle
     return np.interp(middle + np.sign(away) * np.maximum(np.abs(away) - by, 0.0), x, values)

@@ -48,9 +48,6 @@ def quotient_widening(relative: float) -> float:
 
     The quotient grows without limit as its divisor, of relative std s, nears zero. With this std 92 to 96 % of the
     95 % intervals of 1/(1 + e), e normal with std s, hold 1.
-
-    Args:
-        relative: s, relative std of the divisor.
     """
     return 1.0 / (1.0 - relative) if relative < UNKNOWN_FACTOR else float("inf")
 
@@ -259,8 +256,6 @@ class DisplacementError:
         """Return what the error leaves unknown of a value per bin (b,): scale, origin, rounding.
 
         Args:
-            centre: (b,) m.
-            values: (b,) in any unit.
             smooth: (b,) bins with a value of the curve; elsewhere the result is zero.
             observed: (b,) bins with any value, those included that a contact jump crosses: no part of the curve's
                 slope, but samples scatter from them into their neighbours.

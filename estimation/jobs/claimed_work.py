@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from estimation.errors import LeaseLostError, StorageError, WorkersEndedError
 from estimation.jobs.job import JobContext, Work, WorkUnit
-from estimation.storage import LeasedStorage
+from estimation.storage import Storage
 from estimation.values.runs import MOST_ENDED
 
 ELSEWHERE, LOST, SET_ASIDE = "worked_on_elsewhere", "leases_lost", "set_aside"
@@ -40,9 +40,7 @@ def _leased(
     return counts, claimed.ended
 
 
-def _done(
-    context: JobContext, leased: LeasedStorage, stage: Work, keys: Sequence[str], ended: int
-) -> Mapping[str, int]:
+def _done(context: JobContext, leased: Storage, stage: Work, keys: Sequence[str], ended: int) -> Mapping[str, int]:
     try:
         if ended < MOST_ENDED:
             return stage.work(context, keys)

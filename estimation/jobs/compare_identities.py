@@ -19,7 +19,7 @@ from estimation.alerts.identity import (
     identity_events,
     jumps,
 )
-from estimation.alerts.rules.identity import IdentityRule
+from estimation.alerts.rules.contradicted_registry import IdentityRule
 from estimation.jobs.job import JobContext
 from estimation.jobs.made_from import made_from
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
@@ -27,8 +27,8 @@ from estimation.jobs.steps.identities import identity_changes
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.registry import WheelsetRecord
+from estimation.values.results import EVERYTHING, Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import EVERYTHING, Facet
 from estimation.values.trend import IdentityChange, since_change
 
 PAIR = 8  # intervals before the first that has changed: with these it is compared

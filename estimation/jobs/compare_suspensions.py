@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspension_change_finding
 from estimation.alerts.rules.standing import latest_run, raised_at
-from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
 from estimation.jobs.job import JobContext
 from estimation.jobs.made_from import made_from
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.storage import UnitOfWork
 from estimation.trend.suspension import SuspensionParameters, suspension_histories
 from estimation.values.alerts import Finding
-from estimation.values.subjects import EVERYTHING, Facet
+from estimation.values.results import EVERYTHING, Facet
 from estimation.values.trend import SUSPENSION, SuspensionChange, SuspensionFinding, SuspensionShown
 
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 
 from estimation.adhesion.left_out import away_from_low_adhesion, refused_for_low_adhesion
 from estimation.errors import DamagedError, NotFoundError, PassingFaultError
-from estimation.failures import code_of_error, first_line
 from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
@@ -36,7 +35,7 @@ from estimation.tables.bin_table import cells_of_window
 from estimation.values.geometry import FilledCells, WindowTable
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.roll_up import RollingSums, WindowRollingSums
-from estimation.values.runs import FAILED, TRIED_AGAIN, Quarantined, SubjectKind
+from estimation.values.runs import FAILED, TRIED_AGAIN, Quarantined, SubjectKind, code_of_error, first_line
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import (
     DueStage,

@@ -10,11 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from estimation.alerts.evaluation import findings, next_change_ns, superseded
 from estimation.alerts.identity import IDENTITY_EVENT
 from estimation.alerts.life_cycle import close, transition, without_stale_acknowledgement
-from estimation.alerts.next_change import next_change_ns
 from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.evaluation import findings, superseded
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS
 from estimation.jobs.compare_suspensions import SUSPENSIONS
@@ -28,8 +27,8 @@ from estimation.jobs.worklist_rows import WORKLIST
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Finding, Transition
 from estimation.values.geometry import GEOMETRY
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.trend import TREND
 
 BEFORE: tuple[AnyStage, ...] = (WORKLIST, JUMPS, IDENTITIES, SUSPENSIONS)

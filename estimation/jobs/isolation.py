@@ -8,10 +8,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from estimation.errors import DamagedError, StoppedError, StorageError, TreadwatchError
-from estimation.failures import after_failure
 from estimation.jobs.job import JobContext
 from estimation.storage import UnitOfWork
-from estimation.values.runs import Quarantined, SubjectKind, resolved
+from estimation.values.runs import Quarantined, SubjectKind, after_failure, resolved
 
 Inputs = Callable[[], str]
 """Returns what stands for that of which a thing is made; called only where it has failed."""

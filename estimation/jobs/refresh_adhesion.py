@@ -12,11 +12,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from estimation.adhesion.friction import FrictionParameters, section_adhesion
+from estimation.adhesion.friction import section_adhesion
 from estimation.adhesion.left_out import touched
-from estimation.alerts.life_cycle import close
+from estimation.adhesion.parameters import FrictionParameters
+from estimation.alerts.life_cycle import close, section_transition
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
-from estimation.alerts.section_alerts import section_transition
 from estimation.dampers.pooled import DamperParameters, gear_damper
 from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.job import Job, JobContext
@@ -26,12 +26,20 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.pooled_friction import HOUR_NS, friction_parameters, pool_ends, pooled_ns
 from estimation.jobs.steps.window_creep import CreepInputs, CreepOfWindow, creep_inputs, creep_of_window
 from estimation.storage import UnitOfWork
-from estimation.values.adhesion import CREEP, FRICTION, SectionAdhesion, WindowAdhesion
 from estimation.values.alerts import CloseReason
-from estimation.values.dampers import GEAR_DAMPERS, GearDamper, WindowDamper, part_of_gear
 from estimation.values.geometry import GEOMETRY
+from estimation.values.opinions import (
+    CREEP,
+    FRICTION,
+    GEAR_DAMPERS,
+    GearDamper,
+    SectionAdhesion,
+    WindowAdhesion,
+    WindowDamper,
+    part_of_gear,
+)
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of_text, text_of_key
 
 Stretches = Sequence[tuple[float, float]]

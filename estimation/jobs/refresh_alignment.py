@@ -37,12 +37,12 @@ from estimation.jobs.steps.window_positions import Solved
 from estimation.storage import UnitOfWork
 from estimation.track.partition import Entry, newest_within
 from estimation.track.passes import Journey
-from estimation.track.placing import place_alone
+from estimation.track.results import place_alone
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import UpdateOutcome, update_alignment
+from estimation.values.results import Due as Seen
+from estimation.values.results import Facet, Mark, StageInputs
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Due as Seen
-from estimation.values.subjects import Facet, Mark, StageInputs
 from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
 from estimation.values.windows import DueStage, WindowKey, WindowRecord
 from estimation.vehicle.vehicle_class import ClassOnFile

@@ -20,8 +20,8 @@ from estimation.storage import UnitOfWork
 from estimation.values.geometry import GEOMETRY as GEOMETRIES
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
 from estimation.values.geometry_results import result_of_geometry
+from estimation.values.results import Facet
 from estimation.values.roll_up import RolledPart, RollUpState
-from estimation.values.subjects import Facet
 from estimation.values.trend import TREND
 from estimation.values.windows import DueStage
 

@@ -19,7 +19,7 @@ from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.rail_anchors import AnchorInputs, anchor_inputs, anchors
 from estimation.jobs.steps.rail_cells import CELL_VERSION, WheelsetCells, wheelset_cells
-from estimation.rails.apart import exceeds, init, reported, result, update
+from estimation.rails.apart import exceeds, rails_apart, reported
 from estimation.rails.cell import with_refused
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import UnitOfWork
@@ -37,9 +37,8 @@ from estimation.values.rails import (
     WheelKey,
     WheelsFinding,
 )
-from estimation.values.results import Result
+from estimation.values.results import EVERYTHING, Facet, Result
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import EVERYTHING, Facet
 from estimation.values.trend import TREND
 
 _log = logging.getLogger(__name__)
@@ -114,7 +113,7 @@ def part_rails(inputs: RailsInputs) -> Outcome[RailsFindings]:
     """Return what belongs to rails, and what belongs to wheels."""
     usable = [one.usable for one in inputs.cells if one.usable is not None]
     held = anchors(inputs.on_file, inputs.amplitude)
-    apart = result(update(init(inputs.parameters, inputs.amplitude), usable), held)
+    apart = rails_apart(usable, inputs.amplitude, held, inputs.parameters)
     apart = with_refused(apart, inputs.cells)
     newest = {one.wheel.wheelset: one for one in apart.wheels}  # in the order of their keys
     amplitude = tuple(apart.amplitude.tolist())

@@ -23,13 +23,14 @@ from estimation.jobs.steps.signature_windows import ASSUMED, JOB_NAME, OF_WINDOW
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
 from estimation.signatures.answer import compared, judged
+from estimation.signatures.library import Change, Libraries, Subject, current
 from estimation.signatures.parameters import SignatureParameters
-from estimation.signatures.retirement import Change, Libraries, Subject, current
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.geometry import GEOMETRY
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.results import EVERYTHING, Facet
 from estimation.values.runs import SubjectKind
 from estimation.values.signatures import (
     ANSWERS,
@@ -44,7 +45,6 @@ from estimation.values.signatures import (
     SignatureAnswer,
     SignatureFinding,
 )
-from estimation.values.subjects import EVERYTHING, Facet
 from estimation.values.windows import WindowKey, text_of_key
 
 NEWEST = 12  # windows that a wheelset is judged by
@@ -58,7 +58,9 @@ def load_library(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Map
     reader = EntryReader(unit, classes, VehicleLookup(unit), context.settings.signatures)
     stored = unit.signatures.known()
     known, without = usable(unit, context, stored.known)
-    made, answered = reader.entries(known), unit.results.made_from(ANSWERS)
+    answered = unit.results.made_from(ANSWERS)
+    reader.read_ahead(known, answered)
+    made = reader.entries(known)
     subjects = _subjects(reader, known, answered, context.settings.signatures.most_mileage_km)
     geometries, failed = {}, dict[tuple[SubjectKind, str], Exception]()
     for serial, one in subjects.items():

@@ -17,7 +17,7 @@ from estimation.trend.steps import behind_step, newest_step, with_step
 from estimation.trend.trend import TrendParameters, refresh
 from estimation.values.geometry import GEOMETRY, IntervalConicities
 from estimation.values.registry import VehicleRecord
-from estimation.values.subjects import Facet
+from estimation.values.results import Facet
 from estimation.values.trend import TREND as TRENDS
 from estimation.values.trend import WearTrend, baseline_part, since_change
 

@@ -14,15 +14,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
+from estimation.alerts.evaluation import findings, superseded
 from estimation.alerts.life_cycle import close, transition
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.evaluation import findings, superseded
-from estimation.alerts.rules.no_data import NoDataRule
 from estimation.alerts.rules.rule import WheelsetFacts
+from estimation.alerts.rules.running_gear import SuspensionChangeRule, WeakDamperRule
+from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.alerts.rules.standing import within_reach
-from estimation.alerts.rules.suspension_change import SuspensionChangeRule
-from estimation.alerts.rules.weak_damper import WeakDamperRule
 from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.wheelset_facts import hunted_beside, windows_wanted

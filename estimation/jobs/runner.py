@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from itertools import dropwhile, islice
 
-from estimation.errors import ConflictError, NotFiniteError, TreadwatchError
+from estimation.errors import ConflictError, NotFiniteError, StoppedError, TreadwatchError
 from estimation.jobs.hand_out import hand_out, unit_size
 from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import JobContext, Work
@@ -23,9 +23,8 @@ from estimation.jobs.stage import AnyStage, Outcome, Part
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import BinStatus, BinValues
 from estimation.values.quantities import Estimate, Status
-from estimation.values.results import AnyResult, Result
+from estimation.values.results import AnyResult, Due, Mark, Result, StageInputs
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Due, Mark, StageInputs
 
 CLAIMED_TOGETHER = 4
 """Batches of subjects that are claimed together."""
@@ -168,6 +167,8 @@ class _Working:
         waiting = deque([subjects])
         while waiting:
             rest = self._do(waiting.popleft())
+            if rest and self.context.stopping is not None and self.context.stopping():
+                raise StoppedError(len(self._stored), len(self._stored) + len(rest))
             self._stored.update(rest)
             waiting.extend([subject] for subject in rest)
 

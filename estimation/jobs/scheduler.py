@@ -25,7 +25,7 @@ from apscheduler.schedulers.background import BackgroundScheduler
 
 from estimation.errors import AlreadyRunningError, StorageError
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.storage import LeasedStorage
+from estimation.storage import Storage
 from estimation.values.runs import JobTrigger
 
 _log = logging.getLogger(__name__)
@@ -84,7 +84,7 @@ def serve_jobs(
 
 def _serve_while_owned(
     context: JobContext,
-    owned: LeasedStorage,
+    owned: Storage,
     jobs: Sequence[Job],
     stop_event: Event,
     every_s: Callable[[Job], float] | None,
@@ -118,7 +118,7 @@ def _serve_while_owned(
         _log.info("scheduler stopped")
 
 
-def _kept(owned: LeasedStorage) -> bool | None:
+def _kept(owned: Storage) -> bool | None:
     """Return whether the scheduler keeps its place; None while the database is away, which takes it from nobody."""
     try:
         return not owned.lease_lost()

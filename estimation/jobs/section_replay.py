@@ -10,14 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from estimation.adhesion.friction import section_adhesion
-from estimation.alerts.life_cycle import close
+from estimation.alerts.life_cycle import close, section_transition
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
-from estimation.alerts.section_alerts import section_transition
 from estimation.jobs.steps.pooled_friction import friction_parameters, pool_ends, pooled_ns, section_length
 from estimation.storage import UnitOfWork
-from estimation.values.adhesion import SectionAdhesion
 from estimation.values.alerts import Alert, CloseReason, Condition
+from estimation.values.opinions import SectionAdhesion
 
 
 def section_replayed(unit: UnitOfWork, section: str, book: RuleBook, span: tuple[int, int]) -> list[Alert]:

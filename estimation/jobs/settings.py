@@ -12,7 +12,7 @@ from estimation.motion.parameters import Gates, SignalParameters, WindowParamete
 from estimation.signatures.parameters import SignatureParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.trend.trend import TrendParameters
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.vehicle.vehicle_class import VehicleClass
 
 _MOTION = ("signals", "gates", "interval_km")  # settings of the motion that alignments are made from

@@ -14,12 +14,11 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.made_from import made_from
 from estimation.jobs.settings import JobSettings
 from estimation.storage import UnitOfWork
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
-from estimation.values.results import Result, ResultKind
+from estimation.values.results import Result, ResultKind, StageInputs
 from estimation.values.runs import Quarantined, SubjectKind
-from estimation.values.subjects import StageInputs
 
 I = TypeVar("I")  # noqa: E741 - inputs
 V = TypeVar("V")

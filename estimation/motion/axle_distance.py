@@ -19,10 +19,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimation.motion.checks import BACKWARDS, direction, lateral_yaw_correlation
+from estimation.motion.checks import BACKWARDS, direction, lateral_yaw_correlation, moving_samples
 from estimation.motion.integration import integrate
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
@@ -184,11 +183,7 @@ def _highest(correlation: FloatArray, ahead: float, least: float) -> AxleDistanc
 
 
 def runs_backwards(window: Window) -> bool | None:
-    """Return whether the axes of a node point against the direction of travel; None where it does not say.
-
-    Args:
-        window: Measured accelerations and speed, (n,) each.
-    """
+    """Return whether the axes of a node point against the direction of travel; None where it does not say."""
     signals = SignalParameters()
     correlation = lateral_yaw_correlation(integrate(window, moving_samples(window, signals), signals))
     if correlation is None or abs(correlation) < abs(BACKWARDS):
@@ -200,9 +195,6 @@ def bogie_runs_backwards(window: Window, partner: Window, ahead: float) -> bool 
     """Return whether a bogie runs with its rear axle first; None where its nodes do not say.
 
     Where they say both, one of them is the wrong way round, and which axle meets the track first decides.
-
-    Args:
-        window, partner: Of the two nodes of a bogie, over the same time, with as many samples.
     """
     said = {runs_backwards(window), runs_backwards(partner)} - {None}
     if len(said) <= 1:
@@ -226,3 +218,41 @@ def turned_over(window: Window, behind: float = 0.0) -> Window:
         distance=window.distance + 2.0 * behind * (direction(window) or 1),
         backwards=not window.backwards,
     )
+
+
+LEAST_FRAME_SHARE = 0.2  # of what the frame moves above the other axle: right nodes have a half and more
+
+
+def check_frame_sensors(window: Window, partner: Window) -> Reason | None:
+    """Return that one of the two frame sensors of a bogie measures nothing; None where both do.
+
+    A frame moves above both its axles. A sensor that is dead gives one value, or its noise.
+    """
+    known = window.valid & partner.valid
+    if not known.any():
+        return None
+    nodes = (window, partner)
+    moved = [float(np.std(node.mass_lateral_acceleration[known])) for node in nodes]
+    least, most = sorted(range(len(nodes)), key=moved.__getitem__)
+    if moved[least] >= LEAST_FRAME_SHARE * moved[most] > 0.0:
+        return None
+    return Reason(
+        ReasonCode.FRAME_UNKNOWN,
+        f"the frame sensor above axle {nodes[least].axle} measures {moved[least]:.3f} m/s2 rms, the one above axle"
+        f" {nodes[most].axle} {moved[most]:.3f}; check the sensor of axle {nodes[least].axle}",
+    )
+
+
+def with_frame_yaw(window: Window, partner: Window, ahead: float) -> Window:
+    """Return ``window`` with the yaw acceleration of the frame, valid where both nodes are.
+
+    Gravity is in both sensors alike, for a frame rolls as one piece, and drops out.
+
+    Args:
+        ahead: By how much the node of ``window`` is ahead of the other, m: the wheelbase, negative at the rear axle.
+    """
+    if partner.start_ns != window.start_ns or len(partner.valid) != len(window.valid):
+        raise ValueError(f"windows from {window.start_ns} and {partner.start_ns} are not of one time")
+    valid = window.valid & partner.valid
+    difference = window.mass_lateral_acceleration - partner.mass_lateral_acceleration
+    return replace(window, valid=valid, frame_yaw_acceleration=np.where(valid, difference / ahead, np.nan))

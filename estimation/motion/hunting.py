@@ -101,12 +101,7 @@ def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interv
 
 
 def _may_hunt(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_s: float) -> BoolArray:
-    """Return of which blocks (k,) the lateral motion alone is enough for hunting; most are not looked at further.
-
-    Args:
-        lateral, yaw: (k, n) m/s2 and rad/s2; NaN where nothing is known.
-        speed: (k,) m/s.
-    """
+    """Return of which blocks (k,) the lateral motion alone is enough for hunting; most are not looked at further."""
     known = np.isfinite(lateral) & np.isfinite(yaw)
     enough = known.mean(axis=1) >= LEAST_KNOWN
     if not known.all():
@@ -128,9 +123,6 @@ def may_hunt(spectra: npt.NDArray[np.complex128], speed: FloatArray, frequency: 
     Those that are within :data:`DOUBT` of a limit are among them, and those whose strongest line is not clear.
 
     Args:
-        spectra: (k, m) of the lateral acceleration.
-        speed: (k,) m/s.
-        frequency: (m,) Hz.
         scale: What the power of a line is divided by for a fourth of its squared amplitude.
     """
     found = np.zeros(len(speed), np.bool_)
@@ -147,12 +139,7 @@ def may_hunt(spectra: npt.NDArray[np.complex128], speed: FloatArray, frequency: 
 
 @compiled(nogil=True)
 def line_may_hunt(power: FloatArray, frequency: FloatArray, scale: float) -> bool:
-    """Return whether the strongest line of a block may be that of hunting; see :func:`may_hunt`.
-
-    Args:
-        power: (m + 2,) of the displacement at each frequency, with one more on either side.
-        frequency: (m,) Hz.
-    """
+    """Return whether the strongest line of a block may be that of hunting; see :func:`may_hunt`."""
     total = best = 0.0
     for k in range(len(frequency)):
         total += power[k + 1]

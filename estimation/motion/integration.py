@@ -32,12 +32,7 @@ def take_out_mean(rows: FloatArray) -> None:
 
 @compiled(nogil=True)
 def integrate_once(values: FloatArray, dt: float, integral: FloatArray) -> None:
-    """Write the running integral (n,) of values (n,).
-
-    Args:
-        values: (n,) in any unit.
-        integral: (n,), written.
-    """
+    """Write the running integral (n,) of values (n,)."""
     total, half = 0.0, 0.5 * dt
     integral[0] = 0.0
     for i in range(1, len(values)):
@@ -47,12 +42,7 @@ def integrate_once(values: FloatArray, dt: float, integral: FloatArray) -> None:
 
 @compiled(nogil=True)
 def integrate_twice(accelerations: FloatArray, dt: float, rates: FloatArray, displacements: FloatArray) -> None:
-    """Write running integrals (m, n) of the rows, less their mean and straight line, and the integrals of those.
-
-    Args:
-        accelerations: (m, n) in any unit.
-        rates, displacements: (m, n), written.
-    """
+    """Write running integrals (m, n) of the rows, less their mean and straight line, and the integrals of those."""
     n, half = accelerations.shape[1], 0.5 * dt
     middle = 0.5 * (n - 1)
     squares = n * (n * n - 1.0) / 12.0  # of the places around the middle
@@ -110,7 +100,6 @@ def integrate(
     """Return the segments of usable samples, integrated.
 
     Args:
-        usable: (n,) samples that can be used.
         longest_gap: Samples that may be missing in a row within a segment; by default as many as may be bridged.
         earlier: The same accelerations and speeds, integrated before; segments of the same samples are taken from it.
     """
@@ -154,12 +143,7 @@ def _negative(values: FloatArray | None) -> FloatArray | None:
 def segments(
     usable: BoolArray, window: Window, parameters: SignalParameters, longest_gap: int | None = None
 ) -> list[tuple[int, int]]:
-    """Return the runs ``[start, stop)`` of usable samples with only short gaps in them that are long enough.
-
-    Args:
-        usable: (n,) samples that can be used.
-        longest_gap: Samples that may be missing in a row; by default as many as may be bridged.
-    """
+    """Return the runs ``[start, stop)`` of usable samples with only short gaps in them that are long enough."""
     gap = parameters.bridged_samples if longest_gap is None else longest_gap
     index = np.flatnonzero(usable)
     breaks = np.flatnonzero(np.diff(index) > gap + 1)
@@ -170,12 +154,7 @@ def segments(
 
 
 def bridged(values: FloatArray, known: BoolArray) -> FloatArray:
-    """Return ``values`` (n,) with straight lines across the samples that are not ``known`` (n,), in any unit.
-
-    Args:
-        values: (n,) in any unit.
-        known: (n,) at least one of them True.
-    """
+    """Return ``values`` (n,) with straight lines across the samples that are not ``known`` (n,), in any unit."""
     if known.all():
         return values
     t = np.arange(len(values))

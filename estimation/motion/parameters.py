@@ -11,15 +11,6 @@ from estimation.vehicle.vehicle_class import VehicleClass, usable_cutoff
 
 
 @dataclass(frozen=True, slots=True)
-class CurveLimits:
-    """What still counts as straight, and how far from the rest a sample must be."""
-
-    curvature: float  # 1/m
-    cant: float  # m
-    margin: float  # m
-
-
-@dataclass(frozen=True, slots=True)
 class SignalParameters:
     """How windows become motion."""
 
@@ -49,11 +40,6 @@ class SignalParameters:
     def source(self) -> str:
         """Where the motion of a bin table came from, for its key."""
         return "band-limited " + " ".join(f"{item.name}={getattr(self, item.name)}" for item in fields(self))
-
-    @property
-    def curve_limits(self) -> CurveLimits:
-        """What counts as straight."""
-        return CurveLimits(self.sharpest_curvature, self.highest_cant, self.curve_margin)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,18 +82,3 @@ class WindowParameters:
     def vehicle(self) -> VehicleParameters:
         """Parameters of the wheelset and its suspension."""
         return self.vehicle_class.parameters
-
-
-@dataclass(frozen=True, slots=True)
-class FusionParameters:
-    """Where the two meet; wavelengths in m."""
-
-    step: float = 0.25
-    oversampling: int = 5  # samples per step before short waves are taken out
-    shortest: tuple[float, float] = (0.5, 2.0)  # half of it remains: of quiet axle boxes, of those that vibrate
-    vibrating: float = 0.08e-3  # rad of (y' + r0 phi')/V in waves shorter than 2 m; quiet axle boxes have half of it
-    crossover: float = 15.0  # longer wavelengths come from the lateral motion
-    compared: tuple[float, float] = (8.0, 40.0)  # in which g is estimated
-    margin: float = 45.0  # m at each end that is not compared
-    gravity: float = -0.2  # g known beforehand, 1/m
-    gravity_weight: float = 1.6e-4  # m2: squares of the regressor that the knowledge beforehand is worth

@@ -19,12 +19,29 @@ import numpy as np
 
 from estimation.compiled import compiled
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.motion.cross_level import observed_displacement
 from estimation.motion.integration import IntegratedSegment
-from estimation.motion.parameters import FusionParameters
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.equations_of_motion import RAIL_HEAD_RADIUS, VehicleParameters
 from estimation.vehicle.regressors import angle_difference_factor
+
+HIDDEN_SHARE = 0.009  # rho phi_c over y - d + r0 phi, median of 157 pairs: 0.001 for cones at 1:40, 0.02 where worn
+
+
+def standard_displacement(displacement: FloatArray, roll: FloatArray, radius: float, *, level: bool) -> FloatArray:
+    """Return the displacement (n,), m, relative to the track, that EN 15302 means.
+
+    Args:
+        displacement: (n,) y - d, m, at the height of the axle.
+        level: Whether gravity has been taken out of the lateral signals: the track may roll.
+    """
+    seen = observed_displacement(displacement, roll, radius, level=level)
+    return seen * (1.0 + HIDDEN_SHARE) if level else seen
+
+
+def observed_displacement(displacement: FloatArray, roll: FloatArray, radius: float, *, level: bool) -> FloatArray:
+    """Return the same (n,), m, as far as it is measured; for a displacement from which no alignment is taken off."""
+    height = radius if level else radius + RAIL_HEAD_RADIUS
+    return displacement + height * roll
 
 
 @compiled(nogil=True)
@@ -36,10 +53,8 @@ def sample_smoothed(
     Between samples signals are straight, beyond their ends as at these.
 
     Args:
-        signals: (m, n) in any unit.
         at: (n,) m, increasing.
         first, step: Number of the fine grid point of the first result, and spacing of that grid, m.
-        weights: (2 r + 1,) of the smoothing, symmetric.
     """
     m, n = signals.shape
     taps = len(weights)
@@ -71,66 +86,66 @@ def sample_smoothed(
     return found
 
 
+# where the two meet
+STEP = 0.25  # m, of the grid
+OVERSAMPLING = 5  # samples per step before short waves are taken out
+SHORTEST = (0.5, 2.0)  # m, of which half remains: of quiet axle boxes, of those that vibrate
+VIBRATING = 0.08e-3  # rad of (y' + r0 phi')/V in waves shorter than 2 m; quiet axle boxes have half of it
+CROSSOVER = 15.0  # m: longer wavelengths come from the lateral motion
+COMPARED = (8.0, 40.0)  # m, in which g is estimated
+MARGIN = 45.0  # m at each end that is not compared
+GRAVITY = -0.2  # g known beforehand, 1/m
+GRAVITY_WEIGHT = 1.6e-4  # m2: squares of the regressor that the knowledge beforehand is worth
 ANGLE_PER_RADIUS = 112.0  # 1/m: contact angle difference over rolling radius difference of usual pairs
-
-
-@dataclass(frozen=True, slots=True)
-class BogieYaws:
-    """What the yaw of a wheelset follows from, and that of the frame, on a grid of distance (m,), rad."""
-
-    rolling: FloatArray  # (y' + r0 phi') / V
-    creep: FloatArray  # what the lateral creep adds, without g R
-    frame: FloatArray
+LEAST_DIVISOR = 0.5  # of the factors known beforehand
 
 
 def long_waves_in_bogie(
-    R: FloatArray, yaws: BogieYaws, V: FloatArray, vehicle: VehicleParameters, parameters: FusionParameters
+    R: FloatArray, rolling: FloatArray, creep: FloatArray, frame: FloatArray, V: FloatArray, p: VehicleParameters
 ) -> tuple[FloatArray, FloatArray]:
     """Return R and its stiffness term (m,), m, of the lateral motion of a wheelset in a bogie.
 
     Args:
-        R: (m,) m, by the yaw sensor, on a grid of distance.
-        yaws: (m,) rad, on the same grid.
-        V: (m,) m/s.
+        R: (m,) by the yaw sensor.
+        rolling, creep, frame: (m,) rad: (y' + r0 phi') / V, what the lateral creep adds without g R, yaw of the frame.
     """
-    p, step = vehicle, parameters.step
     per_moment = -p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
-    rolling = -2 * p.half_contact_distance * p.nominal_radius
-    inertia = p.yaw_inertia * V * V * _bend(yaws.rolling, step)
+    per_slope = -2 * p.half_contact_distance * p.nominal_radius
+    inertia = p.yaw_inertia * V * V * _bend(rolling)
     terms = np.stack(
         [
-            rolling * np.gradient(yaws.rolling, step),
-            per_moment * (p.yaw_stiffness * (yaws.rolling - yaws.frame) + inertia),
-            per_moment * p.yaw_stiffness * yaws.creep,
+            per_slope * np.gradient(rolling, STEP),
+            per_moment * (p.yaw_stiffness * (rolling - frame) + inertia),
+            per_moment * p.yaw_stiffness * creep,
         ]
     )
-    slow = np.asarray(_factors(R, terms, per_moment, p, parameters) @ terms)
-    return slow, np.asarray(slow - rolling * np.gradient(yaws.rolling + yaws.creep, step))
+    slow = np.asarray(_factors(R, terms, per_moment, p) @ terms)
+    return slow, np.asarray(slow - per_slope * np.gradient(rolling + creep, STEP))
 
 
-def _factors(
-    R: FloatArray, terms: FloatArray, per_moment: float, p: VehicleParameters, parameters: FusionParameters
-) -> FloatArray:
+def _factors(R: FloatArray, terms: FloatArray, per_moment: float, p: VehicleParameters) -> FloatArray:
     """Return the factors (3,) of the terms (3, m) that bring them to R (m,) where both are good."""
     gravity = -0.5 * ANGLE_PER_RADIUS * angle_difference_factor(p) / p.lateral_creep_coefficient
     expected = np.full(len(terms), 1.0 / max(1.0 - per_moment * p.yaw_stiffness * gravity, LEAST_DIVISOR))
-    step = parameters.step
-    margin = int(parameters.margin / step)
-    if len(R) <= 3 * margin:
+    band = _compared(np.concatenate([terms, R[None, :]]))
+    if band is None:
         return expected
-    short, long = (local_cubic_kernel(wavelength, step) for wavelength in parameters.compared)
-    both = np.concatenate([terms, R[None, :]])
-    band = (high_pass(both, long) - high_pass(both, short))[:, margin:-margin]
     design, target = band[:-1], band[-1]
-    normal = design @ design.T + parameters.gravity_weight * np.eye(len(terms))
-    return np.asarray(np.linalg.solve(normal, design @ target + parameters.gravity_weight * expected))
+    normal = design @ design.T + GRAVITY_WEIGHT * np.eye(len(terms))
+    return np.asarray(np.linalg.solve(normal, design @ target + GRAVITY_WEIGHT * expected))
 
 
-LEAST_DIVISOR = 0.5  # of the factors known beforehand
+def _compared(rows: FloatArray) -> FloatArray | None:
+    """Return rows (k, m) in the wavelengths at which both are good; None where the pass is too short."""
+    margin = int(MARGIN / STEP)
+    if rows.shape[1] <= 3 * margin:
+        return None
+    short, long = (local_cubic_kernel(wavelength, STEP) for wavelength in COMPARED)
+    return np.asarray((high_pass(rows, long) - high_pass(rows, short))[:, margin:-margin])
 
 
-def _bend(yaw: FloatArray, step: float) -> FloatArray:
-    return np.asarray(np.gradient(np.gradient(yaw, step), step))
+def _bend(yaw: FloatArray) -> FloatArray:
+    return np.asarray(np.gradient(np.gradient(yaw, STEP), STEP))
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,15 +172,10 @@ class FusedSignals:
     stiffness_term: FloatArray  # (m,) m
 
 
-def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionParameters) -> FusedSignals:
-    """Return y, R and its stiffness term on a grid; short waves of R from the yaw sensor, long ones from Eq. 1.
-
-    Args:
-        signals: (n,) signals of one segment, over an increasing distance.
-    """
-    step = parameters.step
-    run = np.arange(np.ceil(signals.run[0] / step), np.floor(signals.run[-1] / step) + 1) * step
-    shortest = _shortest(signals, run, parameters)
+def fuse(signals: MotionSignals, vehicle: VehicleParameters) -> FusedSignals:
+    """Return y, R and its stiffness term on a grid; short waves of R from the yaw sensor, long ones from Eq. 1."""
+    run = np.arange(np.ceil(signals.run[0] / STEP), np.floor(signals.run[-1] / STEP) + 1) * STEP
+    shortest = _shortest(signals, run)
     sampled = [
         signals.speed,
         signals.displacement,
@@ -175,14 +185,12 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionP
         signals.creep_yaw,
         *(() if signals.frame_yaw is None else (signals.frame_yaw,)),
     ]
-    V, y, R, stiffness_term, rolling_yaw, creep_yaw, *of_frame = _sampled(
-        np.stack(sampled), signals.run, run, shortest, parameters
-    )
+    V, y, R, stiffness_term, *yaws = _sampled(np.stack(sampled), signals.run, run, shortest)
     if signals.frame_yaw is None:
-        slow = _long_waves(R, np.asarray(rolling_yaw + creep_yaw), V, vehicle, parameters)
+        slow = _long_waves(R, np.asarray(yaws[0] + yaws[1]), V, vehicle)
     else:
-        slow = long_waves_in_bogie(R, BogieYaws(rolling_yaw, creep_yaw, of_frame[0]), V, vehicle, parameters)
-    weights = local_cubic_kernel(parameters.crossover, step)
+        slow = long_waves_in_bogie(R, yaws[0], yaws[1], yaws[2], V, vehicle)
+    weights = local_cubic_kernel(CROSSOVER, STEP)
     return FusedSignals(
         run=np.asarray(run, dtype=np.float64),
         displacement=y,
@@ -191,71 +199,59 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionP
     )
 
 
-def _shortest(signals: MotionSignals, run: FloatArray, parameters: FusionParameters) -> float:
+def _shortest(signals: MotionSignals, run: FloatArray) -> float:
     """Return the shortest wavelength, m, that is left in the signals of a pass.
 
     An axle box vibrates at tens of hertz. Sampled as it is, its vibration would look like waves of some metres. Where
     it does not vibrate the short waves of R are those of contact jumps, which the curves need.
     """
-    quiet, vibrating = parameters.shortest
-    (smooth,) = _sampled(signals.rolling_yaw[None], signals.run, run, vibrating, parameters)
+    quiet, vibrating = SHORTEST
+    (smooth,) = _sampled(signals.rolling_yaw[None], signals.run, run, vibrating)
     rest = np.interp(run, signals.run, signals.rolling_yaw) - smooth
-    return vibrating if float(np.std(rest)) > parameters.vibrating else quiet
+    return vibrating if float(np.std(rest)) > VIBRATING else quiet
 
 
-def _sampled(
-    values: FloatArray, at: FloatArray, run: FloatArray, shortest: float, parameters: FusionParameters
-) -> FloatArray:
+def _sampled(values: FloatArray, at: FloatArray, run: FloatArray, shortest: float) -> FloatArray:
     """Return values (s, n) at distances (n,) on the grid (s, m), waves shorter than ``shortest`` (m) taken out."""
-    finer = parameters.oversampling
-    step = parameters.step / finer
+    step, first = STEP / OVERSAMPLING, OVERSAMPLING * round(run[0] / STEP)
     weights = local_cubic_kernel(shortest, step)
-    first = finer * round(run[0] / parameters.step)
-    return sample_smoothed(values, np.asarray(at, dtype=np.float64), first, len(run), finer, step, weights)
+    return sample_smoothed(values, np.asarray(at, dtype=np.float64), first, len(run), OVERSAMPLING, step, weights)
 
 
 def _long_waves(
-    R: FloatArray, ψ: FloatArray, V: FloatArray, vehicle: VehicleParameters, parameters: FusionParameters
+    R: FloatArray, ψ: FloatArray, V: FloatArray, vehicle: VehicleParameters
 ) -> tuple[FloatArray, FloatArray]:
     """Return R and its stiffness term (m,), m, of the lateral motion of a single wheelset."""
-    step = parameters.step
-    gravity = _gravity(R, ψ, V, vehicle, parameters)
+    gravity = _gravity(R, ψ, V, vehicle)
     slow = ψ
     for _ in range(2):
-        slow = ψ + gravity * _difference(slow, V, vehicle, step)
-    return _difference(slow, V, vehicle, step), _stiffness_term(slow, V, vehicle, step)
+        slow = ψ + gravity * _difference(slow, V, vehicle)
+    return _difference(slow, V, vehicle), _stiffness_term(slow, V, vehicle)
 
 
 def _joined(fast: FloatArray, slow: FloatArray, weights: FloatArray) -> FloatArray:
     return np.asarray(high_pass(fast, weights) + slow - high_pass(slow, weights))
 
 
-def _stiffness_term(yaw: FloatArray, V: FloatArray, p: VehicleParameters, step: float) -> FloatArray:
-    bend = np.gradient(np.gradient(yaw, step), step)
-    moment = p.yaw_inertia * V * V * bend + p.yaw_stiffness * yaw
+def _stiffness_term(yaw: FloatArray, V: FloatArray, p: VehicleParameters) -> FloatArray:
+    moment = p.yaw_inertia * V * V * _bend(yaw) + p.yaw_stiffness * yaw
     return np.asarray(-moment * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient))
 
 
-def _difference(yaw: FloatArray, V: FloatArray, p: VehicleParameters, step: float) -> FloatArray:
+def _difference(yaw: FloatArray, V: FloatArray, p: VehicleParameters) -> FloatArray:
     """Return R (m,) of a yaw angle over distance by Eq. 2, its small terms left out."""
-    rolling = -2 * p.half_contact_distance * p.nominal_radius * np.gradient(yaw, step)
-    return np.asarray(rolling + _stiffness_term(yaw, V, p, step))
+    rolling = -2 * p.half_contact_distance * p.nominal_radius * np.gradient(yaw, STEP)
+    return np.asarray(rolling + _stiffness_term(yaw, V, p))
 
 
-def _gravity(
-    R: FloatArray, ψ: FloatArray, V: FloatArray, vehicle: VehicleParameters, parameters: FusionParameters
-) -> float:
+def _gravity(R: FloatArray, ψ: FloatArray, V: FloatArray, vehicle: VehicleParameters) -> float:
     """Return g, 1/m, that brings R of the lateral motion to R of the yaw sensor where both are good."""
-    step = parameters.step
-    margin = int(parameters.margin / step)
-    if len(R) <= 3 * margin:
-        return parameters.gravity
-    short, long = (local_cubic_kernel(wavelength, step) for wavelength in parameters.compared)
-    lateral = _difference(ψ, V, vehicle, step)
-    both = np.stack([_difference(lateral, V, vehicle, step), R - lateral])
-    regressor, target = (high_pass(both, long) - high_pass(both, short))[:, margin:-margin]
-    known = parameters.gravity_weight
-    return float((regressor @ target + known * parameters.gravity) / (regressor @ regressor + known))
+    lateral = _difference(ψ, V, vehicle)
+    band = _compared(np.stack([_difference(lateral, V, vehicle), R - lateral]))
+    if band is None:
+        return GRAVITY
+    regressor, target = band
+    return float((regressor @ target + GRAVITY_WEIGHT * GRAVITY) / (regressor @ regressor + GRAVITY_WEIGHT))
 
 
 def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatArray | None = None) -> MotionSignals:
@@ -264,7 +260,6 @@ def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatA
     The suspension of a bogie acts between wheelset and frame, whose motion the mass sensor and the frame's yaw give.
 
     Args:
-        segment: Accelerations, rates and displacements of m samples.
         run: (m,) m, increasing: by default the distance run since the start of the segment.
     """
     accelerations, V = segment.accelerations, segment.speed

@@ -23,14 +23,14 @@ import numpy as np
 
 from estimation.compiled import compiled
 from estimation.motion.axle_distance import runs_backwards, turned_over
+from estimation.motion.checks import moving_samples
 from estimation.motion.integration import bridged, segments
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.roll_up import RollingSums
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.equations_of_motion import GRAVITY
-from estimation.vehicle.linear_wheelset import ComplexArray
+from estimation.vehicle.linear_model import ComplexArray
 from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
 
 ROWS = 5  # spectra: y'', V psi', phi'', ym'' and psi_f'' of the bogie frame
@@ -40,19 +40,19 @@ TERMS = 7  # the lateral acceleration, then the unknowns
 class Equation(NamedTuple):
     """What the terms of the equation and their noise follow from."""
 
-    lateral_creep: float  # f22, N
-    spin_creep: float  # f23, N m
-    mass: float  # kg
-    lateral_stiffness: float  # N/m
-    lateral_damping: float  # N s/m
-    load: float  # N
-    radius: float  # m
-    half: float  # l, m
+    lateral_creep_coefficient: float  # as ``VehicleParameters`` names them, to the nominal radius
+    lateral_spin_creep_coefficient: float
+    wheelset_mass: float
+    lateral_stiffness: float
+    lateral_damping: float
+    load: float
+    half_contact_distance: float
+    yaw_inertia: float
+    yaw_stiffness: float
+    yaw_damping: float
+    nominal_radius: float
     per_moment: float  # r0/(l f11), m/(N m): of rL - rR
-    yaw_inertia: float  # kg m2
     yaw_creep: float  # 2 l^2 f11, N m2: times psi'/V
-    yaw_stiffness: float  # N m
-    yaw_damping: float  # N m s
     pitch: float  # Iwy/r0, kg m: times V phi'
     wheelbase: float  # m; infinite without a bogie
     gravity: float  # m/s2 in the lateral sensors; 0 where it is not
@@ -82,9 +82,6 @@ def write_pieces(
 
     Args:
         samples: (6, m) accelerations, that of the frame's yaw, and speed.
-        starts: (k,) first sample of each piece.
-        taper: (n,) of a piece.
-        pieces, speeds: Written: (k, 5, n) and (k,) m/s.
     """
     n = len(taper)
     yaw_rate = np.empty(n)
@@ -112,21 +109,17 @@ def write_pieces(
 
 @compiled(nogil=True)
 def write_terms(omega: float, speed: float, e: Equation, terms: ComplexArray) -> None:
-    """Write the terms (7, 5) of the equation per spectrum at an angular frequency; the others stay zero.
-
-    Args:
-        terms: (7, 5), written.
-    """
-    compliance = speed / (2.0 * e.lateral_creep)
+    """Write the terms (7, 5) of the equation per spectrum at an angular frequency; the others stay zero."""
+    compliance = speed / (2.0 * e.lateral_creep_coefficient)
     terms[0, 0], terms[0, 2] = 1.0, e.gravity / omega**2
-    terms[0, 1] = e.spin_creep / e.lateral_creep * 1j * omega / speed
+    terms[0, 1] = e.lateral_spin_creep_coefficient / e.lateral_creep_coefficient * 1j * omega / speed
     terms[1, 1], terms[2, 2] = 1.0, -1.0
-    inertia = -compliance * e.mass * 1j * omega
+    inertia = -compliance * e.wheelset_mass * 1j * omega
     terms[3, 0], terms[3, 2] = inertia * terms[0, 0], inertia * terms[0, 2]
     suspension = -compliance * (e.lateral_stiffness / (1j * omega) + e.lateral_damping)
     terms[4, 0], terms[4, 3] = suspension, -suspension
     terms[5, 2] = -compliance * e.load / (1j * omega)
-    curve = compliance * e.load * e.per_moment / (2.0 * e.half)
+    curve = compliance * e.load * e.per_moment / (2.0 * e.half_contact_distance)
     of_yaw = e.yaw_stiffness - e.yaw_inertia * omega**2 + 1j * omega * (e.yaw_creep / speed + e.yaw_damping)
     terms[6, 1], terms[6, 2] = curve * of_yaw / speed, curve * e.pitch * speed
     terms[6, 4] = -curve * (e.yaw_stiffness / (1j * omega) + e.yaw_damping)
@@ -139,9 +132,7 @@ def write_noise(
     """Write the squared noise densities (5,) of the spectra, of sensors and counting.
 
     Args:
-        e: Which sensors are gyroscopes, and how far those on the frame are from each other.
         density, counting: (4,) squared noise densities, of the sensors and of what counting makes of them.
-        noise: (5,), written.
     """
     for j in range(ROWS - 1):
         rate = (j == 1 and e.yaw_is_gyroscope) or (j == 2 and e.roll_is_gyroscope)  # noqa: PLR2004 - the rows
@@ -152,13 +143,7 @@ def write_noise(
 
 @compiled(nogil=True)
 def left_noise(terms: ComplexArray, noise: FloatArray, radius: float) -> float:
-    """Return the squared noise density of the equation at the parameters on file.
-
-    Args:
-        terms: (7, 5) of the equation.
-        noise: (5,) squared noise densities of the spectra.
-        radius: On file, m.
-    """
+    """Return the squared noise density of the equation at the parameters on file."""
     total = 0.0
     for j in range(ROWS):
         left = terms[0, j] - terms[1, j] - radius * terms[2, j] - terms[3, j] - terms[4, j] - terms[5, j]
@@ -177,9 +162,7 @@ def add_spectra(
     Args:
         spectra, speeds: (k, 5, f) of the pieces, and (k,) their mean speeds, m/s.
         part: (k,) to which a piece is added.
-        dt, samples: Sampling interval, s, and samples of a piece.
         wavelengths: The shortest and the longest that are looked at, m.
-        products, of_noise: (parts, bands, 7, 7), added to above their diagonals.
     """
     terms, noise = np.zeros((TERMS, ROWS), np.complex128), np.empty(ROWS)
     values, moved = np.empty(TERMS, np.complex128), np.empty(ROWS, np.complex128)
@@ -197,7 +180,7 @@ def add_spectra(
             for j in range(ROWS):
                 moved[j] = spectra[k, j, f]
             moved[1] *= math.tan(0.5 * omega * dt) / (0.5 * omega * dt)  # the trapezoidal rule's shortfall
-            weight = 2.0 / left_noise(terms, noise, e.radius)
+            weight = 2.0 / left_noise(terms, noise, e.nominal_radius)
             band = min(int(bands * math.log(frequency / longest) / ratio), bands - 1)
             for a in range(TERMS):
                 values[a] = 0.0
@@ -239,7 +222,6 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
 
     Args:
         window: Measured accelerations and speed, (n,) each; in a bogie with the yaw of its frame, else it says nothing.
-        vehicle_class: Of its vehicle, with the nominal radius on file of its wheelset.
     """
     if vehicle_class.bogie is not None and window.frame_yaw_acceleration is None:
         return ()
@@ -295,19 +277,9 @@ def _equation(vehicle_class: VehicleClass) -> Equation:
     p, sensors = vehicle_class.parameters, vehicle_class.sensors
     half, longitudinal = p.half_contact_distance, p.longitudinal_creep_coefficient
     return Equation(
-        lateral_creep=p.lateral_creep_coefficient,
-        spin_creep=p.lateral_spin_creep_coefficient,
-        mass=p.wheelset_mass,
-        lateral_stiffness=p.lateral_stiffness,
-        lateral_damping=p.lateral_damping,
-        load=p.load,
-        radius=p.nominal_radius,
-        half=half,
+        **{name: getattr(p, name) for name in Equation._fields if hasattr(p, name)},
         per_moment=p.nominal_radius / (half * longitudinal),
-        yaw_inertia=p.yaw_inertia,
         yaw_creep=2.0 * half**2 * longitudinal,
-        yaw_stiffness=p.yaw_stiffness,
-        yaw_damping=p.yaw_damping,
         pitch=p.pitch_inertia / p.nominal_radius,
         wheelbase=math.inf if vehicle_class.bogie is None else vehicle_class.bogie.wheelbase,
         gravity=GRAVITY if sensors.measures_gravity else 0.0,

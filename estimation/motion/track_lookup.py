@@ -20,10 +20,10 @@ from scipy.interpolate import CubicSpline
 from estimation.compiled import compiled
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.filters.smoothing_spline import remove_wander
+from estimation.motion.checks import fast_enough
 from estimation.motion.integration import IntegratedWindow, integrate
-from estimation.motion.parameters import FusionParameters, SignalParameters
-from estimation.motion.rolling_radius_difference import fuse, motion_signals
-from estimation.motion.usable_samples import fast_enough
+from estimation.motion.parameters import SignalParameters
+from estimation.motion.rolling_radius_difference import CROSSOVER, STEP, fuse, motion_signals
 from estimation.values.arrays import FloatArray, frozen_array, runs
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
@@ -44,11 +44,7 @@ class SampledCurve:
 
 
 def at_places(curve: SampledCurve, places: FloatArray) -> FloatArray:
-    """Return the values (n,) at places (n,); NaN off the curve, and beside a point of it that is not known.
-
-    Args:
-        places: (n,) m; NaN where not known.
-    """
+    """Return the values (n,) at places (n,); NaN off the curve, and beside a point of it that is not known."""
     found = np.full(len(places), np.nan)
     low, high = extent(places, float(curve.s[0]), float(curve.s[-1]))
     if low > high:
@@ -85,12 +81,7 @@ def _piece(curve: SampledCurve, number: int) -> FloatArray:
 
 @compiled(nogil=True)
 def extent(places: FloatArray, first: float, last: float) -> tuple[float, float]:
-    """Return the lowest and the highest of the places in ``[first, last]``; the first is larger where there is none.
-
-    Args:
-        places: (n,) m; NaN where not known.
-        first, last: Ends, m.
-    """
+    """Return the lowest and the highest of the places in ``[first, last]``; the first is larger where there is none."""
     low, high = np.inf, -np.inf
     for place in places:
         if first <= place <= last:
@@ -103,7 +94,6 @@ def evaluate(places: FloatArray, s: FloatArray, coefficients: FloatArray, found:
     """Write the spline at places on the grid (m,); a place on a point of it belongs to the interval before.
 
     Args:
-        places: (n,) m; NaN where not known.
         s, coefficients: (m,) m, uniform, and (m - 1, 4) between its points.
         found: (n,); what is off the grid stays as it is.
     """
@@ -130,7 +120,6 @@ def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength:
     """Return d (n,), m, by a cubic spline through the stored alignment; NaN off the section and where it is not known.
 
     Args:
-        distance: (n,) m along the section; NaN where not known.
         cutoff_wavelength: m, of the high-pass that the motion goes through.
     """
     as_it_is = track.cutoff_wavelength >= FULL_BAND_FACTOR * cutoff_wavelength
@@ -206,21 +195,18 @@ def gauge_shift(
 
     Args:
         window: In the axes of the wheelset, at true positions.
-        track: Alignment with the gauge deviation and what was found of wheelsets.
-        earlier: The same accelerations and speeds, integrated before.
     """
     table = None if track.findings is None else track.findings.gauge_shifts.get(window.wheelset)
     if track.findings is None or table is None:
         return None
-    fusion = FusionParameters()
-    ends = fusion.step * (len(local_cubic_kernel(fusion.crossover, fusion.step)) // 2)
+    ends = STEP * (len(local_cubic_kernel(CROSSOVER, STEP)) // 2)
     more = track.findings.stiffness_ratio.get(window.vehicle, 1.0) - 1.0
     e = np.interp(window.distance, track.s, track.gauge_deviation, left=np.nan, right=np.nan)
     shift = np.full(len(window.valid), np.nan)
     usable = window.valid & np.isfinite(e) & fast_enough(window, parameters)
     for segment in integrate(window, usable, parameters, earlier=earlier).segments:
         part, run = segment.part, segment.run
-        grid = fuse(motion_signals(segment, vehicle), vehicle, fusion)
+        grid = fuse(motion_signals(segment, vehicle), vehicle)
         certain = (grid.run >= grid.run[0] + ends) & (grid.run <= grid.run[-1] - ends)
         if not certain.any():
             continue

@@ -8,30 +8,26 @@ any length and speed, and is applied once to each side that is compared (y - d a
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
 from estimation.filters.smoothing_spline import modelled_gaps, remove_wander
 from estimation.motion.checks import (
-    check_axis_signs,
-    check_moving,
-    direction,
-    gate,
-    jumps_reason,
-    position_jumps,
-    to_wheelset_axes,
-)
-from estimation.motion.cross_level import standard_displacement
-from estimation.motion.integration import IntegratedSegment, IntegratedWindow, bridged, integrate
-from estimation.motion.parameters import SignalParameters, WindowParameters
-from estimation.motion.track_lookup import alignment_at, gauge_shift
-from estimation.motion.usable_samples import (
     Usable,
+    check_integrated,
+    check_running,
     check_upright,
     detect_uncompensated_acceleration,
+    direction,
+    gate,
     moving_samples,
     usable_samples,
 )
+from estimation.motion.integration import IntegratedSegment, IntegratedWindow, bridged, integrate, mirrored
+from estimation.motion.parameters import SignalParameters, WindowParameters
+from estimation.motion.rolling_radius_difference import standard_displacement
+from estimation.motion.track_lookup import TRACKS, alignment_at, gauge_shift
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
@@ -55,10 +51,8 @@ def motion(
     Args:
         track: Alignment of the window's section; samples outside it are left out. Wavelengths that it does not hold are
             taken out of the motion too.
-        layout: Curves of the section, which are left out; None where none is on file.
         gauge_shift: (n,) m, by how much the gauge moves the wheelset, NaN where the table does not reach; None without
             a table.
-        earlier: The same accelerations and speeds, integrated before.
         radius: Nominal rolling radius, m: the height of the axle.
     """
     cutoff_wavelength = min(parameters.cutoff_wavelength, track.cutoff_wavelength)
@@ -194,24 +188,19 @@ def window_motion(
     """Return the motion of ``window`` relative to ``track``, or why the window is refused.
 
     Args:
-        window: Measured accelerations of one wheelset, (n,) each.
         track: Alignment of its track section; None where none is on file, all NaN where that is of the gauge alone.
         correction: From the measured positions to the true ones; None where the measured ones are used.
-        misplaced: Why the position is not certain; None where it is.
-        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
-        layout: Curves of the section, which are left out; None where none is on file.
 
     Returns:
         (n,) samples of band-limited motion in the axes of the wheelset, or the refusal.
     """
     refused = gate(window.quality, window.track_section, parameters.gates)
-    if refused is not None:
-        return refused
-    if track is None or not np.isfinite(track.alignment).any():
-        return NO_ALIGNMENT
-    if misplaced is not None:
-        return misplaced
-    integrated = _checked(window, parameters)
+    if refused is None and (track is None or not np.isfinite(track.alignment).any()):
+        refused = NO_ALIGNMENT
+    refused = refused or misplaced or check_running(window, parameters.signals)
+    if refused is not None or track is None:
+        return refused or NO_ALIGNMENT
+    integrated = check_integrated(integrate(window, moving_samples(window, parameters.signals), parameters.signals))
     if isinstance(integrated, Reason):
         return integrated
     facing = -direction(window) if window.backwards else direction(window)
@@ -228,12 +217,23 @@ def window_motion(
     return replace(moved, displacement_noise=float(np.mean(noise)))
 
 
-def _checked(window: Window, parameters: WindowParameters) -> IntegratedWindow | Reason:
-    """Return the window integrated, or what of it contradicts the rest."""
-    reason = check_moving(window, parameters.signals)
-    if reason is None and direction(window) == 0:
-        reason = Reason(ReasonCode.BOTH_DIRECTIONS, "the vehicle runs both ways along the section")
-    if reason is not None:
-        return reason
-    integrated = integrate(window, moving_samples(window, parameters.signals), parameters.signals)
-    return jumps_reason(position_jumps(integrated)) or check_axis_signs(integrated) or integrated
+def to_wheelset_axes(
+    integrated: IntegratedWindow, track: TrackAlignment, facing: int, *, mounted_reversed: bool
+) -> tuple[IntegratedWindow, TrackAlignment]:
+    """Return window and alignment with the left side where the wheelset's own left wheel is.
+
+    A vehicle that faces against the section has its axes turned half round: the section's right is its left. For a
+    wheelset mounted the other way round everything lateral is its mirror image, in which the same equations hold.
+
+    Args:
+        facing: 1 where the front end of the vehicle is ahead along the section, -1 where its rear end is.
+        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
+    """
+    if (facing < 0) != mounted_reversed:
+        track = _turned(track)
+    return mirrored(integrated) if mounted_reversed else integrated, track
+
+
+@lru_cache(maxsize=TRACKS)
+def _turned(track: TrackAlignment) -> TrackAlignment:
+    return replace(track, alignment=-track.alignment)

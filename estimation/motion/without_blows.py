@@ -19,12 +19,71 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import binary_closing, binary_dilation, median_filter, uniform_filter1d
 from scipy.special import betainc
 
-from estimation.motion.blows import SAID_BY_MEDIAN, sharp, struck, vibration
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, runs
 from estimation.values.windows import ACCELERATIONS, NO_BLOWS, Hunting, TurnBlows, Window
+
+SLOW_S = 0.05  # running mean over this is motion
+RINGING_S = 0.1  # running median over this is motion even where a blow rings
+SCALE_S = 2.0  # over which vibration is judged
+LEAST_BLOW = 8.0  # m/s2 and rad/s2; right wheelsets on smooth track stay below 3, flange contact below 6
+LEAST_STDS = 6.0  # of the vibration
+TAIL = 0.12  # of the largest nearby: what still rings
+TAIL_STDS = 3.0
+REACH_S = 0.04  # on both sides of a blow, in which it may ring
+GUARD_S = 0.004  # on both sides of what rings
+SAID_BY_MEDIAN = 0.6745  # median of the magnitude of a normal signal over its std
+
+
+def sharp(signals: FloatArray, interval_s: float) -> FloatArray:
+    """Return signals (m, n), NaN where not known, less their running mean; there 0."""
+    known = np.isfinite(signals)
+    width = max(round(SLOW_S / interval_s), 3) | 1
+    filled = np.where(known, signals, 0.0)
+    share = uniform_filter1d(known.astype(np.float64), width, axis=1, mode="nearest")
+    means = uniform_filter1d(filled, width, axis=1, mode="nearest") / np.maximum(share, 1.0 / width)
+    return np.where(known, filled - means, 0.0)
+
+
+def vibration(sharp_signals: FloatArray, interval_s: float) -> FloatArray:
+    """Return the standard deviation (m, n) of what is sharp, blows apart: by the median of some seconds."""
+    size = min(max(round(SCALE_S / interval_s), 1), sharp_signals.shape[1])
+    count = max(sharp_signals.shape[1] // size, 1)
+    blocks = np.abs(sharp_signals[:, : count * size]).reshape(len(sharp_signals), count, size)
+    stds = np.median(blocks, axis=2) / SAID_BY_MEDIAN
+    block = np.minimum(np.arange(sharp_signals.shape[1]) // size, count - 1)
+    return np.asarray(stds[:, block])
+
+
+def struck(lateral: FloatArray, roll: FloatArray, interval_s: float, lost: BoolArray | None = None) -> BoolArray:
+    """Return which samples (n,) a blow has spoilt, from its begin until it has died down.
+
+    Args:
+        lateral, roll: (n,) m/s2 and rad/s2; NaN where not known.
+        lost: (n,) samples that clipped in blows, near which it rings too; None for none.
+    """
+    both = np.stack([lateral, roll])
+    lost = np.zeros(len(lateral), np.bool_) if lost is None else lost
+    if not (lost.any() or np.nanmax(np.abs(both), initial=0.0) > LEAST_BLOW):
+        return lost
+    fast = np.abs(sharp(both, interval_s))
+    std = vibration(fast, interval_s)
+    found = lost.copy()
+    reach = max(round(REACH_S / interval_s), 1)
+    for signal, values, noise in zip(both, fast, std, strict=True):
+        blows = values > np.maximum(LEAST_BLOW, LEAST_STDS * noise)
+        if not (blows | lost).any():
+            continue
+        near = binary_dilation(blows | lost, iterations=reach)
+        motion = median_filter(np.nan_to_num(signal), round(RINGING_S / interval_s) | 1)
+        rest = np.abs(np.nan_to_num(signal) - motion)
+        size = float(np.median(values[blows])) if blows.any() else LEAST_BLOW
+        rings = near & (rest > np.maximum(TAIL_STDS * noise, TAIL * size))
+        found |= binary_closing(rings | blows | lost, iterations=2)
+    return np.asarray(binary_dilation(found, iterations=max(round(GUARD_S / interval_s), 1)) if found.any() else found)
+
 
 BLOCK_S = 10.0
 LEAST_SPEED = 5.0  # m/s
@@ -75,11 +134,7 @@ class _Block:
 def blows_unless_hunting(
     hunting: Hunting, lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float
 ) -> TurnBlows:
-    """Return the blows once a turn, none of a wheelset that hunts: flanges strike at its own wavelength.
-
-    Args:
-        hunting: Of the same running time.
-    """
+    """Return the blows once a turn, none of a wheelset that hunts: flanges strike at its own wavelength."""
     return NO_BLOWS if hunting.sustained else find_turn_blows(lateral, roll, speed, interval_s)
 
 
@@ -88,14 +143,20 @@ def find_turn_blows(lateral: FloatArray, roll: FloatArray, speed: FloatArray, in
 
     Args:
         lateral, roll: (n,) m/s2 and rad/s2, as the sensors gave them, clipped samples too; NaN where nothing is known.
-        speed: (n,) m/s; NaN where not known.
     """
-    running, found = 0, []
-    for block in _blocks(lateral, roll, speed, interval_s):
-        running += 1
-        if block.comb is not None:
-            found.append((block.comb.turn, block.events, block.comb.on_place))
-    return _combined(found, running)
+    blocks = list(_blocks(lateral, roll, speed, interval_s))
+    found = [(block.comb, block.events) for block in blocks if block.comb is not None]
+    turn = float(np.median([comb.turn for comb, _ in found])) if found else 0.0
+    alike = [(comb, events) for comb, events in found if abs(comb.turn / turn - 1.0) <= SAME_TURN]
+    if not alike:
+        return NO_BLOWS
+    lateral, roll = (
+        np.concatenate([getattr(events, name)[comb.on_place] for comb, events in alike]) for name in ("lateral", "roll")
+    )
+    left, right = float(np.mean((roll > 0) & (lateral < 0))), float(np.mean((roll < 0) & (lateral > 0)))
+    side = 1 if left >= SIDED else -1 if right >= SIDED else 0
+    size, turn = float(np.median(np.abs(lateral))), float(np.median([comb.turn for comb, _ in alike]))
+    return TurnBlows(len(alike) / len(blocks), size, turn, side)
 
 
 def blow_times(
@@ -132,27 +193,11 @@ def _blocks(
         run = np.cumsum(np.nan_to_num(speed[part], nan=float(np.mean(speed[part][known])))) * interval_s
         events = _events(fast[:, part], std[:, part], interval_s, None if lost is None else lost[part])
         comb = _comb(np.interp(events.middle, np.arange(size), run), float(run[-1]))
-        yield _Block(start, run, events, None if comb is None or _alternates(events.lateral[comb.on_place]) else comb)
-
-
-def _alternates(lateral: FloatArray) -> bool:
-    """Return whether blows (k,) come from either side in turn, as those of flanges."""
-    return bool(np.mean(lateral[1:] * lateral[:-1] < 0.0) > MOST_ALTERNATING)
-
-
-def _combined(found: list[tuple[float, _Events, BoolArray]], running: int) -> TurnBlows:
-    if not found:
-        return NO_BLOWS
-    turn = float(np.median([one[0] for one in found]))
-    alike = [one for one in found if abs(one[0] / turn - 1.0) <= SAME_TURN]
-    if not alike:
-        return NO_BLOWS
-    lateral = np.concatenate([events.lateral[on] for _, events, on in alike])
-    roll = np.concatenate([events.roll[on] for _, events, on in alike])
-    left, right = float(np.mean((roll > 0) & (lateral < 0))), float(np.mean((roll < 0) & (lateral > 0)))
-    side = 1 if left >= SIDED else -1 if right >= SIDED else 0
-    size = float(np.median(np.abs(lateral)))
-    return TurnBlows(len(alike) / running, size, float(np.median([one[0] for one in alike])), side)
+        if comb is not None:
+            lateral = events.lateral[comb.on_place]
+            if np.mean(lateral[1:] * lateral[:-1] < 0.0) > MOST_ALTERNATING:  # from either side in turn: flanges
+                comb = None
+        yield _Block(start, run, events, comb)
 
 
 def _events(fast: FloatArray, std: FloatArray, interval_s: float, lost: BoolArray | None) -> _Events:
@@ -260,7 +305,6 @@ def turn_blows(signals: FloatArray, at: FloatArray, interval_s: float) -> FloatA
 
     Args:
         signals: (m, n) lateral, yaw and roll acceleration first; NaN where not known.
-        at: (k,) where on the samples they are, increasing.
     """
     turn = float(np.median(np.diff(at))) * interval_s
     reach = min(BEFORE_S + BEHIND_S, MOST_OF_TURN * turn) / (BEFORE_S + BEHIND_S)

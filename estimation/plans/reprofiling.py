@@ -13,8 +13,8 @@ from enum import StrEnum
 from itertools import groupby
 from typing import Annotated
 
+from estimation.values.fields import IN_MM, Served
 from estimation.values.reasons import Reason
-from estimation.values.served import MM, Served
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,15 +24,17 @@ class DiameterLimits:
     EN 15313 leaves them to the maintenance plan.
     """
 
-    cut: Annotated[float | None, Served(name="cut_mm", scale=MM)] = None  # m, radius that a turning takes off at least
-    minimum_radius: Annotated[float | None, Served(name="minimum_radius_mm", scale=MM)] = None  # m, of a wheel
-    axle_difference: Annotated[float | None, Served(name="axle_difference_mm", scale=MM)] = (
+    cut: Annotated[float | None, Served(name="cut_mm", scale=IN_MM)] = (
+        None  # m, radius that a turning takes off at least
+    )
+    minimum_radius: Annotated[float | None, Served(name="minimum_radius_mm", scale=IN_MM)] = None  # m, of a wheel
+    axle_difference: Annotated[float | None, Served(name="axle_difference_mm", scale=IN_MM)] = (
         None  # m, greatest difference of diameters of the two wheels of an axle
     )
-    bogie_difference: Annotated[float | None, Served(name="bogie_difference_mm", scale=MM)] = (
+    bogie_difference: Annotated[float | None, Served(name="bogie_difference_mm", scale=IN_MM)] = (
         None  # m, of any two wheels of a bogie
     )
-    vehicle_difference: Annotated[float | None, Served(name="vehicle_difference_mm", scale=MM)] = (
+    vehicle_difference: Annotated[float | None, Served(name="vehicle_difference_mm", scale=IN_MM)] = (
         None  # m, of any two wheels of a vehicle
     )
 

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.rails.cell import CellTable
 from estimation.rails.component import Component, Runs, component, connected, islands
 from estimation.rails.parameters import Anchors, RailsParameters, ReferenceWheel
-from estimation.rails.published import RailAt, WheelAt, parted, refusal
-from estimation.rails.trend_line import TrendAt
+from estimation.rails.published import AtAmplitude, RailAt, TrendAt, WheelAt, parted, refusal
 from estimation.rails.two_way import Parted, part, with_known
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.quantities import with_interval
-from estimation.values.rails import RailKey, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 
 LARGEST_VARIANCE = 1.0  # of a conicity of which nothing is known
@@ -52,7 +50,7 @@ def checks(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
     found = {}
     for one in np.unique(serial[known]).tolist():
         own = np.flatnonzero(known & (serial == one))
-        checked = _check(component, held, own, shared) if held.converged else _nothing()
+        checked = _check(component, held, own, shared) if held.converged else NOTHING
         found[component.table.serials[one]] = checked if usable else replace(checked, apart=0.0)
     return found
 
@@ -62,7 +60,7 @@ def _check(component: Component, held: Parted, own: IntArray, shared: float) -> 
     left, covariance = _left_out(component, held, own)
     variance = np.diag(covariance)
     if not ((variance > 0.0) & (variance < LARGEST_VARIANCE)).all():
-        return _nothing()
+        return NOTHING
     value = component.two_way.known_value
     others = np.isfinite(value)
     others[own] = False
@@ -88,8 +86,7 @@ def _left_out(component: Component, held: Parted, own: IntArray) -> tuple[FloatA
         return residual, np.full_like(apart, np.inf)
 
 
-def _nothing() -> Check:
-    return Check(0.0, np.inf, np.inf)
+NOTHING = Check(0.0, np.inf, np.inf)
 
 
 MOST = 0.5  # share of the rails
@@ -136,16 +133,6 @@ UNEVEN = Reason(
     "conicities rise with those of the wheels otherwise than on most sections, as next to a contact jump",
 )
 UNCONFIRMED = "it was measured, but nothing else that holds the level confirms it: two measured wheelsets are needed"
-
-
-@dataclass(slots=True)
-class AtAmplitude:
-    """What is published at one amplitude."""
-
-    rails: dict[RailKey, RailAt] = field(default_factory=dict)
-    wheels: dict[WheelKey, WheelAt] = field(default_factory=dict)
-    trends: dict[str, TrendAt] = field(default_factory=dict)  # of sections with rails that were parted, or why not
-    interaction: float = float("nan")  # of the component with most cells
 
 
 def at_amplitude(table: CellTable, k: int, anchors: Anchors, parameters: RailsParameters) -> AtAmplitude:

@@ -1,24 +1,22 @@
 """Wheel and rail apart: cells in, amplitude by amplitude what belongs to rails and to wheels out.
 
-``init``, ``update`` and ``result`` are pure; the same cells give the same answer in any order.
+The same cells give the same answer in any order.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.rails.amplitude import NOT_COVERED, AtAmplitude, at_amplitude, wheel_checks
-from estimation.rails.cell import CellTable, cell_table
+from estimation.rails.amplitude import NOT_COVERED, NOTHING, Check, at_amplitude, wheel_checks
+from estimation.rails.cell import CellTable, cell_table, extent, grouped, sections_of, wheelsets_of
 from estimation.rails.component import Runs, islands
 from estimation.rails.parameters import Anchors, RailsParameters
-from estimation.rails.published import NEXT_TO_JUMP, on_rise
-from estimation.rails.trend_line import TrendAt
+from estimation.rails.published import NEXT_TO_JUMP, AtAmplitude, TrendAt, on_rise
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate
 from estimation.values.rails import (
@@ -45,14 +43,6 @@ class _Witness(NamedTuple):
     name: str  # code, or serial
 
 
-@dataclass(frozen=True, slots=True)
-class _Apart:
-    """By how much a witness differs from what the others say."""
-
-    value: float = 0.0
-    ratio: float = 0.0  # half intervals
-
-
 def confirmed(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> Anchors:
     """Return the anchors without those that contradict the others, and why."""
     held, found = anchors, _all_apart(table, anchors, parameters)
@@ -70,16 +60,16 @@ def confirmed(table: CellTable, anchors: Anchors, parameters: RailsParameters) -
         held, found = without[best], left[best]
 
 
-def _all_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, _Apart]:
+def _all_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, Check]:
     return _sections_apart(table, anchors, parameters) | _wheels_apart(table, anchors, parameters)
 
 
-def _sections_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, _Apart]:
+def _sections_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, Check]:
     known = sorted({key.section for key in table.rails if key in anchors.known_rails})
     return {_Witness(is_wheelset=False, name=code): _section_apart(code, table, anchors, parameters) for code in known}
 
 
-def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters: RailsParameters) -> _Apart:
+def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters: RailsParameters) -> Check:
     """Return the excess of a section over what the others say.
 
     For the fleet's mean wheel where nothing follows for that as designed. Of several periods the one that is furthest;
@@ -87,7 +77,7 @@ def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters:
     """
     others = replace(anchors, known_rails=frozenset(key for key in anchors.known_rails if key.section != section))
     if not others.known_rails and not others.known_wheels:
-        return _Apart()
+        return NOTHING
     for k in np.flatnonzero(table.amplitude <= parameters.limit_amplitude + 1e-9)[::-1]:
         rails = at_amplitude(table, int(k), others, parameters).rails
         own = [one for key, one in rails.items() if key.section == section and key in anchors.known_rails]
@@ -95,23 +85,23 @@ def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters:
         found = [one for one in either if one.value is not None]
         if found:
             return max(map(_of_excess, found), key=lambda one: one.ratio)
-    return _Apart()
+    return NOTHING
 
 
-def _of_excess(excess: Estimate) -> _Apart:
+def _of_excess(excess: Estimate) -> Check:
     assert excess.value is not None
     assert excess.low is not None
-    return _Apart(excess.value, abs(excess.value) / (excess.value - excess.low))
+    return Check(excess.value, excess.value - excess.low, np.nan)
 
 
-def _wheels_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, _Apart]:
+def _wheels_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, Check]:
     """Return how far measured wheelsets are from what the others say, at the amplitude at which that is furthest."""
-    found: dict[_Witness, _Apart] = {}
+    found: dict[_Witness, Check] = {}
     for k in range(len(table.amplitude)) if anchors.known_wheels else ():
         for serial, check in wheel_checks(table, k, anchors, parameters).items():
             one = _Witness(is_wheelset=True, name=serial)
             if one not in found or check.ratio > found[one].ratio:
-                found[one] = _Apart(check.apart, check.ratio)
+                found[one] = check
     return found
 
 
@@ -131,14 +121,14 @@ def _connected(worst: _Witness, witnesses: Sequence[_Witness], table: CellTable,
 
 
 def _reasons(
-    some: Sequence[_Witness], together: Sequence[_Witness], beyond: Mapping[_Witness, _Apart]
+    some: Sequence[_Witness], together: Sequence[_Witness], beyond: Mapping[_Witness, Check]
 ) -> tuple[dict[str, Reason], dict[str, Reason]]:
     """Return why some sections, and some measured wheelsets, hold no level."""
     most = max(beyond.values(), key=lambda one: one.ratio)
     sections, wheelsets = dict[str, Reason](), dict[str, Reason]()
     for of in some:
         others = ", ".join(one.name for one in together if one != of)
-        differs = f"as {others}, but the conicity differs by {abs(beyond.get(of, most).value):.3f} between them"
+        differs = f"as {others}, but the conicity differs by {abs(beyond.get(of, most).apart):.3f} between them"
         if of.is_wheelset:
             wheelsets[of.name] = Reason(ReasonCode.MEASURED_WHEELS_DIFFER, f"measured, {differs}")
         else:
@@ -148,64 +138,34 @@ def _reasons(
 
 SAME_AMPLITUDE = 1e-9  # m
 
-Cells = Mapping[tuple[WheelKey, RailKey], SectionConicity]
 
-
-@dataclass(frozen=True, slots=True)
-class RailsState:
-    """The cells so far."""
-
-    parameters: RailsParameters
-    amplitude: FloatArray  # (k,) m
-    cells: Cells = field(default_factory=dict)
-
-
-def init(parameters: RailsParameters, amplitude: FloatArray) -> RailsState:
-    """Return the state without cells.
-
-    Args:
-        amplitude: (k,) m, of all cells.
-    """
-    return RailsState(parameters, amplitude)
-
-
-def update(state: RailsState, cells: Sequence[SectionConicity]) -> RailsState:
-    """Return the state with more cells.
+def rails_apart(
+    cells: Sequence[SectionConicity], amplitude: FloatArray, anchors: Anchors, parameters: RailsParameters
+) -> RailsApart:
+    """Return wheels and rails apart at every amplitude, with intervals, or why they are not.
 
     Args:
         cells: Each wheelset, interval, section and period once; what belongs to one cell is merged before, as bin
             tables.
+        amplitude: (k,) m, of all cells.
 
     Raises:
-        ParameterError: A cell is there already, or has other amplitudes.
+        ParameterError: A cell is there twice, or has other amplitudes.
     """
-    found = dict(state.cells)
-    for cell in cells:
-        if cell.key in found:
+    cells = sorted(cells, key=lambda cell: cell.key)
+    for cell, before in zip(cells, [None, *cells], strict=False):
+        if before is not None and cell.key == before.key:
             raise ParameterError(f"two cells of {cell.wheel.wheelset} on {cell.rail.section}", field="cells")
-        if not np.array_equal(cell.amplitude, state.amplitude):
+        if not np.array_equal(cell.amplitude, amplitude):
             raise ParameterError(f"cell of {cell.wheel.wheelset}: other amplitudes", field="amplitude")
-        found[cell.key] = cell
-    return replace(state, cells=found)
-
-
-def result(state: RailsState, anchors: Anchors) -> RailsApart:
-    """Return wheels and rails apart at every amplitude, with intervals, or why they are not."""
-    cells = [state.cells[key] for key in sorted(state.cells)]
-    table = cell_table(cells, state.amplitude)
-    held = confirmed(table, anchors, state.parameters)
-    levels = [at_amplitude(table, k, held, state.parameters) for k in range(len(state.amplitude))]
-    _refuse_rises(levels, state)
-    of_rails, of_wheels = (
-        defaultdict[RailKey, list[SectionConicity]](list),
-        defaultdict[WheelKey, list[SectionConicity]](list),
-    )
-    for cell in cells:
-        of_rails[cell.rail].append(cell)
-        of_wheels[cell.wheel].append(cell)
-    trends, no_trends = _trends(levels, state, held)
+    table = cell_table(cells, amplitude)
+    held = confirmed(table, anchors, parameters)
+    levels = [at_amplitude(table, k, held, parameters) for k in range(len(amplitude))]
+    _refuse_rises(levels, amplitude, parameters.steepest)
+    of_rails, of_wheels = grouped((cell.rail, cell) for cell in cells), grouped((cell.wheel, cell) for cell in cells)
+    trends, no_trends = _trends(levels, amplitude, parameters.limit_amplitude, anchors)
     return RailsApart(
-        amplitude=state.amplitude,
+        amplitude=amplitude,
         rails=tuple(_rail_part(key, of_rails[key], levels) for key in table.rails),
         wheels=tuple(_wheel_part(key, of_wheels[key], levels) for key in table.wheels),
         trends=trends,
@@ -216,7 +176,7 @@ def result(state: RailsState, anchors: Anchors) -> RailsApart:
     )
 
 
-def _refuse_rises(levels: Sequence[AtAmplitude], state: RailsState) -> None:
+def _refuse_rises(levels: Sequence[AtAmplitude], amplitude: FloatArray, steepest: float) -> None:
     """Take back what is said of the wheel as designed where its conicity, as found on some rails, is on a rise.
 
     The trend of the section goes with it.
@@ -224,7 +184,7 @@ def _refuse_rises(levels: Sequence[AtAmplitude], state: RailsState) -> None:
     keys = sorted({key for level in levels for key in level.rails})
     for key in keys:
         curve = np.array([level.rails[key].solved for level in levels])
-        rising = on_rise(curve, state.amplitude, state.parameters.steepest)
+        rising = on_rise(curve, amplitude, steepest)
         for level in (one for one, rises in zip(levels, rising, strict=True) if rises):
             if level.rails[key].reference_wheel.value is not None:
                 level.rails[key] = level.rails[key].without_reference_wheel(NEXT_TO_JUMP)
@@ -239,10 +199,8 @@ def _rail_part(key: RailKey, own: Sequence[SectionConicity], levels: Sequence[At
         part=tuple(one.part for one in found),
         reference_wheel=tuple(one.reference_wheel for one in found),
         excess=tuple(one.excess for one in found),
-        wheelsets=len({cell.wheel.wheelset for cell in own}),
-        windows=sum(cell.windows for cell in own),
-        from_ns=min(cell.from_ns for cell in own),
-        to_ns=max(cell.to_ns for cell in own),
+        wheelsets=wheelsets_of(own),
+        **extent(own),
     )
 
 
@@ -252,10 +210,8 @@ def _wheel_part(key: WheelKey, own: Sequence[SectionConicity], levels: Sequence[
         wheel=key,
         reference=_strongest([one.reference for one in found]),
         conicity=tuple(one.conicity for one in found),
-        sections=tuple(sorted({cell.rail.section for cell in own})),
-        windows=sum(cell.windows for cell in own),
-        from_ns=min(cell.from_ns for cell in own),
-        to_ns=max(cell.to_ns for cell in own),
+        sections=sections_of(own),
+        **extent(own),
     )
 
 
@@ -264,17 +220,17 @@ def _strongest(references: Sequence[RailsReference | None]) -> RailsReference | 
 
 
 def _trends(
-    levels: Sequence[AtAmplitude], state: RailsState, anchors: Anchors
+    levels: Sequence[AtAmplitude], amplitudes: FloatArray, most: float, anchors: Anchors
 ) -> tuple[dict[str, RailTrend], dict[str, Reason]]:
-    """Return the trend of each section at the largest amplitude up to that of the limit at which it is known.
+    """Return the trend of each section at the largest amplitude up to ``most``, m, at which it is known.
 
     Of the others why there is none, at the largest amplitude at which that is said; where the excess is not on a line
     at one amplitude, that it is at a smaller one says nothing.
     """
     found: dict[str, RailTrend] = {}
     why: dict[str, Reason] = {}
-    for amplitude, level in reversed(list(zip(state.amplitude, levels, strict=True))):
-        if amplitude > state.parameters.limit_amplitude + SAME_AMPLITUDE:
+    for amplitude, level in reversed(list(zip(amplitudes, levels, strict=True))):
+        if amplitude > most + SAME_AMPLITUDE:
             continue
         for section in {key.section for key in level.rails} - found.keys():
             one = level.trends.get(section, TrendAt.unknown(NOT_COVERED))
@@ -287,13 +243,7 @@ def _trends(
 
 
 def reported(part: tuple[Estimate, ...], amplitude: FloatArray, most: float) -> tuple[Estimate, float] | None:
-    """Return the estimate at the largest amplitude up to ``most`` at which there is one; None where there is none.
-
-    Args:
-        part: (k,) the estimate at each amplitude.
-        amplitude: (k,) m, increasing.
-        most: In m.
-    """
+    """Return the estimate at the largest amplitude up to ``most`` at which there is one; None where there is none."""
     known = [
         (one, float(a))
         for one, a in zip(part, amplitude, strict=True)

@@ -31,8 +31,6 @@ def section_conicity(
     """Return the conicity that windows of a wheelset on one section give, by the estimator of geometries; or why none.
 
     Args:
-        wheel, rail: Wheelset with its mileage interval, section with its period.
-        parameters: Of the estimator; their uncertainty is that on this section.
         scale_std: Relative, of a scale of y - d that the alignment of the section leaves open.
         span_ns: Begin of the first and end of the last window, ns UTC.
     """
@@ -62,16 +60,21 @@ def _number(estimate: Estimate) -> float:
 
 
 Key = TypeVar("Key", bound=Hashable)
+Cell = TypeVar("Cell")
 
 
 def with_refused(found: RailsApart, cells: Sequence[StoredCell]) -> RailsApart:
     """Return what was found, with the wheels and rails whose cells are all refused, in the order of their keys."""
     known = {one.rail for one in found.rails}, {one.wheel for one in found.wheels}
-    of_rails = _of((one.rail, one) for one in cells if one.rail not in known[0])
-    of_wheels = _of((one.wheel, one) for one in cells if one.wheel not in known[1])
-    amplitudes = len(found.amplitude)
-    rails = [*found.rails, *(_rail_part(key, own, amplitudes) for key, own in of_rails.items())]
-    wheels = [*found.wheels, *(_wheel_part(key, own, amplitudes) for key, own in of_wheels.items())]
+    of_rails = grouped((one.rail, one) for one in cells if one.rail not in known[0])
+    of_wheels = grouped((one.wheel, one) for one in cells if one.wheel not in known[1])
+    rails, wheels = [*found.rails], [*found.wheels]
+    for rail, own in of_rails.items():
+        nothing = _nothing(own, len(found.amplitude))
+        rails.append(RailPart(rail, None, nothing, nothing, nothing, wheelsets_of(own), **extent(own)))
+    for wheel, own in of_wheels.items():
+        nothing = _nothing(own, len(found.amplitude))
+        wheels.append(WheelPart(wheel, None, nothing, sections_of(own), **extent(own)))
     said = found.trends.keys() | found.no_trends.keys()
     no_trends = {key.section: _reason(own) for key, own in of_rails.items() if key.section not in said}
     return replace(
@@ -82,27 +85,28 @@ def with_refused(found: RailsApart, cells: Sequence[StoredCell]) -> RailsApart:
     )
 
 
-def _of(cells: Iterable[tuple[Key, StoredCell]]) -> Mapping[Key, list[StoredCell]]:
-    found = defaultdict[Key, list[StoredCell]](list)
+def grouped(cells: Iterable[tuple[Key, Cell]]) -> Mapping[Key, list[Cell]]:
+    """Return cells by what they are of."""
+    found = defaultdict[Key, list[Cell]](list)
     for key, one in cells:
         found[key].append(one)
     return found
 
 
-def _rail_part(key: RailKey, own: Sequence[StoredCell], amplitudes: int) -> RailPart:
-    nothing = _nothing(own, amplitudes)
-    wheelsets = len({one.wheel.wheelset for one in own})
-    return RailPart(key, None, nothing, nothing, nothing, wheelsets, *_extent(own))
+def extent(own: Sequence[StoredCell] | Sequence[SectionConicity]) -> dict[str, int]:
+    """Return how many windows cells are made from, and from when to when."""
+    first, last = min(one.from_ns for one in own), max(one.to_ns for one in own)
+    return {"windows": sum(one.windows for one in own), "from_ns": first, "to_ns": last}
 
 
-def _wheel_part(key: WheelKey, own: Sequence[StoredCell], amplitudes: int) -> WheelPart:
-    sections = tuple(sorted({one.rail.section for one in own}))
-    return WheelPart(key, None, _nothing(own, amplitudes), sections, *_extent(own))
+def wheelsets_of(own: Sequence[StoredCell] | Sequence[SectionConicity]) -> int:
+    """Return of how many wheelsets cells are."""
+    return len({one.wheel.wheelset for one in own})
 
 
-def _extent(own: Sequence[StoredCell]) -> tuple[int, int, int]:
-    """Return how many windows there are, and from when to when."""
-    return sum(one.windows for one in own), min(one.from_ns for one in own), max(one.to_ns for one in own)
+def sections_of(own: Sequence[StoredCell] | Sequence[SectionConicity]) -> tuple[str, ...]:
+    """Return of which sections cells are, by code."""
+    return tuple(sorted({one.rail.section for one in own}))
 
 
 def _nothing(own: Sequence[StoredCell], amplitudes: int) -> tuple[Estimate, ...]:
@@ -144,12 +148,7 @@ class CellTable:
 
 
 def cell_table(cells: Sequence[SectionConicity], amplitude: FloatArray) -> CellTable:
-    """Return cells as arrays.
-
-    Args:
-        cells: All, in the order of their keys.
-        amplitude: (k,) m, of all.
-    """
+    """Return cells as arrays."""
     wheels, rails = sorted({cell.wheel for cell in cells}), sorted({cell.rail for cell in cells})
     serials = sorted({key.wheelset for key in wheels})
     of_wheel = {key: place for place, key in enumerate(wheels)}

@@ -70,9 +70,7 @@ def component(
     """Return connected cells with what is known of their wheels and rails.
 
     Args:
-        cells: (n,) numbers of those that are connected.
         known: Conicity (w,) of all wheels of the table, NaN where not known, and its standard deviation (w,).
-        level_open: What is said where nothing holds the level.
     """
     wheel, of_wheel = np.unique(table.wheel[cells], return_inverse=True)
     rail, of_rail = np.unique(table.rail[cells], return_inverse=True)
@@ -141,9 +139,6 @@ def connected(runs: Runs, least: int) -> Connected:
 
     Rails that hang on one wheelset are refused where the others are connected with what is known. Where nothing is
     known, both sides are groups of their own, for differences within each are known.
-
-    Args:
-        least: Different wheelsets that must connect each section.
     """
     refused: dict[int, Reason] = {}
     while True:

@@ -97,11 +97,7 @@ class Anchors:
         return Reason(code, f"{nothing}: only differences of sections are known{why}")
 
     def without(self, sections: Mapping[str, Reason], wheelsets: Mapping[str, Reason]) -> Anchors:
-        """Return the anchors without some sections and measured wheelsets, and why.
-
-        Args:
-            sections, wheelsets: By code, and by serial.
-        """
+        """Return the anchors without some sections and measured wheelsets, and why."""
         return replace(
             self,
             known_rails=frozenset(key for key in self.known_rails if key.section not in sections),
@@ -112,12 +108,7 @@ class Anchors:
 
 
 def conicity_on_rails(wheels: WheelPair, rails: RailShare, amplitude: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the conicity (k,) of wheels on rails and its standard deviation; NaN where they have none.
-
-    Args:
-        wheels: Profiles, radius and their standard deviation.
-        amplitude: (k,) m.
-    """
+    """Return the conicity (k,) of wheels on rails and its standard deviation; NaN where they have none."""
     nothing = np.full(len(amplitude), np.nan)
     try:
         rail = rail_profile(rails.rail)

@@ -14,28 +14,76 @@ from collections import defaultdict
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import fdtri
 
 from estimation.geometry.conicity import LARGEST_STD
 from estimation.rails.component import Component
 from estimation.rails.parameters import RailsParameters, ReferenceWheel
-from estimation.rails.trend_line import AS_ON_FILE, TrendAt, line, not_a_line, too_few
 from estimation.rails.two_way import Parted, part
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.rails import RailKey, RailsReference, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 
+PARAMETERS = 2  # of a line
+DOUBT = 0.99  # share of lines whose periods are nearer to it
+
+
+@dataclass(frozen=True, slots=True)
+class TrendAt:
+    """The trend of a section at one amplitude, 1/year, or why there is none."""
+
+    per_year: Estimate
+    periods: int = 0
+
+    @staticmethod
+    def unknown(reason: Reason) -> TrendAt:
+        """Return that there is none, with the reason."""
+        return TrendAt(Estimate.unknown(reason))
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line through correlated values."""
+
+    slope: float
+    std: float  # of the slope
+    squares: float  # weighted, of what is left
+    freedom: int  # how many are left
+
+    def fits(self, groups: float) -> bool:
+        """Whether the values are on a line, as far as their errors say.
+
+        Args:
+            groups: Degrees of freedom behind the scale of the errors.
+        """
+        if self.freedom < 1:
+            return True
+        return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), DOUBT))
+
+
+def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
+    """Return the line through correlated values."""
+    columns = np.column_stack([np.ones(len(at)), at - at.mean()])
+    weighted = np.linalg.solve(covariance, columns)
+    matrix = columns.T @ weighted
+    found = np.linalg.solve(matrix, weighted.T @ value)
+    left = value - columns @ found
+    squares = float(left @ np.linalg.solve(covariance, left))
+    return Line(float(found[1]), float(np.sqrt(np.linalg.inv(matrix)[1, 1])), squares, len(at) - PARAMETERS)
+
+
+AS_ON_FILE = TrendAt.unknown(
+    Reason(ReasonCode.RAILS_ARE_REFERENCE, "the section is named as known: nothing is measured of its rails")
+)
+
+
 WITHIN = 0.25e-3  # m of amplitude
 SAME_AMPLITUDE = 1e-9  # m
 
 
 def next_to_jump(curve: FloatArray, amplitude: FloatArray, most: float) -> BoolArray:
-    """Return where (k,) a conicity changes by more than ``most`` within 0.25 mm of amplitude, to either side.
-
-    Args:
-        curve: (k,) conicity; NaN where it is not known.
-        amplitude: (k,) m, increasing.
-    """
+    """Return where (k,) a conicity changes by more than ``most`` within 0.25 mm of amplitude, to either side."""
     return np.asarray((np.abs(_changes(curve, amplitude)) > most).any(axis=1))
 
 
@@ -94,29 +142,29 @@ class WheelAt:
 
 
 @dataclass(slots=True)
-class Answer:
-    """What is published of a component."""
+class AtAmplitude:
+    """What is published at one amplitude, of a component or of all."""
 
     rails: dict[RailKey, RailAt] = field(default_factory=dict)
     wheels: dict[WheelKey, WheelAt] = field(default_factory=dict)
-    trends: dict[str, TrendAt] = field(default_factory=dict)
-    interaction: float = float("nan")
+    trends: dict[str, TrendAt] = field(default_factory=dict)  # of sections with rails that were parted, or why not
+    interaction: float = float("nan")  # of the component with most cells
 
 
-def parted(component: Component, wheel: ReferenceWheel, parameters: RailsParameters) -> Answer:
+def parted(component: Component, wheel: ReferenceWheel, parameters: RailsParameters) -> AtAmplitude:
     """Return what may be published of connected cells."""
     solution = part(component.two_way, parameters)
     refused = refusal(component, solution, wheel, parameters)
     if refused is not None:
         solved, _ = solution.reference_wheel(float(wheel.on_reference[component.k]))
-        return Answer(
+        return AtAmplitude(
             {key: RailAt.unknown(refused, float(one)) for key, one in zip(component.rails, solved, strict=True)},
             {key: WheelAt.unknown(refused) for key in component.wheels},
             {key.section: TrendAt.unknown(refused) for key in component.rails},
             interaction=solution.interaction,
         )
-    publisher = _publisher(component, solution, wheel, parameters)
-    return Answer(publisher.rails(), publisher.wheels(), publisher.trends(), solution.interaction)
+    publisher = _Publisher(component, solution, wheel, parameters)
+    return AtAmplitude(publisher.rails(), publisher.wheels(), publisher.trends(), solution.interaction)
 
 
 def refusal(
@@ -133,7 +181,6 @@ def refusal(
     return None
 
 
-@dataclass(frozen=True, slots=True)
 class _Publisher:
     """Turns a solution into estimates.
 
@@ -143,16 +190,23 @@ class _Publisher:
     and looks like its rails.
     """
 
-    component: Component
-    solution: Parted
-    wheel: ReferenceWheel
-    parameters: RailsParameters
-    shared: float  # relative, what is systematic in all cells
-    scale: FloatArray  # (s,) relative, of the scale of y - d on each section
-    scale_of_reference: float  # that of what is the reference
-    value: FloatArray  # (s,) conicity of the wheel as designed
-    covariance: FloatArray  # (s, s) of that
-    apart: FloatArray  # (s,) by how much the wheel as designed is outside the wheels that ran there
+    def __init__(
+        self, component: Component, solution: Parted, wheel: ReferenceWheel, parameters: RailsParameters
+    ) -> None:
+        self.component, self.solution, self.wheel, self.parameters = component, solution, wheel, parameters
+        self.shared = component.shared  # relative, what is systematic in all cells
+        # relative, of the scale of y - d: (s,) on each section, and of what is the reference
+        self.scale = component.by_rail(component.table.scale[component.cells])
+        self.scale_of_reference = _scale_of_reference(component, self.scale)
+        self.design = float(wheel.on_reference[component.k])
+        # conicity (s,) of the wheel as designed with its covariance, and by how much it is outside those that ran there
+        self.value, self.covariance = solution.reference_wheel(self.design)
+        lowest, highest = np.full((2, len(component.rail)), [[np.inf], [-np.inf]])
+        np.minimum.at(lowest, component.two_way.rail, solution.wheel[component.two_way.wheel])
+        np.maximum.at(highest, component.two_way.rail, solution.wheel[component.two_way.wheel])
+        self.apart = np.maximum(lowest - self.design, self.design - highest)
+        self.mean = abs(solution.centre)
+        self.groups = 1 + max(1, int(solution.freedom))
 
     def rails(self) -> dict[RailKey, RailAt]:
         """Return what is published of every rail."""
@@ -195,15 +249,18 @@ class _Publisher:
         why = {place: self._no_conclusion(place, section) for place in unknown}
         own = [place for place in unknown if why[place] is None]
         if len(own) < self.parameters.least_periods:
-            newest = why[unknown[-1]]
-            return too_few(len(own), self.parameters.least_periods) if newest is None else TrendAt.unknown(newest)
+            text = f"{len(own)} period{'s' * (len(own) != 1)} of the section {'are' if len(own) != 1 else 'is'} known, "
+            few = Reason(ReasonCode.TOO_FEW_PERIODS, f"{text}{self.parameters.least_periods} are needed")
+            return TrendAt.unknown(why[unknown[-1]] or few)
         at = self.component.by_rail(self.component.table.years[self.component.cells])
         covariance = self.covariance[np.ix_(own, own)] + self.solution.interaction**2 * np.eye(len(own))
         found = line(at[own], self.value[own], covariance)
         if not found.fits(self.solution.freedom):
-            return not_a_line(len(own))
+            text = "is not on a line: the rails were ground or replaced, or wear unevenly"
+            why_not = Reason(ReasonCode.TREND_NOT_A_LINE, f"the excess of {len(own)} periods {text}")
+            return TrendAt.unknown(why_not)
         systematic = self.shared * abs(found.slope)
-        return TrendAt(with_interval(found.slope, found.std, systematic, self._groups, float(len(own))), len(own))
+        return TrendAt(with_interval(found.slope, found.std, systematic, self.groups, float(len(own))), len(own))
 
     def _of_rail(self, place: int, key: RailKey, windows: float) -> RailAt:
         reference, rho = self._reference(self.solution.rail_moved[place]), float(self.solution.rail[place])
@@ -215,7 +272,7 @@ class _Publisher:
             nothing = Estimate.unknown(refused, windows)
             return RailAt(reference, part, nothing, nothing, value)
         std = float(np.sqrt(self.covariance[place, place] + self.solution.interaction**2))
-        change = abs(value - self._design) + abs(float(self.solution.slope[place])) * self._mean
+        change = abs(value - self.design) + abs(float(self.solution.slope[place])) * self.mean
         systematic = self._systematic(place, change)
         whole = self._published(value, std, systematic, windows)
         on_file = float(self.wheel.of(key.section)[self.component.k])
@@ -227,7 +284,7 @@ class _Publisher:
     def _of_known(self, key: RailKey, windows: float) -> RailAt:
         """Return what is said of rails that are as on file, at the gauge on file: nothing has been measured of them."""
         reference, none = RailsReference.KNOWN_RAILS, _exactly(0.0, windows)
-        here, on_file = self._design, float(self.wheel.of(key.section)[self.component.k])
+        here, on_file = self.design, float(self.wheel.of(key.section)[self.component.k])
         if not np.isfinite(here) or not np.isfinite(on_file):
             unknown = Estimate.unknown(NO_REFERENCE_WHEEL, windows)
             return RailAt(reference, none, unknown, unknown)
@@ -235,7 +292,7 @@ class _Publisher:
 
     def _published(self, value: float, sampled: float, systematic: float, windows: float) -> Estimate:
         """Return an estimate with its interval; unknown where that says nothing of a wheel or a rail."""
-        found = with_interval(value, sampled, systematic, self._groups, windows)
+        found = with_interval(value, sampled, systematic, self.groups, windows)
         if found.std is not None and found.std <= LARGEST_STD:
             return found
         text = f"the data leave the conicity open by {found.std:.2f}"
@@ -245,7 +302,7 @@ class _Publisher:
         """Return why nothing follows from the wheels on some rails for the wheel as designed; None where it does."""
         if not self.component.two_way.anchored:
             return self.component.level_open
-        if not np.isfinite(self._design):
+        if not np.isfinite(self.design):
             return NO_REFERENCE_WHEEL
         if _is_steep(self.component, self.wheel.of(section), self.parameters):
             return NEXT_TO_JUMP
@@ -264,9 +321,9 @@ class _Publisher:
     def _systematic(self, place: int, change: float) -> float:
         """Return the systematic std of a difference of rails that is as large as ``change``."""
         wheels = min(abs(float(self.solution.rail_moved[place])), 1.0)
-        level = wheels * self._mean + (1.0 - wheels) * change
+        level = wheels * self.mean + (1.0 - wheels) * change
         of_reference = (1.0 - wheels) * self.scale_of_reference
-        return float(np.hypot(self.shared * level, np.hypot(self.scale[place], of_reference) * self._mean))
+        return float(np.hypot(self.shared * level, np.hypot(self.scale[place], of_reference) * self.mean))
 
     def _systematic_of_wheels(self) -> FloatArray:
         """Return the systematic std (w,) of conicities on the reference rails."""
@@ -275,42 +332,6 @@ class _Publisher:
         by_wheels = np.abs(theta - float(theta[known].mean())) if known.any() else np.zeros(len(theta))
         of_rails = np.hypot(self.shared, self.scale_of_reference) * np.abs(theta)
         return np.asarray(wheels * self.shared * by_wheels + (1.0 - wheels) * of_rails)
-
-    @property
-    def _design(self) -> float:
-        return float(self.wheel.on_reference[self.component.k])
-
-    @property
-    def _mean(self) -> float:
-        return abs(self.solution.centre)
-
-    @property
-    def _groups(self) -> int:
-        return 1 + max(1, int(self.solution.freedom))
-
-
-def _publisher(
-    component: Component, solution: Parted, wheel: ReferenceWheel, parameters: RailsParameters
-) -> _Publisher:
-    design = float(wheel.on_reference[component.k])
-    two_way, s = component.two_way, len(component.rail)
-    lowest, highest = np.full(s, np.inf), np.full(s, -np.inf)
-    np.minimum.at(lowest, two_way.rail, solution.wheel[two_way.wheel])
-    np.maximum.at(highest, two_way.rail, solution.wheel[two_way.wheel])
-    scale = component.by_rail(component.table.scale[component.cells])
-    value, covariance = solution.reference_wheel(design)
-    return _Publisher(
-        component,
-        solution,
-        wheel,
-        parameters,
-        component.shared,
-        scale,
-        _scale_of_reference(component, scale),
-        value,
-        covariance,
-        np.maximum(lowest - design, design - highest),
-    )
 
 
 def _scale_of_reference(component: Component, scale: FloatArray) -> float:

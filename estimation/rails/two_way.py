@@ -101,10 +101,6 @@ def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> P
     """Return the solution with known wheels that is next to the one without them, at the same interaction.
 
     It is one step from there: slopes of the rails do not follow a wheel that is known wrongly.
-
-    Args:
-        cells: With the known wheels.
-        without: Solution of the same cells without the known wheels.
     """
     point = _Point(without.wheel, np.concatenate([without.rail, without.slope]), without.centre)
     problem = _Problem.of(cells, parameters, without.interaction)

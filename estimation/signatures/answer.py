@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtr
 
 from estimation.signatures.calibration import NORMAL, Calibration, conicity_grid, outside
 from estimation.signatures.library import Library
@@ -39,13 +39,12 @@ def judged(
     same = [one for one in signatures if one.place in library.places]
     chosen = same or list(signatures)
     basis = Basis.SAME_PLACES if same else Basis.OTHER_PLACES
-    refusal = _refusal(chosen, library, parameters)
     calibration = library.calibration[basis]
-    if refusal is None and isinstance(calibration, Reason):
-        refusal = calibration
-    if refusal is not None or isinstance(calibration, Reason):
-        assert refusal is not None
+    refusal = _refusal(chosen, library, parameters)
+    if refusal is not None:
         return _unknown(wheelset, refusal, library)
+    if isinstance(calibration, Reason):
+        return _unknown(wheelset, calibration, library)
     known = np.array([library.places[one.place] for one in same if one.place is not None]) if same else None
     return _answer(wheelset, chosen, known, library, calibration, basis, parameters)
 
@@ -118,21 +117,17 @@ def _other_track(level: float, library: Library, places: int) -> Reason | None:
 
 def _outside(found: Likelihood, library: Library, parameters: SignatureParameters) -> Reason | None:
     """Return that the conicity may be one that the library does not cover."""
-    low, high = library.conicity[0] - parameters.margin, library.conicity[1] + parameters.margin
     if not outside(found, library.conicity, parameters.margin):
         return None
+    low, high = library.conicity[0] - parameters.margin, library.conicity[1] + parameters.margin
     text = f"the signature is like that of a conicity outside {low:.2f} to {high:.2f}, which the library covers"
     return Reason(ReasonCode.NOT_IN_LIBRARY, text)
 
 
 def states(conicity: float, std: float, ends: Sequence[float]) -> tuple[StateProbability, ...]:
-    """Return the probabilities of the states of wear.
-
-    Args:
-        ends: Conicities between the states, increasing.
-    """
+    """Return the probabilities of the states of wear."""
     bounds = [0.0, *ends, float("inf")]
-    below = stats.norm.cdf([-np.inf, *ends, np.inf], conicity, std)
+    below = ndtr((np.array([-np.inf, *ends, np.inf]) - conicity) / std)
     return tuple(
         StateProbability(low, high, float(share))
         for low, high, share in zip(bounds[:-1], bounds[1:], np.diff(below), strict=True)
@@ -145,12 +140,7 @@ def most_likely(found: Sequence[StateProbability]) -> StateProbability:
 
 
 def compared(answer: Estimate, geometry: Estimate) -> Disagreement | None:
-    """Return how far signature and geometry are apart; None where one of them says nothing.
-
-    Args:
-        answer: Conicity at 3 mm by the signature.
-        geometry: The same by the geometry.
-    """
+    """Return how far signature and geometry are apart; None where one of them says nothing."""
     numbers = (answer.value, answer.low, answer.high, geometry.value, geometry.low, geometry.high)
     if any(number is None for number in numbers) or answer.std is None or geometry.std is None:
         return None
@@ -203,13 +193,11 @@ def _used(
     return tuple(UsedEntry(*key, float(np.mean(about[key][0])), weights[key] / total, about[key][1]) for key in nearest)
 
 
-def _unknown(
-    wheelset: str, reason: Reason, library: Library | None = None, novelty: float | None = None
-) -> SignatureAnswer:
+def _unknown(wheelset: str, reason: Reason, library: Library, novelty: float | None = None) -> SignatureAnswer:
     return SignatureAnswer(
         wheelset=wheelset,
         conicity=Estimate.unknown(reason),
-        library_wheelsets=0 if library is None else library.wheelsets,
-        library_sections=0 if library is None else len(library.sections),
+        library_wheelsets=library.wheelsets,
+        library_sections=len(library.sections),
         novelty=novelty,
     )

@@ -26,7 +26,7 @@ from functools import partial
 from typing import Annotated
 
 import numpy as np
-from scipy import stats
+from scipy import special
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
@@ -119,7 +119,7 @@ def _posterior(seen: Differences) -> FloatArray:
 
 
 COVERAGE = 0.95
-NORMAL = float(stats.norm.ppf(0.5 + 0.5 * COVERAGE))
+NORMAL = float(special.ndtri(0.5 + 0.5 * COVERAGE))
 MOST_ANSWERS = 240  # that a factor is made from: more would cost more, and say little more
 GRID = 0.002  # of conicity
 FACTOR_STD = 0.3  # of the logarithm of the factor on standard deviations, before any answer is seen
@@ -139,7 +139,7 @@ class Reach:
     @property
     def largest(self) -> float:
         """Distance from which on a signature is novel: the quantile of one more wheelset."""
-        quantile = stats.t.ppf(NOVEL, self.wheelsets - 1) * np.sqrt(1.0 + 1.0 / self.wheelsets)
+        quantile = special.stdtrit(self.wheelsets - 1, NOVEL) * np.sqrt(1.0 + 1.0 / self.wheelsets)
         return float(np.exp(self.mean + quantile * self.std))
 
 
@@ -152,11 +152,7 @@ class Calibration(FrozenArrays):
     roll: Reach  # of roll at short wavelengths
 
     def std(self, posterior: float, shared: FloatArray) -> float:
-        """Return half a 95 % interval over that of a normal error.
-
-        Args:
-            shared: (k,) std of what the conicities on file may be off by in common, by share.
-        """
+        """Return half a 95 % interval over that of a normal error."""
         each = np.hypot(FACTORS * posterior, shared[:, None])
 
         def beyond(reach: float) -> float:
@@ -222,12 +218,7 @@ def differences(rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], mar
 
 
 def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
-    """Return the conicities (k,) that are tried.
-
-    Args:
-        known: (n,) of the library.
-        margin: How far beyond them an answer may be.
-    """
+    """Return the conicities (k,) that are tried."""
     low, high = max(float(known.min()) - 2 * margin, 0.01), float(known.max()) + 2 * margin
     return np.asarray(np.arange(low, high + GRID, GRID))
 
@@ -245,11 +236,7 @@ def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
 
 
 def outside(found: Likelihood, known: tuple[float, float], margin: float) -> bool:
-    """Return whether the conicity may be one that a library does not cover: then it says nothing.
-
-    Args:
-        margin: By which an answer may be outside them.
-    """
+    """Return whether the conicity may be one that a library does not cover: then it says nothing."""
     beyond = (found.conicity < known[0] - margin) | (found.conicity > known[1] + margin)
     return float(found.posterior[beyond].sum()) > RARE
 

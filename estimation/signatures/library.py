@@ -1,18 +1,40 @@
-"""A library: entries that may be learned from, the regression over them, and how far its answers were off."""
+"""A library: entries that may be learned from, the regression over them, and how far its answers were off.
+
+Entries of places whose track has changed since: found by their features, and retired with the reason.
+
+What the track of a place adds to features is what they have beyond the response to conicity and speed. Work on the
+track changes it for all that pass. So of every place each time between two passes is tried: what came before is
+compared with what came after, and the largest distance decides. Passes scatter about the mean of their side of that
+time: the change itself, which may be of a large part of a small library, is not in what it is compared with.
+
+Which library entries may be learned from when one wheelset is judged, and why the others may not.
+
+A library for each wheelset would hold nearly the same each time. So wheelsets are judged in folds: all of one fold by
+one library, in which nothing of any of them is. While there are few wheelsets each is a fold of its own.
+"""
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from estimation.signatures.calibration import Calibration, OnFile, calibrated, differences, judged_by, unjudged
-from estimation.signatures.mixed_model import MixedModel, Rows, fitted, levels_between
-from estimation.signatures.parameters import SignatureParameters, sharers
+from estimation.signatures.mixed_model import (
+    MixedModel,
+    Rows,
+    Scatter,
+    fitted,
+    levels_between,
+    scatter_of,
+    track_effects,
+)
+from estimation.signatures.parameters import SignatureParameters, folds, sharers
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.signatures import AxlePosition, Basis, LibraryEntry, Place
+from estimation.values.signatures import NO_PAIR, AxlePosition, Basis, DesignPair, LibraryEntry, Place, Retired
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +67,11 @@ class Library:
 
 
 def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> Library | Reason:
-    """Return the library of some entries of one class and axle position, or why they make none.
-
-    Args:
-        entries: That may be learned from (``admission``), with places.
-    """
-    ordered = sorted((entry for entry in entries if entry.signature.place is not None), key=_order)
+    """Return the library of some entries of one class and axle position, or why they make none."""
+    ordered = sorted(
+        (entry for entry in entries if entry.signature.place is not None),
+        key=lambda entry: (entry.wheelset, entry.signature.start_ns, entry.signature.order, _place(entry)),
+    )
     wheelsets = {entry.wheelset: entry for entry in ordered}
     if len(wheelsets) < parameters.least_wheelsets:
         return Reason(
@@ -130,5 +151,214 @@ def _place(entry: LibraryEntry) -> Place:
     return entry.signature.place
 
 
-def _order(entry: LibraryEntry) -> tuple[str, int, int, Place]:
-    return entry.wheelset, entry.signature.start_ns, entry.signature.order, _place(entry)
+LEAST_PASSES = 3  # on either side of a change
+ROUNDS = 2  # in which the times of changes and the scatter about them are found
+LARGEST = 5.5  # squared distance over the number of features, from which on a place has changed
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """When the track of a place changed."""
+
+    place: Place
+    after_ns: int  # last pass of the old track
+    before_ns: int  # first pass of the new one
+    distance: float  # squared, over the number of features
+    passes: int  # of the old track
+
+
+@dataclass(frozen=True, slots=True)
+class Current:
+    """Entries of the track as it is now, and those that are of an earlier one."""
+
+    entries: tuple[LibraryEntry, ...]
+    retired: tuple[Retired, ...]
+    changes: tuple[Change, ...]
+
+
+def current(entries: Sequence[LibraryEntry]) -> Current:
+    """Return the entries of the present track of every place."""
+    if not entries:
+        return Current((), (), ())
+    rows = rows_of(entries, np.zeros(len(entries)))
+    tracks = track_effects(rows)
+    by_place: dict[Place, list[int]] = defaultdict(list)
+    for number, entry in sorted(enumerate(entries), key=lambda item: item[1].signature.start_ns):
+        assert entry.signature.place is not None
+        by_place[entry.signature.place].append(number)
+    spans = [[entries[at] for at in members] for _, members in sorted(by_place.items())]
+    of_places = [tracks[members] for _, members in sorted(by_place.items())]
+    wheelset = np.unique(rows.wheelset, return_inverse=True)[1]
+    scatter = Scatter(*2 * (np.eye(tracks.shape[1]),))
+    order = np.concatenate([members for _, members in sorted(by_place.items())])
+    for _ in range(ROUNDS):
+        found = [_change(span, track, scatter) for span, track in zip(spans, of_places, strict=True)]
+        sides = [_from_sides(track, change) for track, change in zip(of_places, found, strict=True)]
+        means = len(found) + sum(change is not None for change in found)
+        scatter = scatter_of(np.concatenate(sides), wheelset[order], means)
+    found = [_change(span, track, scatter) for span, track in zip(spans, of_places, strict=True)]
+    changes = {change.place: change for change in found if change is not None and change.distance > LARGEST}
+    kept, retired = [], []
+    for entry in entries:
+        change = changes.get(entry.signature.place) if entry.signature.place else None
+        if change is not None and entry.signature.start_ns <= change.after_ns:
+            where = f"section {change.place.section}, stretch {change.place.cell}"
+            text = f"the track of {where} has changed since: its features differ from later ones"
+            retired.append(Retired(entry, Reason(ReasonCode.SECTION_CHANGED, text)))
+        else:
+            kept.append(entry)
+    return Current(tuple(kept), tuple(retired), tuple(changes.values()))
+
+
+def _change(entries: Sequence[LibraryEntry], tracks: FloatArray, scatter: Scatter) -> Change | None:
+    """Return the largest change of a place, by its passes in order of time; None where there are too few."""
+    best: Change | None = None
+    for at in range(LEAST_PASSES, len(entries) - LEAST_PASSES + 1):
+        before, after = entries[at - 1].signature, entries[at].signature
+        if before.start_ns == after.start_ns:
+            continue
+        distance = _distance(tracks, entries, at, scatter)
+        if before.place is not None and (best is None or distance > best.distance):
+            best = Change(before.place, before.start_ns, after.start_ns, distance, at)
+    return best
+
+
+def _from_sides(tracks: FloatArray, change: Change | None) -> FloatArray:
+    """Return tracks less the mean of their side of a change."""
+    if change is None:
+        return np.asarray(tracks - tracks.mean(axis=0))
+    sides = (tracks[: change.passes], tracks[change.passes :])
+    return np.concatenate([side - side.mean(axis=0) for side in sides])
+
+
+def _distance(tracks: FloatArray, entries: Sequence[LibraryEntry], at: int, scatter: Scatter) -> float:
+    shares = []
+    for part in (entries[:at], entries[at:]):
+        counts = np.unique([entry.wheelset for entry in part], return_counts=True)[1] / len(part)
+        shares.append(float(np.sum(counts**2)))
+    covariance = scatter.rest * (1 / at + 1 / (len(entries) - at)) + scatter.of_wheelset * sum(shares)
+    difference = tracks[at:].mean(axis=0) - tracks[:at].mean(axis=0)
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), difference)
+    return float(whitened @ whitened) / len(difference)
+
+
+_Key = tuple[str, AxlePosition, DesignPair]
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """The wheelset that is judged, and whose samples are in its signatures."""
+
+    wheelset: str
+    vehicle_class: str
+    position: AxlePosition
+    pair: DesignPair = NO_PAIR
+    shares_data: frozenset[str] = frozenset()  # the other wheelset of its bogie, where both nodes give the frame's yaw
+
+
+@dataclass(frozen=True, slots=True)
+class Admitted:
+    """Entries that may be learned from, and how many may not, by reason."""
+
+    entries: tuple[LibraryEntry, ...]
+    left_out: Mapping[ReasonCode, int]
+
+
+@dataclass(frozen=True, slots=True)
+class _Alike:
+    """Entries of one class, axle position and pair of profiles, newest where there are too many, with their folds."""
+
+    entries: tuple[LibraryEntry, ...]
+    folds: Sequence[frozenset[str]]
+    holding: Mapping[str, frozenset[int]]  # by wheelset the entries that its data are in
+    left_out: Mapping[ReasonCode, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Libraries:
+    """The libraries that some entries make, each made once."""
+
+    entries: Sequence[LibraryEntry]  # those that were retired left out
+    parameters: SignatureParameters  # what a library must hold
+    _alike: dict[_Key, _Alike] = field(default_factory=dict)
+    _made: dict[tuple[_Key, frozenset[str]], Library | Reason] = field(default_factory=dict)
+
+    def admitted(self, subject: Subject) -> Admitted:
+        """Return the entries from which something may be concluded about a wheelset."""
+        alike = self._of(subject)
+        outside = _outside(alike, subject)
+        own = frozenset().union(*(alike.holding.get(name, frozenset()) for name in _names(subject)))
+        kept = tuple(
+            one for number, one in enumerate(alike.entries) if number not in own and not outside & sharers(one)
+        )
+        left_out = Counter(alike.left_out)
+        left_out[ReasonCode.SAME_WHEELSET] += len(own)
+        left_out[ReasonCode.JUDGED_TOGETHER] += len(alike.entries) - len(own) - len(kept)
+        return Admitted(kept, {code: count for code, count in left_out.items() if count})
+
+    def library(self, subject: Subject) -> Library | Reason:
+        """Return the library that a wheelset is judged by, or why there is none."""
+        alike = self._of(subject)
+        key = _key(subject), _outside(alike, subject)
+        if key not in self._made:
+            self._made[key] = library(self.admitted(subject).entries, self.parameters)
+        return self._made[key]
+
+    def _of(self, subject: Subject) -> _Alike:
+        key = _key(subject)
+        if key not in self._alike:
+            self._alike[key] = _alike(self.entries, subject, self.parameters.most_entries)
+        return self._alike[key]
+
+
+def _key(subject: Subject) -> _Key:
+    return subject.vehicle_class, subject.position, subject.pair
+
+
+def _names(subject: Subject) -> frozenset[str]:
+    return subject.shares_data | {subject.wheelset}
+
+
+def _outside(alike: _Alike, subject: Subject) -> frozenset[str]:
+    """Return the wheelsets that are left out: the fold of the judged one, or more where its data are in several."""
+    touched = [fold for fold in alike.folds if fold & _names(subject)]
+    return frozenset().union(*touched)
+
+
+def _alike(entries: Sequence[LibraryEntry], subject: Subject, most: int) -> _Alike:
+    kept, left_out = [], Counter[ReasonCode]()
+    for entry in entries:
+        signature = entry.signature
+        if (signature.vehicle_class, signature.position) != (subject.vehicle_class, subject.position):
+            left_out[ReasonCode.OTHER_VEHICLE_CLASS] += 1
+        elif not _same_design(entry.pair, subject.pair):
+            left_out[ReasonCode.OTHER_PROFILES] += 1
+        else:
+            kept.append(entry)
+    chosen = _newest(kept, most)
+    left_out[ReasonCode.NEWER_ENTRIES] += len(kept) - len(chosen)
+    holding: dict[str, set[int]] = defaultdict(set)
+    for number, entry in enumerate(chosen):
+        for name in sharers(entry):
+            holding[name].add(number)
+    numbers = {name: frozenset(found) for name, found in holding.items()}
+    return _Alike(tuple(chosen), folds(chosen), numbers, left_out)
+
+
+def _newest(entries: Sequence[LibraryEntry], most: int) -> Sequence[LibraryEntry]:
+    """Return at most so many entries: of every place the newest, as many of each."""
+    if len(entries) <= most:
+        return entries
+    of_place: dict[object, list[LibraryEntry]] = defaultdict(list)
+    for entry in sorted(entries, key=lambda one: (-one.signature.start_ns, one.wheelset, one.signature.order)):
+        of_place[entry.signature.place].append(entry)
+    each = 1
+    while sum(min(each + 1, len(found)) for found in of_place.values()) <= most:
+        each += 1
+    chosen = {id(entry) for found in of_place.values() for entry in found[:each]}
+    return [entry for entry in entries if id(entry) in chosen]
+
+
+def _same_design(entry: DesignPair, subject: DesignPair) -> bool:
+    """Whether two pairs are of the same design, as far as that of the subject is known."""
+    return entry.wheel == subject.wheel and subject.rail in {None, entry.rail}

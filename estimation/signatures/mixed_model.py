@@ -15,7 +15,7 @@ wheelset has of its own, such as its vehicle's differences from the class, is a 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
 import numpy as np
@@ -70,16 +70,7 @@ class Rows:
     def chosen(self, which: Sequence[int] | IntArray) -> Rows:
         """Return some of the rows."""
         at = np.asarray(which, dtype=np.int64)
-        return Rows(
-            self.powers[at],
-            self.conicity[at],
-            self.on_file[at],
-            self.speed[at],
-            self.place[at],
-            self.section[at],
-            self.wheelset[at],
-            self.variance[at],
-        )
+        return Rows(*(getattr(self, item.name)[at] for item in fields(self)))
 
 
 def features_of(powers: FloatArray) -> FloatArray:
@@ -95,11 +86,7 @@ def features_of(powers: FloatArray) -> FloatArray:
 
 
 def terms(conicity: FloatArray, speed: FloatArray) -> FloatArray:
-    """Return the terms (..., 5) of the response, the logarithm of the conicity first.
-
-    Args:
-        conicity, speed: Of shapes that broadcast; speed in m/s.
-    """
+    """Return the terms (..., 5) of the response, the logarithm of the conicity first."""
     c, v = np.broadcast_arrays(np.log(conicity / CONICITY), np.log(speed / SPEED))
     return np.stack([c, c * c, v, v * v, c * v], axis=-1)
 
@@ -167,8 +154,6 @@ def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> Scatter
     """Return how residuals scatter from wheelset to wheelset, and within these.
 
     Args:
-        residuals: (n, f) of features.
-        wheelset: (n,) numbers from 0.
         means: How many means, as those of places, have been taken out.
     """
     own = _means(residuals, wheelset)
@@ -236,11 +221,7 @@ def _less(whole: FloatArray, part: FloatArray) -> FloatArray:
 
 
 def level_of(model: MixedModel, rows: Rows, conicity: float) -> float:
-    """Return the level of the track under some signatures, from the mean of the known places.
-
-    Args:
-        rows: Signatures of one wheelset; their conicities are not read.
-    """
+    """Return the level of the track under some signatures, from the mean of the known places."""
     response = terms(np.array(conicity), rows.speed).mean(axis=0) @ model.response[:TERMS, LEVEL]
     return float(features_of(rows.powers)[:, LEVEL].mean() - response - model.mean[LEVEL])
 
@@ -249,9 +230,6 @@ def levels_between(model: MixedModel, section: IntArray, places: int) -> tuple[f
     """Return between which levels the mean of some places is where their section is like those of a library.
 
     It may be as far outside as the outermost section is from the next.
-
-    Args:
-        section: (p,) numbers of the sections of its places.
     """
     section = np.unique(section, return_inverse=True)[1]
     mean = np.bincount(section, model.levels) / np.bincount(section)
@@ -295,7 +273,6 @@ def likelihood(model: MixedModel, rows: Rows, known: IntArray | None, conicity: 
     Args:
         rows: Signatures of the wheelset; their conicities are not read.
         known: (n,) numbers of their places in the model; None where the library does not have them.
-        conicity: (k,) increasing.
     """
     n = len(rows.powers)
     features = features_of(rows.powers).mean(axis=0)

@@ -9,11 +9,17 @@ from itertools import pairwise
 import numpy as np
 
 from estimation.filters.local_cubic import local_cubic_kernel
-from estimation.motion.checks import check_axis_signs, check_moving, direction, gate, jumps_reason, position_jumps
+from estimation.motion.checks import check_integrated, check_running, direction, gate, moving_samples, straight_part
 from estimation.motion.integration import IntegratedSegment, IntegratedWindow, integrate
-from estimation.motion.parameters import FusionParameters, WindowParameters
-from estimation.motion.rolling_radius_difference import fuse, motion_signals, sample_smoothed
-from estimation.motion.usable_samples import moving_samples, straight_part
+from estimation.motion.parameters import SignalParameters, WindowParameters
+from estimation.motion.rolling_radius_difference import (
+    OVERSAMPLING,
+    SHORTEST,
+    STEP,
+    fuse,
+    motion_signals,
+    sample_smoothed,
+)
 from estimation.signatures.parameters import SignatureParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
@@ -83,16 +89,13 @@ def window_signatures(
     """Return the signatures of a window, one for each cell of the section that it passed whole.
 
     Where section or position are not known every stretch of that length has one, without a place.
-
-    Args:
-        layout: Curves of the section, which are left out; None where none is on file.
     """
     placed = gate(window.quality, window.track_section, parameters.gates)
     if placed is not None:
         if placed.code not in {ReasonCode.SECTION_UNKNOWN, ReasonCode.POSITION_UNKNOWN}:
             return placed
         window = _without_place(window)
-    checked = _checked(window, parameters, None if placed else layout)
+    checked = _checked(window, parameters.signals, None if placed else layout)
     if isinstance(checked, Reason):
         return checked
     section = None if placed else window.track_section
@@ -125,10 +128,6 @@ def axle_position(window: Window, parameters: WindowParameters) -> AxlePosition:
     """Return where the wheelset of a window runs in its bogie.
 
     The axle of the lower number is in front where the vehicle runs forwards.
-
-    Args:
-        window: Its axle, and which end of its vehicle goes first.
-        parameters: Of its vehicle's class.
     """
     partner = parameters.vehicle_class.partner(window.axle)
     if partner is None:
@@ -142,36 +141,28 @@ def _without_place(window: Window) -> Window:
     return replace(window, track_section=None, distance=run)
 
 
-def _checked(window: Window, parameters: WindowParameters, layout: TrackLayout | None) -> IntegratedWindow | Reason:
-    """Return the window integrated, or what of it contradicts the rest."""
-    signals = parameters.signals
-    reason = check_moving(window, signals)
-    if reason is None and direction(window) == 0:
-        reason = Reason(ReasonCode.BOTH_DIRECTIONS, "the vehicle runs both ways along the section")
-    if reason is not None:
-        return reason
-    straight = straight_part(window, layout, signals)
+def _checked(window: Window, signals: SignalParameters, layout: TrackLayout | None) -> IntegratedWindow | Reason:
+    """Return the straight part of a window integrated, or what of it contradicts the rest."""
+    straight = check_running(window, signals) or straight_part(window, layout, signals)
     if isinstance(straight, Reason):
         return straight
     integrated = integrate(straight, moving_samples(straight, signals), signals)
     if not integrated.segments:
         return Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of {signals.shortest_segment_s:g} s")
-    return jumps_reason(position_jumps(integrated)) or check_axis_signs(integrated) or integrated
+    return check_integrated(integrated)
 
 
 def _stretch(segment: IntegratedSegment, window: Window, parameters: WindowParameters, way: int) -> _Stretch:
     """Return y, R and roll of a segment on the grid of the section, in the order of the section."""
-    fusion = FusionParameters()
     known = np.flatnonzero(segment.known)
     at = np.interp(np.arange(len(segment.known)), known, window.distance[segment.part][known])
     run = np.maximum.accumulate(way * at) + _INCREASE * np.arange(len(at))
-    fused = fuse(motion_signals(segment, parameters.vehicle, run), parameters.vehicle, fusion)
-    first, count = round(float(fused.run[0]) / fusion.step), len(fused.run)
-    fine = fusion.step / fusion.oversampling
-    weights = local_cubic_kernel(fusion.shortest[1], fine)
+    fused = fuse(motion_signals(segment, parameters.vehicle, run), parameters.vehicle)
+    first, count = round(float(fused.run[0]) / STEP), len(fused.run)
+    fine = STEP / OVERSAMPLING
+    weights = local_cubic_kernel(SHORTEST[1], fine)
     others = np.stack([segment.displacements[2], segment.speed])
-    finer = fusion.oversampling
-    roll, speed = sample_smoothed(others, run, finer * first, count, finer, fine, weights)
+    roll, speed = sample_smoothed(others, run, OVERSAMPLING * first, count, OVERSAMPLING, fine, weights)
     begin = first if way > 0 else -(first + count - 1)
     signals = np.stack([fused.displacement, fused.difference, roll])
     return _Stretch(begin, np.asarray(signals[:, ::way]), np.asarray(speed[::way]))

@@ -34,12 +34,7 @@ def group(block: int, groups: int) -> int:
 
 @compiled(nogil=True)
 def write_groups(block: IntArray, groups: int, found: IntArray) -> None:
-    """Write the group (n,) of each block (n,).
-
-    Args:
-        block, groups: (n,) blocks, and number of groups.
-        found: (n,), written.
-    """
+    """Write the group (n,) of each block (n,)."""
     for i in range(len(block)):
         found[i] = group(block[i], groups)
 
@@ -49,13 +44,7 @@ def assign(
     displacement: FloatArray, valid: BoolArray, block: IntArray, groups: int,
     first_edge: float, width: float, bins: int, cell: IntArray, u: FloatArray,
 ) -> int:  # fmt: skip
-    """Write the cell of each sample, or ``OUTSIDE``, and where in its bin it is; return how many have a cell.
-
-    Args:
-        displacement, valid, block: (n,) of the samples.
-        first_edge, width, bins: Of the bins, m, and their number.
-        cell, u: Written: (n,) cell, and place in the bin, -0.5 to 0.5.
-    """
+    """Write the cell of each sample, or ``OUTSIDE``, and where in its bin it is; return how many have a cell."""
     inside, last_block, first_cell = 0, -1, 0
     for i in range(len(displacement)):
         cell[i] = OUTSIDE
@@ -72,12 +61,7 @@ def assign(
 
 @compiled(nogil=True, error_model="numpy")
 def radius_difference(signals: Signals, k: Coefficients, cell: IntArray, difference: FloatArray) -> None:
-    """Write rL - rR by Eq. 2 with the other terms left out; NaN where a sample has no cell.
-
-    Args:
-        cell: (n,) from :func:`assign`.
-        difference: (n,) m, written.
-    """
+    """Write rL - rR by Eq. 2 with the other terms left out; NaN where a sample has no cell."""
     c = radius_factor(k)
     for i in range(len(cell)):
         difference[i] = np.nan
@@ -90,10 +74,6 @@ def add_products(row: FloatArray, regressors: int, sums: FloatArray, at: int) ->
     """Add to ``sums[at]`` (p + 1, m) the products of p regressors with what is not before them in the row (m,).
 
     And the square of the measurement.
-
-    Args:
-        row, regressors: (m,) of one sample, and how many of it are regressors; the measurement is behind them.
-        sums, at: (c, p + 1, m), and which of them is added to.
     """
     for a in range(regressors):
         x = row[a]
@@ -107,12 +87,7 @@ def add_samples(
     signals: Signals, k: Coefficients, noise: float, cell: IntArray, u: FloatArray, slot: IntArray,
     weight: FloatArray, lateral: FloatArray, yaw: FloatArray,
 ) -> None:  # fmt: skip
-    """Add every sample to the sums of its cell, which are in slot ``slot[cell]``; ``noise`` is the variance of R.
-
-    Args:
-        noise: Variance of R by vibration, m2.
-        weight, lateral, yaw: (c,), (c, p + 1, m) for each equation, added to.
-    """
+    """Add every sample to the sums of its cell, which are in slot ``slot[cell]``; ``noise`` is the variance of R."""
     equation, row, yaw_row = np.empty(9), np.empty(LATERAL_COLUMNS), np.empty(yaw.shape[2])
     regressors = yaw.shape[2] - YAW_TARGET_COLUMNS
     for i in range(len(cell)):

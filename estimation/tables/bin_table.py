@@ -60,11 +60,7 @@ class TableSum:
         self._samples, self._windows = self.start.samples, self.start.windows
 
     def add(self, table: BinTable | FilledCells, weight: float = 1.0) -> None:
-        """Add a table times a weight; samples and windows are counted without weights.
-
-        Args:
-            table: Whole, or its filled cells.
-        """
+        """Add a table times a weight; samples and windows are counted without weights."""
         if table.parameter_key != self.start.parameter_key:
             both = f"{self.start.parameter_key} and {table.parameter_key}"
             raise ValueError(f"bin tables of parameters {both} do not merge")
@@ -157,9 +153,6 @@ def group_of(block: IntArray, groups: int) -> IntArray:
     """Return the group of each block: in turn, and each round begins at another group.
 
     Were it in turn alone, a vehicle that passes at the same time every day would fill the same few groups for ever.
-
-    Args:
-        block: (n,) number of the block.
     """
     found = np.empty(len(block), np.int64)
     kernels.write_groups(np.asarray(block, np.int64), groups, found)
@@ -214,10 +207,6 @@ def fast_noise(difference: FloatArray, valid: BoolArray) -> float:
     """Return the variance, m2, of what varies faster in rL - rR than a wheelset can: vibration and sensor noise.
 
     The median of what a running mean over some hundredths of a second leaves, so that contact jumps do not count.
-
-    Args:
-        difference: (n,) rL - rR sample by sample, m; NaN where not known.
-        valid: (n,) samples that count.
     """
     known = valid & np.isfinite(difference)
     if not known.any():
@@ -232,28 +221,11 @@ MEDIAN_TO_STD = 1.4826  # of the absolute value of a normal variable
 
 
 def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameters) -> BinTable:
-    """Merge in the order given, without weights.
-
-    Args:
-        tables: Of the same parameters; one is in memory at a time where they come one by one.
-    """
+    """Merge in the order given, without weights."""
     merged = TableSum(init(parameters))
     for table in tables:
         merged.add(table)
     return merged.table()
-
-
-def tabulate_window(
-    window: Window,
-    track: TrackAlignment | None,
-    parameters: WindowParameters,
-    correction: Correction | None = None,
-    *,
-    mounted_reversed: bool = False,
-) -> BinTable | Reason:
-    """Return the bin table of ``window`` on ``track``, or why the window is refused."""
-    filled = cells_of_window(window, track, parameters, correction, mounted_reversed=mounted_reversed)
-    return filled if isinstance(filled, Reason) else filled.table()
 
 
 def cells_of_window(
@@ -277,7 +249,7 @@ def cells_of_window(
 
 
 def bin_parameters(parameters: WindowParameters) -> BinParameters:
-    """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion."""
+    """Return the parameters of the bin tables that :func:`cells_of_window` makes: of band-limited motion."""
     bogie = parameters.vehicle_class.bogie
     return BinParameters(
         source=parameters.signals.source,
@@ -295,11 +267,7 @@ def _arrangement(vehicle_class: VehicleClass) -> str:
 
 
 def weighted_sum(tables: Iterable[tuple[float, BinTable]]) -> BinTable:
-    """Return the sum of tables times their weights, in the order given.
-
-    Args:
-        tables: Weight and table, at least one; all of the same parameters.
-    """
+    """Return the sum of tables times their weights, in the order given."""
     total: TableSum | None = None
     for weight, table in tables:
         total = total or TableSum(table.without_samples)

@@ -89,11 +89,7 @@ class GriddedPass:
 
 
 def grid_pass(item: Pass, grid: SectionGrid, ratio: float = 1.0) -> GriddedPass:
-    """Return a pass on the grid of its section.
-
-    Args:
-        ratio: Yaw stiffness over creep coefficient of its vehicle, relative to the assumed one.
-    """
+    """Return a pass on the grid of its section, R for a stiffness ratio of its vehicle."""
     first, displacement, difference = gridded(item, grid.step)
     points = np.arange(first, first + len(displacement), dtype=np.int64)
     nothing, nowhere = np.zeros(0), np.zeros(0, dtype=np.bool_)
@@ -111,11 +107,7 @@ def grid_pass(item: Pass, grid: SectionGrid, ratio: float = 1.0) -> GriddedPass:
 
 
 def with_ratio(item: GriddedPass, ratio: float, grid: SectionGrid) -> GriddedPass:
-    """Return a gridded pass for another stiffness ratio of its vehicle, neither resampled nor filtered again.
-
-    Args:
-        ratio: Yaw stiffness over creep coefficient, relative to the assumed one.
-    """
+    """Return a gridded pass for another stiffness ratio of its vehicle, neither resampled nor filtered again."""
     if ratio == item.ratio or not len(item.points):
         return replace(item, ratio=ratio)
     return _masked(item, ratio, grid)
@@ -167,11 +159,7 @@ def place(
 
 
 def with_ratios(placed: Placed, ratios: Mapping[str, float], grid: SectionGrid) -> dict[Journey, PlacedJourney]:
-    """Return the passes for other stiffness ratios, by vehicle; 1 where there is none.
-
-    Args:
-        ratios: Yaw stiffness over creep coefficient by vehicle, relative to the assumed one.
-    """
+    """Return the passes for other stiffness ratios, by vehicle; 1 where there is none."""
     return {
         journey: replace(
             one, passes=tuple(with_ratio(item, ratios.get(item.source.vehicle, 1.0), grid) for item in one.passes)

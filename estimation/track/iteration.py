@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.track.convergence import Convergence, Iterated
 from estimation.track.gauge.search import (
     FEWEST_PASSES,
     GaugePrior,
@@ -28,22 +27,31 @@ from estimation.track.gauge.wheel_functions import (
 from estimation.track.gridded_pass import GriddedPass, Placed, all_passes, place, with_ratios
 from estimation.track.panel.basis import Panel
 from estimation.track.panel.instrumental_slope import (
+    Ratio,
     SlopeCorrection,
     common_slope,
     corrected,
+    ratio_values,
+    refine_ratios,
     slope_correction,
     with_instrument,
+    with_ratio_std,
 )
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, init, update
-from estimation.track.panel.prior_alignment import PriorAlignment, add_prior, fleet_step
-from estimation.track.panel.solution import PanelSolution, residual_of_passes, result
-from estimation.track.panel.stiffness_ratio import Ratio, ratio_values, refine_ratios, with_ratio_std
+from estimation.track.panel.solution import (
+    PanelSolution,
+    PriorAlignment,
+    add_prior,
+    fleet_step,
+    residual_of_passes,
+    result,
+)
 from estimation.track.passes import Journey, Pass, PositionParameters
 from estimation.track.positions import compose, correlate_positions, refine, register
 from estimation.track.survey_positions import positions_on_survey
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.track import Correction
+from estimation.values.track import Convergence, Correction, Iterated
 
 Grouped = Mapping[Journey, Sequence[Pass]]
 
@@ -116,13 +124,12 @@ class IterationResult:
     @property
     def measured_curves(self) -> list[MeasuredCurve]:
         """Measured curves of the wheelsets that have passed."""
-        known = self.panel.known.measured
+        known = self.panel.measured
         return [known[name] for name in self.solution.lives if name in known]
 
     def convergence(self, parameters: IterationParameters) -> tuple[Convergence, ...]:
         """Return how positions, stiffness ratios and gauge ended."""
-        moved = self.moved < parameters.position_tolerance
-        changed = self.changed < parameters.ratio_tolerance
+        moved, changed = self.moved < parameters.position_tolerance, self.changed < parameters.ratio_tolerance
         return (
             Convergence(Iterated.POSITIONS, moved, self.rounds, self.moved),
             Convergence(Iterated.STIFFNESS_RATIOS, changed, self.rounds, self.changed),
@@ -148,11 +155,7 @@ def iterate(
     positions: PositionParameters,
     parameters: IterationParameters,
 ) -> IterationResult:
-    """Return where alignment, curves, positions and ratios agree; with the gauge where it is known or shows.
-
-    Args:
-        prior: What was known of the section; None where nothing was.
-    """
+    """Return where alignment, curves, positions and ratios agree; with the gauge where it is known or shows."""
     anchored = prior is not None and prior.has_alignment
     setting = Setting(grouped, prior, anchored, parameters)
     reference = prior.alignment if prior is not None and anchored else None
@@ -163,8 +166,11 @@ def iterate(
         return first
     if not (first.state.count >= FEWEST_PASSES).any():
         return first
-    if prior is None or not prior.gauge_known:
-        return _with_unknown_gauge(setting, first, parameters.gauge_searches)
+    if (
+        prior is None or not prior.gauge_known
+    ):  # without a gauge that is found for certain its effect is in the intervals
+        found = _with_searched_gauge(setting, first, parameters.gauge_searches)
+        return found if all(one.converged for one in found.gauge_convergence if one.of is Iterated.GAUGE) else first
     corrections, ratios = first.corrections, first.ratios
     if not anchored:
         corrections, ratios = _register_by_gauge(setting, first, prior.gauge, positions)
@@ -172,7 +178,8 @@ def iterate(
     found = _rounds(setting, first.panel.with_gauge(prior.gauge, {}), corrections, ratios)
     for number in range(1, parameters.most_wheel_rounds + 1):
         found = _solved(setting, _repositioned(setting, found), _with_wheels(found))
-        if number >= parameters.wheel_rounds and _at_rest(found, parameters):
+        at_rest = found.moved < parameters.position_tolerance and found.changed < parameters.ratio_tolerance
+        if number >= parameters.wheel_rounds and at_rest:
             break
     return replace(_finished(setting, found), first_noise=first.noise)
 
@@ -191,11 +198,16 @@ def first_rounds(
         return _rounds(setting, panel, corrections, {}, std=std)
     found = _rounds(setting, panel, corrections, {}, std=False)
     varies = prior.gauge_known and bool(prior.gauge.any())
-    fixed = replace(setting, placed_on_survey=True)
+    fixed, tolerance = replace(setting, placed_on_survey=True), setting.parameters.survey_tolerance
     for _ in range(setting.parameters.survey_rounds):
         on_survey = positions_on_survey(found.placed, prior, panel.grid)
-        hardly = varies and not found.placed_on_survey
-        if on_survey is None or (hardly and _hardly_moved(setting, found, on_survey)):
+        if on_survey is None:
+            break
+        if (
+            varies
+            and not found.placed_on_survey
+            and _mean_move(setting.grouped, found.corrections, on_survey) < tolerance
+        ):
             break
         moved = _largest_move(setting.grouped, found.corrections, on_survey)
         found = replace(_rounds(fixed, panel, on_survey, found.ratios, std=False), placed_on_survey=True)
@@ -213,25 +225,16 @@ def _moved_as_a_whole(fixed: Setting, found: IterationResult, survey: PriorAlign
     of R do the same the other way round, and move them the other way: each counts by the share of the other's errors.
     """
     step = fleet_step(found.state, found.solution, survey)
-    flattened = _survey_share(found, survey)
+    state, d = found.state, np.nan_to_num(found.solution.alignment)
+    square = float(state.square.sum() - 2.0 * d @ state.displacement + d**2 @ state.passes)
+    error = float(np.median(survey.std[np.isfinite(survey.std)])) ** 2
+    flattened = error / (error + max(square, 0.0) / max(float(state.passes.sum()), 1.0))
     left = 1.0 - _explained(fixed, found.state, found.solution, found.noise)
     share = flattened / (flattened + fixed.parameters.curves_flatten * left)
     if step is None or abs(share * step) < fixed.parameters.survey_moved:
         return found
     moved = {journey: replace(one, offset=one.offset + share * step) for journey, one in found.corrections.items()}
     return replace(_rounds(fixed, found.panel, moved, found.ratios, std=False), placed_on_survey=True)
-
-
-def _survey_share(found: IterationResult, survey: PriorAlignment) -> float:
-    """Return the share of the errors of a survey in the mean square of y - d on it."""
-    state, d = found.state, np.nan_to_num(found.solution.alignment)
-    square = float(state.square.sum() - 2.0 * d @ state.displacement + d**2 @ state.passes)
-    error = float(np.median(survey.std[np.isfinite(survey.std)])) ** 2
-    return error / (error + max(square, 0.0) / max(float(state.passes.sum()), 1.0))
-
-
-def _hardly_moved(setting: Setting, found: IterationResult, corrections: Mapping[Journey, Correction]) -> bool:
-    return _mean_move(setting.grouped, found.corrections, corrections) < setting.parameters.survey_tolerance
 
 
 def with_slope(found: IterationResult, prior: PriorAlignment | None, most_weight: float) -> IterationResult:
@@ -302,15 +305,6 @@ def _refined_corrections(
     return {journey: replace(one, offset=one.offset - mean + step) for journey, one in better.items()}
 
 
-def _with_unknown_gauge(setting: Setting, first: IterationResult, searches: int) -> IterationResult:
-    """Return the solution with a gauge deviation of the place, where that is found for certain; else as it was.
-
-    Without a gauge, its effect is in the intervals.
-    """
-    found = _with_searched_gauge(setting, first, searches)
-    return found if all(one.converged for one in found.gauge_convergence if one.of is Iterated.GAUGE) else first
-
-
 def _with_searched_gauge(setting: Setting, first: IterationResult, searches: int) -> IterationResult:
     """Return the solution with a gauge deviation of the place, where that explains the residuals; else as it was."""
     p = setting.parameters
@@ -336,17 +330,17 @@ def _with_searched_gauge(setting: Setting, first: IterationResult, searches: int
         gauge = search_gauge(found.passes, found.solution, found.panel, shifts, p.search)
         found = _solved(setting, found, found.panel.with_gauge(gauge))
         found = _solved(setting, _repositioned(setting, found), _with_wheels(found, sized=True))
-        change = _rms_change(before, found.panel.gauge)
+        after = found.panel.gauge
+        assert before is not None
+        assert after is not None
+        change = float(np.sqrt(np.mean((after - before) ** 2)))
     search = Convergence(Iterated.GAUGE, change < p.gauge_tolerance, searches, change)
     found = _finished(setting, replace(found, gauge_convergence=(*found.gauge_convergence, search)))
-    return replace(found, slope=_slope_without_gauge(setting, first, found), first_noise=first.noise)
-
-
-def _slope_without_gauge(setting: Setting, first: IterationResult, found: IterationResult) -> SlopeCorrection:
-    """Return the factor with which curves are as steep as without the gauge: a gauge that is searched fits noise."""
+    # a gauge that is searched fits noise: curves are to be as steep as without it
     slope = slope_correction(_state_with_prior(first.state, setting, first.noise), first.solution)
     share = common_slope(found.solution, first.solution)
-    return replace(slope, factor=slope.factor * share, std=slope.std * share)
+    slope = replace(slope, factor=slope.factor * share, std=slope.std * share)
+    return replace(found, slope=slope, first_noise=first.noise)
 
 
 def _with_wheels(found: IterationResult, *, sized: bool = False) -> Panel:
@@ -359,7 +353,6 @@ def _with_wheels(found: IterationResult, *, sized: bool = False) -> Panel:
 
 
 def _solved(setting: Setting, found: IterationResult, panel: Panel, *, std: bool = False) -> IterationResult:
-    """Return ``found`` with curves and alignment for ``panel``."""
     state = update(init(panel), found.passes)
     solution = result(_state_with_prior(state, setting, found.noise), std=std)
     noise = max(residual_of_passes(state, solution), 0.1 * setting.parameters.pass_std)
@@ -382,7 +375,6 @@ def _repositioned(setting: Setting, found: IterationResult) -> IterationResult:
 
 
 def _finished(setting: Setting, found: IterationResult) -> IterationResult:
-    """Return ``found`` with standard deviations."""
     whole = _solved(setting, found, found.panel, std=True)
     explained = _explained(setting, whole.state, whole.solution, whole.noise)
     ratios = with_ratio_std(whole.ratios, whole.passes, whole.solution, whole.panel, explained)
@@ -401,23 +393,12 @@ def _register_by_gauge(
     return {journey: compose(one, correction) for journey, one in trial.corrections.items()}, trial.ratios
 
 
-def _at_rest(found: IterationResult, p: IterationParameters) -> bool:
-    return found.moved < p.position_tolerance and found.changed < p.ratio_tolerance
-
-
 def _ratio_change(before: Mapping[str, Ratio], after: Mapping[str, Ratio]) -> float:
     """Return by how much a stiffness ratio has changed at most; a vehicle that is new was as assumed."""
     return max((abs(one.value - before.get(vehicle, Ratio()).value) for vehicle, one in after.items()), default=0.0)
 
 
-def _rms_change(before: FloatArray | None, after: FloatArray | None) -> float:
-    assert before is not None
-    assert after is not None
-    return float(np.sqrt(np.mean((after - before) ** 2)))
-
-
 def _mean_move(grouped: Grouped, before: Mapping[Journey, Correction], after: Mapping[Journey, Correction]) -> float:
-    """Return by how much the fleet as a whole is moved, m."""
     moves = []
     for journey, members in grouped.items():
         middle = np.array([0.5 * (item.at[0] + item.at[-1]) for item in members])

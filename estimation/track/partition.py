@@ -54,10 +54,8 @@ def first_epoch(
     """Return the windows of the first epoch.
 
     Args:
-        entries: Windows of one section that no earlier epoch holds, by start and wheelset, with the life of their
-            profiles; at least one.
+        entries: Windows that no earlier epoch holds, by start and wheelset; at least one.
         most_windows, most_wheelsets: Of an epoch; one journey may be more, by the windows of a vehicle at one time.
-        parameters: When an epoch ends.
     """
     p = parameters or PartitionParameters()
     pause_ns, journey_ns = round(p.pause_h * 3600 * NANOSECONDS), round(p.journey_pause_s * NANOSECONDS)

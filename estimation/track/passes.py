@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from enum import StrEnum
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
+from estimation.motion.checks import (
+    check_axis_signs,
+    check_moving,
+    gate,
+    jumps_reason,
+    moving_samples,
+    position_jumps,
+    without_jumps,
+)
 from estimation.motion.integration import IntegratedWindow, bridged, integrate
-from estimation.motion.parameters import FusionParameters, SignalParameters
+from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.rolling_radius_difference import MotionSignals, fuse, motion_signals
-from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.registry import WheelsetRecord
 from estimation.values.track import Correction
-from estimation.values.windows import Window, WindowRecord
+from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality, WindowRecord
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 
@@ -81,7 +91,6 @@ def passes(
     first has not.
 
     Args:
-        vehicle: Parameters of Eq. 2, which turns the yaw motion into rL - rR.
         mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
         integrated: The moving samples of the window, integrated; by default that is done here.
     """
@@ -106,7 +115,7 @@ def _placed(
     direction, facing = ways
     if not (np.isfinite(signals.displacement).all() and np.isfinite(signals.difference).all()):
         return []
-    grid = fuse(signals, vehicle, FusionParameters())
+    grid = fuse(signals, vehicle)
     if len(grid.run) < 2:  # noqa: PLR2004 - a pass has a length
         return []
     along = slice(None, None, direction)
@@ -157,6 +166,133 @@ def journeys(passes: Sequence[Pass], parameters: PositionParameters) -> dict[Jou
     return found
 
 
+class PassStatus(StrEnum):
+    """What became of a pass."""
+
+    USED = "used"
+    REFUSED = "refused"
+    TOO_SHORT = "too_short"  # for the filter: of no use here, but not refused
+
+
+@dataclass(frozen=True, slots=True)
+class PassOutcome:
+    """What became of the pass of a wheelset in one window; a reason also where only part of it was used."""
+
+    wheelset: str
+    vehicle: str
+    start_ns: int
+    status: PassStatus
+    reason: Reason | None = None
+
+
 def apply_correction(passes: Sequence[Pass], correction: Correction) -> list[Pass]:
     """Return the passes at their corrected positions."""
     return [replace(item, at=correction.at(item.at)) for item in passes]
+
+
+@dataclass(frozen=True, slots=True)
+class Examined:
+    """The passes of a window, and what became of it."""
+
+    passes: tuple[Pass, ...]
+    outcome: PassOutcome
+
+
+def examine(window: Window, parameters: WindowParameters, *, mounted_reversed: bool = False) -> Examined:
+    """Return the passes of a window along its section, with the reason where there is none or not all of it is used."""
+    refusal = gate(window.quality, window.track_section, parameters.gates) or check_moving(window, parameters.signals)
+    if refusal is not None:
+        return _examined(window, (), refusal)
+    integrated = integrate(window, moving_samples(window, parameters.signals), parameters.signals)
+    jumps = position_jumps(integrated)
+    if jumps:
+        window = without_jumps(window, jumps)
+        integrated = integrate(window, moving_samples(window, parameters.signals), parameters.signals)
+    found = passes(
+        window, parameters.vehicle, parameters.signals, mounted_reversed=mounted_reversed, integrated=integrated
+    )
+    if not found:
+        least = f"no uninterrupted run of {parameters.signals.shortest_segment_s:g} s in one direction"
+        return _examined(window, (), combined([jumps_reason(jumps), Reason(ReasonCode.INTERRUPTED, least)]))
+    refusal = check_axis_signs(integrated)
+    if refusal is not None:
+        return _examined(window, (), refusal)
+    return _examined(window, tuple(found), jumps_reason(jumps))
+
+
+def _examined(window: Window, found: tuple[Pass, ...], reason: Reason | None) -> Examined:
+    status = PassStatus.USED if found else PassStatus.REFUSED
+    return Examined(found, PassOutcome(window.wheelset, window.vehicle, window.start_ns, status, reason))
+
+
+Item = TypeVar("Item")
+MOST = 4  # windows; the pass of a longer run is cut, so that a window that comes late changes little
+
+
+def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = MOST) -> list[list[Item]]:
+    """Return the items in groups that follow each other without a break.
+
+    Args:
+        keys: Of each item: what it must share with the one before, its start and its end, ns.
+    """
+    groups: list[list[Item]] = []
+    last: tuple[Hashable, int] | None = None
+    for number in sorted(range(len(items)), key=lambda i: (str(keys[i][0]), keys[i][1])):
+        shared, start, end = keys[number]
+        if last != (shared, start) or len(groups[-1]) == most:
+            groups.append([])
+        groups[-1].append(items[number])
+        last = shared, end
+    return groups
+
+
+def joined(windows: Sequence[Window]) -> Window:
+    """Return windows that follow each other, in order, as one.
+
+    The quality is the worst of each measure, shares are means.
+    """
+    first = windows[0]
+    if len(windows) == 1:
+        return first
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(window, name) for window in windows])
+        for name in (*ACCELERATIONS, "speed", "distance", "valid")
+    }
+    frame = [window.frame_yaw_acceleration for window in windows]
+    known = [part for part in frame if part is not None]
+    none = [np.zeros(len(window.valid), np.bool_) for window in windows]
+    bridged = [part if window.bridged is None else window.bridged for part, window in zip(none, windows, strict=True)]
+    return replace(
+        first,
+        length_ns=sum(window.length_ns for window in windows),
+        quality=_quality([window.quality for window in windows]),
+        frame_yaw_acceleration=np.concatenate(known) if len(known) == len(frame) else None,
+        bridged=np.concatenate(bridged) if any(part.any() for part in bridged) else None,
+        **arrays,
+    )
+
+
+def _quality(parts: Sequence[WindowQuality]) -> WindowQuality:
+    return WindowQuality(
+        coverage=float(np.mean([part.coverage for part in parts])),
+        longest_gap_s=max(part.longest_gap_s for part in parts),
+        gaps=sum(part.gaps for part in parts),
+        clipped=float(np.mean([part.clipped for part in parts])),
+        invalid=float(np.mean([part.invalid for part in parts])),
+        speed_min_m_s=min(part.speed_min_m_s for part in parts),
+        speed_max_m_s=max(part.speed_max_m_s for part in parts),
+        position_quality=min(part.position_quality for part in parts),
+        sensor_fault=any(part.sensor_fault for part in parts),
+        hunting=_hunting([part.hunting for part in parts]),
+        blows=_blows([part.blows for part in parts]),
+    )
+
+
+def _hunting(parts: Sequence[Hunting]) -> Hunting:
+    most = max(parts, key=lambda part: part.share)
+    return replace(most, share=float(np.mean([part.share for part in parts])))
+
+
+def _blows(parts: Sequence[TurnBlows]) -> TurnBlows:
+    most = max(parts, key=lambda part: part.share)
+    return replace(most, share=float(np.mean([part.share for part in parts])))

@@ -1,8 +1,8 @@
 """The alignment of a section from the passes of an epoch and what was known before.
 
-What was known, the last version or a recorded alignment, enters as one more pass of a wheelset with R = 0, weighted
-by its variance against that of a pass. Journeys are placed by it; without it they are placed where they agree. A
-journey that then agrees with nothing is refused and the others are solved again.
+The last version, or a survey, enters as one more pass of a wheelset with R = 0, weighted by its variance. Journeys are
+placed by it; without it they are placed where they agree. A journey that then agrees with nothing is refused and the
+others are solved again.
 """
 
 from __future__ import annotations
@@ -12,27 +12,26 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.track.alignment_std import merged_alignment
-from estimation.track.convergence import Iterated
 from estimation.track.iteration import Grouped, IterationResult, iterate, with_slope
-from estimation.track.panel.basis import KnownBeforehand, Panel, pass_residual
+from estimation.track.panel.basis import Panel, pass_residual
+from estimation.track.panel.instrumental_slope import error_of_difference
 from estimation.track.panel.measured_curves import MeasuredCurve
-from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
 from estimation.track.panel.solution import (
     LEAST_WHEELSETS,
     SINGLE_WHEELSET,
     PanelSolution,
+    PriorAlignment,
     between_pass_std_ratio,
+    prior_on_grid,
     too_few_passes,
 )
-from estimation.track.panel.stiffness_ratio import error_of_difference
 from estimation.track.passes import Journey, Pass, ProfileLife, journeys
-from estimation.track.results import AlignmentReport, JourneyReport, nothing
+from estimation.track.results import AlignmentReport, JourneyReport, merged_alignment, nothing
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, combined
-from estimation.values.track import Correction, TrackAlignment, evidence_of_measurement, evidence_of_version
+from estimation.values.track import Correction, Iterated, TrackAlignment, evidence_of_measurement, evidence_of_version
 
 USUAL_FACTOR = 1.5  # times the median of the wheelsets
 LEAST_USUAL = 0.12e-3  # m
@@ -59,52 +58,26 @@ class Residuals:
         return found if any(weight < LARGEST_EFFECTIVE_WEIGHT for weight in found.values()) else {}
 
 
-@dataclass(slots=True)
-class _MeanSquare:
-    squares: float = 0.0
-    count: int = 0
-
-    def add(self, values: FloatArray) -> None:
-        self.squares, self.count = self.squares + float(values @ values), self.count + len(values)
-
-    @property
-    def rms(self) -> float:
-        return float(np.sqrt(self.squares / self.count)) if self.count else float("nan")
-
-
-@dataclass(slots=True)
-class _Sums:
-    journeys: dict[Journey, _MeanSquare] = field(default_factory=dict)
-    lives: dict[ProfileLife, _MeanSquare] = field(default_factory=dict)
-    parts: dict[Journey, dict[ProfileLife, _MeanSquare]] = field(default_factory=dict)
-
-    def usual_wheelset(self, journey: Journey) -> float:
-        """Return the lower median of the wheelsets of a journey: one that is wrong alone does not make it larger."""
-        known = sorted(mean.rms for mean in self.parts.get(journey, {}).values())
-        return known[(len(known) - 1) // 2] if known else float("nan")
-
-
 def residuals(iterated: IterationResult) -> Residuals:
     """Return the residuals of an iterated section, by journey and by wheelset."""
-    sums, d = _Sums(), iterated.solution.alignment
+    sums: dict[Journey | ProfileLife | tuple[Journey, ProfileLife], FloatArray] = {}  # of squares, and their count
+    d = iterated.solution.alignment
     for journey, one in iterated.placed.items():
         for item in one.passes:
-            sums.journeys.setdefault(journey, _MeanSquare())
-            sums.lives.setdefault(item.life, _MeanSquare())
             curve = iterated.solution.curve_of(item.life)
-            if item.empty or curve is None:
-                continue
-            values = pass_residual(item, curve, iterated.panel)[item.inside]
-            rest = (values - d[item.used_points])[np.isfinite(d[item.used_points])]
-            sums.journeys[journey].add(rest)
-            sums.lives[item.life].add(rest)
-            if len(rest):
-                sums.parts.setdefault(journey, {}).setdefault(item.life, _MeanSquare()).add(rest)
-    return Residuals(
-        {journey: mean.rms for journey, mean in sums.journeys.items()},
-        {life: mean.rms for life, mean in sums.lives.items()},
-        {journey: sums.usual_wheelset(journey) for journey in sums.journeys},
-    )
+            rest = np.zeros(0)
+            if not item.empty and curve is not None:
+                values = pass_residual(item, curve, iterated.panel)[item.inside]
+                rest = (values - d[item.used_points])[np.isfinite(d[item.used_points])]
+            for key in (journey, item.life, (journey, item.life)):
+                sums[key] = np.add(sums.get(key, np.zeros(2)), (float(rest @ rest), len(rest)))
+    rms = {key: float(np.sqrt(square / count)) if count else float("nan") for key, (square, count) in sums.items()}
+    usual = {}
+    for journey, one in iterated.placed.items():
+        parts = sorted(rms[journey, life] for life in {item.life for item in one.passes} if sums[journey, life][1])
+        usual[journey] = parts[(len(parts) - 1) // 2] if parts else float("nan")
+    lives = {item.life: rms[item.life] for item in iterated.passes}
+    return Residuals({journey: rms[journey] for journey in iterated.placed}, lives, usual)
 
 
 MOST_DIFFERENCE_ERROR = 0.08  # of rL - rR, by the stiffness ratio: beyond, its stiffness term is as assumed
@@ -143,15 +116,10 @@ def estimate_section(
     parameters: SectionParameters,
     measured: Mapping[ProfileLife, MeasuredCurve] | None = None,
 ) -> SectionEstimate:
-    """Return the alignment of a section from ``passes`` and what was known before.
-
-    Args:
-        passes: Of this epoch; passes of one profile life share a curve.
-        prior: The last version, or a survey; None where nothing is known.
-    """
+    """Return the alignment of a section from ``passes`` and what was known before."""
     named = () if prior is None else (evidence_of_version(prior.source, prior.version),)
     grouped: Grouped = journeys(passes, parameters.positions)
-    panel = Panel.of(parameters.panel, KnownBeforehand(measured=measured or {}))
+    panel = Panel.of(parameters.panel, measured)
     if not grouped:
         return SectionEstimate(None, nothing(Reason(ReasonCode.NO_PASS, "no pass"), named), grouped, {})
     known = None if prior is None else prior_on_grid(prior, panel.grid, parameters.panel.cutoff_wavelength)
@@ -184,7 +152,7 @@ def _too_few_passes(grouped: Grouped, panel: Panel) -> Reason | None:
         first, last = (int(np.clip(at / grid.step, 0, grid.points)) for at in (item.at[0], item.at[-1]))
         passed[first:last] += 1
         lives.add(item.life)
-    if len(lives) < LEAST_WHEELSETS and not lives & panel.known.measured.keys():
+    if len(lives) < LEAST_WHEELSETS and not lives & panel.measured.keys():
         return SINGLE_WHEELSET
     most = int(passed.max(initial=0))
     return None if most >= least else too_few_passes(least, most)
@@ -210,9 +178,9 @@ def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Pane
             kept = {journey: members for journey, members in kept.items() if journey not in found}
             continue
         weights = left.weights()
-        if panel.known.weights or not weights:
+        if panel.weights or not weights:
             return _Accepted(iterated, outliers, rms)
-        panel = replace(panel, known=replace(panel.known, weights=weights))
+        panel = replace(panel, weights=weights)
 
 
 def _find_outliers(
@@ -269,7 +237,6 @@ def _report(
 def _state_of(
     accepted: _Accepted, grouped: Grouped, known: PriorAlignment | None, p: SectionParameters
 ) -> tuple[Status, Reason | None]:
-    """Return whether an alignment is estimated, and why not."""
     of_panel = accepted.iterated.solution.report
     status, reason = of_panel.status, of_panel.reason
     if known is not None and known.has_alignment:
@@ -304,7 +271,7 @@ def _slope_open(iterated: IterationResult) -> Reason | None:
 
 def _low_weight_reason(iterated: IterationResult) -> Reason | None:
     """Return which wheelsets count for little, being further off than the others; None where none is."""
-    weights = iterated.panel.known.weights
+    weights = iterated.panel.weights
     used = sorted(weights.keys() & set(iterated.solution.lives))
     listed = [f"{life.wheelset} ({weights[life]:.2f} of a pass)" for life in used]
     if not listed:

@@ -1,14 +1,10 @@
-"""What is wrong with a surveyed alignment that the passes contradict: section, unit, sign or place.
+"""What is wrong with a survey that the passes contradict: section, unit, sign or place of it, or its gauge.
 
 It is compared with the alignment that the fleet finds without it, both after the same high-pass, at every offset that
-is searched: how much they have in common beyond chance, by what factor and where. Whether the passes contradict it is
-not decided here but by how well it explains them (``survey_fit``, ``survey_verdict``).
-
-What the passes of a section say of its surveyed gauge: a right one makes them agree better, a wrong one does not.
+is searched. Whether the passes contradict it is not decided here but in ``survey_verdict``.
 
 The gauge moves wheelsets of different wear apart. Where the passes of a place disagree by more than their sensors make
-them, and the gauge on file takes less off that than one of its size should, it is that of another place, or of another
-time. A gauge that is too small to be seen beside what else makes passes disagree is not judged.
+them, and the gauge on file takes less off that than one of its size should, it is that of another place or time.
 """
 
 from __future__ import annotations
@@ -19,10 +15,10 @@ import numpy as np
 from scipy import fft
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
-from estimation.track.alignment_std import GAUGE_EFFECT
-from estimation.track.correlation import peak_position
 from estimation.track.gauge.wheel_functions import LEAST_GAUGE, contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
+from estimation.track.positions import peak_position
+from estimation.track.results import GAUGE_EFFECT
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.quantities import log10_chance
 from estimation.values.reasons import Reason, ReasonCode, combined
@@ -77,10 +73,8 @@ def check_survey(recorded: TrackAlignment, fleet: TrackAlignment, *, place_std: 
     """Return whether a recorded alignment may be used, by an alignment that was found without it.
 
     Args:
-        recorded: With its standard deviation.
-        fleet: Found by the fleet alone, high-passed at its ``cutoff_wavelength``, with its std; NaN where not known.
-        place_std: Std of the position of the fleet as a whole along the section, m: the scatter of its journeys'
-            positions over the root of their number. A shift within it is not held against the survey.
+        fleet: Found by the fleet alone, high-passed at its ``cutoff_wavelength``; NaN where not known.
+        place_std: Of the position of the fleet as a whole, m: a shift within it is not held against the survey.
     """
     p = SurveyCheckParameters()
     both = _on_one_grid(recorded, fleet)
@@ -236,9 +230,7 @@ def judge_gauge(
 ) -> Reason | None:
     """Return what is wrong with a surveyed gauge; None where nothing is, or where the passes cannot show it.
 
-    Args:
-        iterated: Where the rounds with the survey ended; None where there were none.
-        converged: Whether positions and stiffness ratios have converged: until then nothing is refused.
+    Until positions and stiffness ratios have ``converged`` nothing is refused.
     """
     p = limits or GaugeLimits()
     size = float(np.std(survey.gauge_deviation))

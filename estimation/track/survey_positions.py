@@ -1,15 +1,12 @@
-"""Positions of journeys on a surveyed section, from the regression of R on y - d.
+"""Positions of journeys on a survey, from the regression of R on y - d (``docs/decisions/positions-on-a-survey.md``).
 
-On a survey the displacement y - d of a pass is known, but for where the pass was. With g the curve of a wheelset,
+With g the curve of a wheelset, at the true offset a and scale error b of its journey
 
     R(s) = g(y(s) - d(s + a + b (s - middle))) + noise
 
-holds at the true offset a and scale error b of its journey. The noise of the sensors is nearly all in R, which is the
-dependent variable here. The other way round, with R as the regressor, its noise flattens the curves; what they then
-lack of y has the shape of the track's answer, and moves all journeys by up to a metre where primary springs are stiff.
-
-The curves, offsets and scale errors of a vehicle are solved for together (Gauss-Newton), from short waves alone: they
-know the place best, and the noise of R is in the long ones.
+and nearly all noise is in R. The other way round, with R as the regressor, it would flatten the curves, and move all
+journeys. Curves, offsets and scale errors of a vehicle are solved for together (Gauss-Newton), from short waves alone:
+they know the place best, and the noise of R is in the long ones.
 """
 
 from __future__ import annotations
@@ -21,10 +18,11 @@ import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gridded_pass import GriddedPass, Placed, PlacedJourney, SectionGrid
-from estimation.track.panel.prior_alignment import PriorAlignment
+from estimation.track.panel.basis import basis_functions, knot_shares
+from estimation.track.panel.solution import PriorAlignment
 from estimation.track.passes import Journey, ProfileLife
 from estimation.track.positions import compose
-from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import Correction
 
 
@@ -53,11 +51,7 @@ def positions_on_survey(
 ) -> dict[Journey, Correction] | None:
     """Return corrections of the positions of all journeys on a survey; None where none is found.
 
-    The journeys of a vehicle whose places are not found keep them.
-
-    Args:
-        placed: Passes at first corrections, within a few metres.
-        survey: Alignment on the grid, high-passed as the passes are.
+    The journeys of a vehicle whose places are not found keep them. The first corrections are within a few metres.
     """
     p = parameters or SurveyPositionParameters()
     found = {journey: one.correction for journey, one in placed.items()}
@@ -145,14 +139,10 @@ class _Vehicle:
             largest = float(np.max(np.abs(steps[:, 0]), initial=0.0))
             moves = moves + steps * min(1.0, p.largest_step / max(largest, p.largest_step))
             if largest < p.tolerance:
-                return moves if self._farthest(moves) <= p.farthest else None
+                middles = [(one, float(np.mean(one.at)) - 0.5 * self.grid.length) for one in self.passes]
+                moved = [moves[one.journey] @ [1.0, middle] for one, middle in middles]
+                return moves if float(np.max(np.abs(moved), initial=0.0)) <= p.farthest else None
         return None
-
-    def _farthest(self, moves: FloatArray) -> float:
-        """Return by how much any pass is moved at most in its middle, m."""
-        middles = [float(np.mean(one.at)) - 0.5 * self.grid.length for one in self.passes]
-        found = [moves[one.journey] @ [1.0, middle] for one, middle in zip(self.passes, middles, strict=True)]
-        return float(np.max(np.abs(found), initial=0.0))
 
     def _steps(self, moves: FloatArray) -> FloatArray:
         """Return by how much better moves differ (j, 2): one Gauss-Newton step, with curves free."""
@@ -160,14 +150,14 @@ class _Vehicle:
         k, curves = len(p.knots), len(p.knots) * self.lives
         moved = [_displaced(one, moves[one.journey], self.survey, self.grid) for one in self.passes]
         columns = [
-            high_pass(_hats(x, p.knots), self.kernel)[:, one.used]
+            high_pass(basis_functions(np.clip(x, p.knots[0], p.knots[-1]), p.knots), self.kernel)[:, one.used]
             for one, (x, _) in zip(self.passes, moved, strict=True)
         ]
         slopes, weights = self._curves(columns)
         unknowns = curves + 2 * self.journeys
         normal, right = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
         for one, own, (x, slope_of_survey) in zip(self.passes, columns, moved, strict=True):
-            by_offset = -slopes[one.life][_cells(x, p.knots)] * slope_of_survey
+            by_offset = -slopes[one.life][knot_shares(x, p.knots)[0]] * slope_of_survey
             by_move = np.stack([by_offset, by_offset * (one.at - 0.5 * self.grid.length)])
             design = np.concatenate([own, high_pass(by_move, self.kernel)[:, one.used]])
             index = np.append(np.arange(k) + k * one.life, curves + 2 * one.journey + np.arange(2))
@@ -222,17 +212,3 @@ def _on_survey(
         difference=high_pass(item.side * item.difference, kernel),
         used=valid_support(on, kernel),
     )
-
-
-def _cells(x: FloatArray, knots: FloatArray) -> IntArray:
-    """Return the number of the knot below x (n,); what is beyond the knots is in their first or last cell."""
-    return np.asarray(np.clip(np.searchsorted(knots, x) - 1, 0, len(knots) - 2))
-
-
-def _hats(x: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return the values (k, n) of the hat functions of the knots (k,) at x (n,); outside the knots as at their ends."""
-    index = _cells(x, knots)
-    share = np.clip((x - knots[index]) / (knots[index + 1] - knots[index]), 0.0, 1.0)
-    values, at = np.zeros((len(knots), len(x))), np.arange(len(x))
-    values[index, at], values[index + 1, at] = 1.0 - share, share
-    return values

@@ -1,18 +1,10 @@
 """The alignment that follows from a survey and the passes of an epoch: the mean of both, by place and band.
 
-It holds all waves of the survey, and what the passes know better. It is published as the survey with what has been
-found on it; the next epoch takes it as its survey.
-
-What a survey and the passes say of the alignment, band by band of wavelengths, and how far each is to be believed.
-
-Passes know short waves best, for they integrate accelerations; a survey knows long ones. In each band the passes give
-the mean of y - h(R) with a variance from the scatter between journeys, which also holds what their positions leave.
-
-What both differ by has two parts. One follows the motion of the wheelsets: it is an error of the passes' curves and
-equations, of R in a stiff bogie above all, for a survey knows nothing of how anything ran over it. The survey being an
-instrument that holds none of their noise, that part is taken off the passes. The rest is the survey's own error, less
-the passes' noise; so its standard deviation is learnt, whatever is on file. Where both differ by more than they do
-elsewhere, at switches, where a stretch has been tamped, which of them is wrong is open, and neither is believed there.
+In each band of wavelengths the passes give the mean of y - h(R) with a variance from the scatter between journeys
+(``docs/decisions/survey-and-passes.md``). What both differ by has two parts. One follows the motion of the wheelsets:
+an error of the passes' curves and equations, which is taken off them. The rest is the survey's own error, less the
+passes' noise; so its standard deviation is learnt, whatever is on file. Where both differ by more than elsewhere, at
+switches or where a stretch has been tamped, neither is believed.
 """
 
 from __future__ import annotations
@@ -28,10 +20,9 @@ from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_
 from estimation.track.gridded_pass import Placed, SectionGrid
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import Panel, unfiltered_residual
+from estimation.track.panel.instrumental_slope import error_of_difference
 from estimation.track.panel.solution import PanelSolution
-from estimation.track.panel.stiffness_ratio import error_of_difference
-from estimation.track.placing import position_std
-from estimation.track.results import findings
+from estimation.track.results import findings, position_std
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackAlignment
@@ -174,7 +165,7 @@ def _passes(placed: Placed, solution: PanelSolution, panel: Panel, kernels: Sequ
             if item.empty or curve is None:
                 continue
             signals = np.stack([unfiltered_residual(item, curve, panel), item.displacement])
-            weight, on = panel.known.weight_of(item.life), panel.grid.contains(item.points)
+            weight, on = panel.weight_of(item.life), panel.grid.contains(item.points)
             for number, (band, kernel) in enumerate(zip(_bands_of(signals, kernels), kernels, strict=True)):
                 inside = valid_support(item.certain, kernel) & on
                 at = item.points[inside]
@@ -306,12 +297,7 @@ class SurveyPosterior:
 def survey_posterior(
     iterated: IterationResult, survey: TrackAlignment, parameters: SectionParameters
 ) -> SurveyPosterior | None:
-    """Return what a survey and the passes that were placed on it give together; None where they do not meet.
-
-    Args:
-        survey: With the std on file.
-        parameters: What the scatter of passes does not show of their errors.
-    """
+    """Return what a survey, with the std on file, and the passes on it give together; None where they do not meet."""
     grid, p = iterated.panel.grid, parameters
     of_gauge = p.systematic_per_gauge[0] * float(np.std(survey.gauge_deviation))
     bands = survey_bands(iterated, survey, float(np.hypot(p.systematic, of_gauge)))

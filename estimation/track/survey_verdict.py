@@ -1,15 +1,10 @@
 """What the passes of a section say of its survey: right, wrong, or not to be decided.
 
-The passes decide by how well the survey explains them, with all that is uncertain left free: the curves of all
-wheelsets, stiffness ratios, the position of every journey, the survey's own error (``survey_fit``). A survey is refused
-where another scale, place or section is beyond what the passes themselves may be wrong by; short of that it is kept,
-and the doubt names who else may be wrong.
-
-How well a survey explains what the passes have measured: y = a d + h_w(R), with the survey's d and all curves free.
-
-Nothing is compared with an alignment that the fleet has found by itself: that one may be wrong, however small its
-standard deviation, where wheelsets are alike. The factor ``a`` is 1 for a right survey, its inverse is that of another
-unit or scale, and it is near zero for the survey of another section. The sums of the panel hold all that is needed.
+It is judged by how well it explains them, y = a d + h_w(R), with all that is uncertain left free: curves, stiffness
+ratios, positions, the survey's own error. The factor ``a`` is 1 for a right survey, its inverse is that of another
+unit or scale, and it is near zero for the survey of another section. A survey is refused where another scale, place or
+section is beyond what the passes themselves may be wrong by; short of that it is kept, and the doubt names who else
+may be wrong. Nothing is compared with an alignment that the fleet has found by itself: that may be wrong as well.
 """
 
 from __future__ import annotations
@@ -22,8 +17,7 @@ from scipy import linalg
 
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.normal_equations import PanelState, groups_of
-from estimation.track.panel.prior_alignment import PriorAlignment
-from estimation.track.panel.solution import curves_of_sum, prior_of_curves
+from estimation.track.panel.solution import PriorAlignment, curves_of_sum, prior_of_curves
 from estimation.track.passes import Journey
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.quantities import jackknife_std
@@ -195,10 +189,8 @@ def survey_verdict(fit: SurveyFit | None, witnesses: Witnesses, filed_std: float
 
     Args:
         fit: How well it explains them; None where too little of it was passed.
-        witnesses: Journeys that were placed on it, and what their curves leave open.
         filed_std: Of the survey, m, as on file.
-        converged: Whether positions and stiffness ratios have converged: until then nothing but another section is
-            refused.
+        converged: Whether positions and stiffness ratios have: until then nothing but another section is refused.
     """
     p = VerdictLimits()
     if fit is None or not np.isfinite(fit.factor_std):

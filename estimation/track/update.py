@@ -14,10 +14,10 @@ import numpy as np
 from estimation.track.gauge.wheel_functions import LEAST_GAUGE
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.measured_curves import MeasuredCurve
-from estimation.track.panel.prior_alignment import prior_on_grid
-from estimation.track.passes import Pass, ProfileLife
-from estimation.track.placing import shrunk
-from estimation.track.screening.screen import PassOutcome, PassStatus, Screened, screen
+from estimation.track.panel.solution import prior_on_grid
+from estimation.track.passes import Pass, PassOutcome, PassStatus, ProfileLife
+from estimation.track.results import shrunk
+from estimation.track.screening.screen import Screened, screen
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.settings import AlignmentSettings, SectionParameters
 from estimation.track.survey_check import check_survey, judge_gauge, worth_more
@@ -96,7 +96,6 @@ def update_alignment(
     """Return what an epoch of passes makes of the alignment of a section.
 
     Args:
-        in_force: Its alignment so far; None where there is none.
         survey_checked: Whether the survey in force has been confirmed: then it is not refused any more.
     """
     parameters = replace(settings.section, panel=replace(settings.section.panel, length=section.length_m))
@@ -309,7 +308,6 @@ def _confirmed(verdict: SurveyVerdict) -> bool:
 
 
 def _of_alignment(verdict: Reason | None) -> Reason | None:
-    """Return the verdict on a survey as one on its alignment alone."""
     return None if verdict is None else prefixed("its alignment: ", verdict)
 
 

@@ -67,8 +67,7 @@ def changed_vehicles(
 
     Args:
         vehicles: Vehicle of every wheelset that has passed, by serial.
-        since: Ratios of vehicles whose windows have been estimated with a later version than ``old``; by default there
-            are none.
+        since: Ratios of vehicles whose windows have been estimated with a later version than ``old``.
         last: The version before ``new``; by default ``old``.
     """
     if new.findings is None:

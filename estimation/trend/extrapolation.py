@@ -1,7 +1,7 @@
 """The conicity of a wheelset at the amplitude of its limit: as estimated where it moves as far, else extrapolated.
 
 A limit belongs to an amplitude (EN 15302 quotes 3 mm). Where the motion does not cover it, the new and worn wheelsets
-of ``estimation.contact.worn_family`` say how conicity goes on: of those that are like the wheelset at the largest
+of ``estimation.contact.wear`` say how conicity goes on: of those that are like the wheelset at the largest
 amplitude covered and a quarter, a half and a whole millimetre below, the change up to 3 mm is fitted as linear in all
 of these, and what is left over is the spread. Where few are like it, wider differences count, and the spread grows.
 
@@ -20,7 +20,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimation.contact.worn_family import WornFamily, worn_family
+from estimation.contact.wear import WornFamily, worn_family
 from estimation.trend.trend import TrendPoint
 from estimation.trend.wear_curve import NormalMixture
 from estimation.values.arrays import FloatArray

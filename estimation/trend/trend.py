@@ -199,7 +199,7 @@ def _estimated(
         measured_ns=points.measured_ns,
         value=points.value,
         std=points.std,
-        slope_per_1000_km=_scaled(by_distance.slope_now().estimate(count), 1000.0),
+        slope_per_1000_km=by_distance.slope_now().estimate(count).scaled(1000.0),
         slope_per_year=slope_per_year,
         fitted=level.estimate(count),
         limit=limit,
@@ -222,13 +222,6 @@ def _fit_by_date(points: _Columns, shared_std: float) -> WearCurve | None:
 
 def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:
     return Forecast(*(curve.reaches(limit, probability, horizon) for probability in (0.1, 0.5, 0.9)))
-
-
-def _scaled(estimate: Estimate, factor: float) -> Estimate:
-    value, std, low, high = (
-        None if x is None else x * factor for x in (estimate.value, estimate.std, estimate.low, estimate.high)
-    )
-    return Estimate(value, std, low, high, estimate.count, estimate.status, estimate.reason)
 
 
 def probability_above(estimate: Estimate, limit: float) -> float | None:

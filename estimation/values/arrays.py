@@ -15,20 +15,12 @@ BoolArray = npt.NDArray[np.bool_]
 
 
 def bin_centres(edges: FloatArray) -> FloatArray:
-    """Return the centres (b,) of adjoining bins, in the unit of the edges.
-
-    Args:
-        edges: (b + 1,) increasing.
-    """
+    """Return the centres (b,) of adjoining bins with edges (b + 1,), in their unit."""
     return np.asarray(0.5 * (edges[:-1] + edges[1:]))
 
 
 def runs(mask: BoolArray) -> IntArray:
-    """Return (k, 2) the first index of every run of True, and the one behind its last.
-
-    Args:
-        mask: (n,) samples.
-    """
+    """Return (k, 2) the first index of every run of True in (n,) samples, and the one behind its last."""
     return np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))).reshape(-1, 2)
 
 
@@ -42,11 +34,9 @@ def as_slice(index: IntArray) -> IntArray | slice:
 def frozen_array(
     value: npt.ArrayLike, shape: tuple[int | None, ...], dtype: npt.DTypeLike = np.float64, *, name: str
 ) -> npt.NDArray[Any]:
-    """Return ``value`` as a read-only, C-contiguous array of ``dtype`` and ``shape``.
+    """Return ``value`` as a read-only, C-contiguous array of ``dtype`` and ``shape``, None in it for any length.
 
-    Args:
-        value: Anything numpy takes. Never modified: an array that is still writable is copied.
-        shape: Expected shape; ``None`` stands for any length.
+    An array that is still writable is copied, never modified.
 
     Raises:
         ValueError: The number of axes or a length differs.

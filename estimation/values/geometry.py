@@ -11,12 +11,11 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_centres, frozen_array
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import IN_MM, JsonValue, Served
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason
 from estimation.values.results import ResultKind
 from estimation.values.runs import SubjectKind
-from estimation.values.served import MM, Served
 from estimation.values.windows import WindowKey
 
 
@@ -156,7 +155,7 @@ class Centre:
         Served(
             "Middle of the travel at `equivalent_conicity_amplitude_mm`, positive to the left.",
             "displacement_mm",
-            MM,
+            IN_MM,
             finite=False,
         ),
     ]
@@ -166,7 +165,7 @@ class Centre:
             "Standard deviation of where both rolling radii are equal, against that: a bogie holds wheels "
             "of different diameters off it. What it changes is part of the intervals.",
             "rolling_line_std_mm",
-            MM,
+            IN_MM,
             finite=False,
         ),
     ]
@@ -208,14 +207,14 @@ class WheelsetGeometry(FrozenArrays):
     conicity: Annotated[tuple[Estimate, ...], "n"]  # equivalent conicity at each amplitude
     reported_amplitude: Annotated[
         float,
-        Served("3 mm, or the largest amplitude covered.", "equivalent_conicity_amplitude_mm", MM, finite=False),
+        Served("3 mm, or the largest amplitude covered.", "equivalent_conicity_amplitude_mm", IN_MM, finite=False),
     ]
     equivalent_conicity: Annotated[Estimate, Served(name="equivalent_conicity_1")]  # at reported_amplitude
     nonlinearity: Annotated[
         Estimate, Served(name="nonlinearity_parameter_per_mm")
     ]  # NP, 1/mm as in EN 15302: (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2
     zero_crossing: Annotated[
-        Estimate, Served("Lateral displacement at which both rolling radii are equal.", "zero_crossing_mm", MM)
+        Estimate, Served("Lateral displacement at which both rolling radii are equal.", "zero_crossing_mm", IN_MM)
     ]
     windows: Annotated[int, Served(name="n_windows")]
     parameter_key: str
@@ -229,11 +228,7 @@ class WheelsetGeometry(FrozenArrays):
         return bin_centres(self.bin_edges)
 
     def against(self, found: Contradiction | None) -> WheelsetGeometry:
-        """Return the geometry beside what contradicts its class: without numbers where that is certain, else wider.
-
-        Args:
-            found: What contradicts it; None changes nothing.
-        """
+        """Return the geometry beside what contradicts its class: without numbers where that is certain, else wider."""
         if found is None or self.status is Status.MODEL_MISMATCH:
             return self
         return self.mismatched(found.reason) if found.certain else self._doubted(found)
@@ -251,11 +246,7 @@ class WheelsetGeometry(FrozenArrays):
         )
 
     def mismatched(self, reason: Reason) -> WheelsetGeometry:
-        """Return the geometry of a wheelset that does not follow the equations: no number is published.
-
-        Args:
-            reason: What does not fit.
-        """
+        """Return the geometry of a wheelset that does not follow the equations: no number is published."""
         nothing, b = np.full(len(self.samples), np.nan), len(self.samples)
         unknown = Estimate.unknown(reason, float(self.windows), Status.MODEL_MISMATCH)
         values = BinValues(nothing, nothing, (BinStatus.UNOBSERVABLE,) * b)

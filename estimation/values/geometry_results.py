@@ -12,11 +12,7 @@ MOST_INTERVALS = 999_999
 
 
 def part_of(baseline: int, interval: int | None) -> str:
-    """Return the part of a geometry.
-
-    Args:
-        interval: Its number; None is the current geometry of the baseline.
-    """
+    """Return the part of a geometry; without a number of the interval of the current one of the baseline."""
     return f"current.{baseline:04d}" if interval is None else f"{baseline:04d}.{interval + MOST_INTERVALS:07d}"
 
 

@@ -42,6 +42,11 @@ class Estimate:
         """Return the estimate of a number that is not known, with the reason."""
         return Estimate(None, None, None, None, count, status, reason)
 
+    def scaled(self, factor: float) -> Estimate:
+        """Return the same in a unit of which ``factor`` make one, which is above 0."""
+        value, std, low, high = (None if x is None else x * factor for x in (self.value, self.std, self.low, self.high))
+        return Estimate(value, std, low, high, self.count, self.status, self.reason)
+
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
@@ -57,15 +62,7 @@ NORMAL_95 = 1.959963984540054
 
 
 def leave_one_out(groups: FloatArray, present: BoolArray) -> FloatArray:
-    """Return sums over all groups of blocks (row 0), then over all but one.
-
-    Args:
-        groups: (n, ...) sums of each group.
-        present: (n,) which groups have data, g of them.
-
-    Returns:
-        FloatArray: (1 + g, ...) sums.
-    """
+    """Return sums (1 + g, ...) of groups (n, ...): over all (row 0), then without each of the g ``present`` ones."""
     total = groups.sum(axis=0)
     return np.concatenate([total[None], total[None] - groups[present]])
 
@@ -74,8 +71,7 @@ def jackknife_std(replicates: FloatArray) -> FloatArray:
     """Return the delete-a-group standard deviation along axis 0.
 
     Args:
-        replicates: (1 + g, ...) the number from all data (row 0, takes no part), then with each of the g groups left
-            out.
+        replicates: (1 + g, ...) the number from all data (row 0, takes no part), then without each of the g groups.
     """
     g = len(replicates) - 1
     if g < 2:  # noqa: PLR2004 - one group has no spread
@@ -86,11 +82,7 @@ def jackknife_std(replicates: FloatArray) -> FloatArray:
 
 
 def normal_equivalent(jackknife: FloatArray, groups: int) -> FloatArray:
-    """Return the std of a normal distribution with the same 95 % interval as Student's t.
-
-    Args:
-        jackknife: (...) delete-a-group standard deviations.
-    """
+    """Return the std of a normal distribution with the same 95 % interval as Student's t."""
     if groups < 2:  # noqa: PLR2004 - one group has no spread
         return jackknife
     return np.asarray(jackknife * (_student_95(groups) / NORMAL_95))
@@ -102,10 +94,8 @@ def with_interval(
     """Return a number with its 95 % interval; every published interval is made here.
 
     Args:
-        value: The number, in any unit.
         systematic: Its standard deviation that more data of the same kind do not lessen.
-        groups: Groups behind ``sampled``, two or more: Student's t then widens its part; None for a normal
-            distribution.
+        groups: Groups behind ``sampled``, two or more: Student's t widens its part; None for a normal distribution.
     """
     factor = NORMAL_95 if groups is None else _student_95(groups)
     half = float(np.hypot(factor * sampled, NORMAL_95 * systematic))
@@ -114,11 +104,7 @@ def with_interval(
 
 
 def parts_of(estimate: Estimate, groups: int) -> tuple[float, float]:
-    """Return what :func:`with_interval` made an interval from: the sampled and the systematic standard deviation.
-
-    Args:
-        groups: Groups behind its sampled part, two or more.
-    """
+    """Return what :func:`with_interval` made an interval from: the sampled and the systematic standard deviation."""
     if estimate.std is None or estimate.low is None or estimate.high is None:
         return float("nan"), float("nan")
     half, student = 0.5 * (estimate.high - estimate.low), _student_95(groups)

@@ -8,11 +8,11 @@ from enum import StrEnum
 from typing import Annotated
 
 from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.fields import IN_MM, Served
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.results import History, ResultKind
 from estimation.values.runs import SubjectKind
-from estimation.values.served import MM, Served
 
 TONNAGE_NOT_ON_FILE = Estimate.unknown(Reason(ReasonCode.TONNAGE_UNKNOWN, "the traffic of the section is not on file"))
 
@@ -108,7 +108,7 @@ class RailTrend:
     """How fast the excess of a section changes, from its periods."""
 
     per_year: Annotated[Estimate, Served("Growth of the excess in a year.", "excess_per_year_1")]
-    amplitude: Annotated[float, Served(name="amplitude_mm", scale=MM)]  # m
+    amplitude: Annotated[float, Served(name="amplitude_mm", scale=IN_MM)]  # m
     periods: Annotated[int, Served("Number of periods behind it.", "n_periods")]
     per_100_mgt: Annotated[
         Estimate,
@@ -119,11 +119,7 @@ class RailTrend:
     ] = TONNAGE_NOT_ON_FILE
 
     def with_tonnage(self, tonnage: float | None) -> RailTrend:
-        """Return the trend with that by traffic, which runs evenly.
-
-        Args:
-            tonnage: Million gross tonnes a year; None where it is not on file.
-        """
+        """Return the trend with that by traffic, million gross tonnes a year, which runs evenly; as it is without."""
         if tonnage is None:
             return self
         return replace(self, per_100_mgt=_scaled(self.per_year, 100.0 / tonnage))
@@ -192,7 +188,7 @@ class RailsFinding:
         ),
     ]
     reported_amplitude: Annotated[
-        float | None, Served("3 mm, or the largest amplitude below that is known.", "limit_amplitude_mm", MM)
+        float | None, Served("3 mm, or the largest amplitude below that is known.", "limit_amplitude_mm", IN_MM)
     ]
     refused: Annotated[
         Reason | None,

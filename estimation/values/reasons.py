@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from enum import EnumType, StrEnum
 from typing import Any, Self
 
@@ -297,11 +298,7 @@ class Reason:
 
 
 def combined(reasons: Sequence[Reason | None]) -> Reason | None:
-    """Return several reasons as one: the code of the first and all sentences; None where there is none.
-
-    Args:
-        reasons: The most important one first.
-    """
+    """Return several reasons as one: the code of the first and all sentences; None where there is none."""
     given = [reason for reason in reasons if reason is not None]
     return replace(given[0], text="; ".join(reason.text for reason in given)) if given else None
 
@@ -319,3 +316,14 @@ def text_of(reason: Reason | None) -> str | None:
 def code_of(reason: Reason | None) -> ReasonCode | None:
     """Return the code; None where there is no reason."""
     return None if reason is None else reason.code
+
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_SECOND = 1_000_000_000
+
+
+def utc_text(t_ns: int) -> str:
+    """Return a time, ns since 1970, as people read it: in UTC, to the second where it is a whole one."""
+    seconds, rest = divmod(t_ns, _SECOND)
+    decimals = f".{rest:09d}".rstrip("0") if rest else ""
+    return f"{(_EPOCH + timedelta(seconds=seconds)).strftime('%Y-%m-%dT%H:%M:%S')}{decimals}Z"

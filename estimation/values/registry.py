@@ -10,9 +10,7 @@ from typing import Annotated, Self
 from annotated_types import Interval
 
 from estimation.errors import ParameterError
-from estimation.values.file_units import MM, FileDefault, FileForm, FileUnit, Key
-from estimation.values.served import MM as IN_MM
-from estimation.values.served import Served
+from estimation.values.fields import IN_MM, MM, FileDefault, FileForm, FileUnit, Key, Served
 
 MAX_AXLES = 8
 MOST_KM = 1e8

@@ -1,4 +1,4 @@
-"""Results: what a stage made of a subject, from which inputs, and how results of a kind are kept."""
+"""Results of stages: what they are made from, by facets of their subjects, and how they are kept."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Generic, TypeVar
 
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 from estimation.values.runs import SubjectKind
@@ -72,3 +72,84 @@ class Result(Generic[V]):
 
 
 AnyResult = Result[Any]
+
+
+EVERYTHING = "all"
+"""The one subject of a stage that looks at all subjects of its kind together."""
+
+
+class Facet(StrEnum):
+    """Base facts of a wheelset, vehicle or section; results of a stage are a facet of the stage's own name."""
+
+    REGISTRY = "registry"  # what is on file, also of the vehicle or class behind it
+    WINDOWS = "windows"  # states, qualities and mileages; of a section what its epochs do not hold as it is now
+    TABLES = "tables"  # bin tables, and the verdicts on windows that its geometry rests on
+    ALERTS = "alerts"
+    RESTARTS = "restarts"  # alerts from which its geometry and trend begin again
+    LAYOUTS = "layouts"  # sections and their layouts, on which all signatures rest
+    BESIDE = "beside"  # what is known of the vehicle that a wheelset runs in, and of the wheelsets beside it
+    HUNTING = "hunting"  # windows of a vehicle in which it hunts
+    RECORDINGS = "recordings"  # of a vehicle, that are rejected
+    STIFFNESS = "stiffness"  # ratios that epochs show of a vehicle
+    PLACES = "places"  # windows of a section with their states, bin tables and positions, and its epochs
+    ALIGNMENT = "alignment"  # versions of the alignment of a section
+
+
+@dataclass(frozen=True, slots=True)
+class StageInputs:
+    """What a stage declares that it is made from.
+
+    Attributes:
+        facets: Of its subjects; none of a stage that goes by the windows that are due (``fleet_db.due``): of such a
+            stage of wheelsets those are due that have some, and it settles what it has seen itself.
+        common: Digest of what is the same for all subjects: settings and numerics.
+        together: Whether it looks at all subjects together, of whatever kind a facet is.
+        inline: Whether only other settings make it due: what is raised is followed by the transaction that raises it.
+    """
+
+    stage: str
+    kind: SubjectKind
+    facets: tuple[str, ...]
+    common: str
+    together: bool = False
+    inline: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Due:
+    """A subject that a stage has not seen as it is now.
+
+    Attributes:
+        seen: Sum of the versions of its facets, in the transaction that reads its inputs.
+        made_from: Digest of the inputs that the stage has seen last; None where it is to compute whatever they are.
+        marked: Whether it has ever seen the subject.
+        again_ns: Our time from which the inputs that it has seen may say something else.
+    """
+
+    seen: int
+    made_from: str | None = None
+    marked: bool = False
+    again_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Of which stages something is due, and how many subjects stages have seen, by name."""
+
+    due: frozenset[str]
+    seen: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """What a stage has seen of a subject.
+
+    Attributes:
+        again_ns: Our time from which the same inputs may say something else; None for never.
+        rests: Whether what the stage itself has raised of its own inputs is seen, too.
+    """
+
+    seen: int
+    made_from: str
+    again_ns: int | None = None
+    rests: bool = True

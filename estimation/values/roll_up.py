@@ -108,11 +108,7 @@ class RolledPart:
 
 
 def with_members(roll_up: RollUp, members: Iterable[Member]) -> RollUp:
-    """Return the roll-up with some more windows.
-
-    Args:
-        members: Behind those that it has, oldest first; of one that is sealed they may come late.
-    """
+    """Return the roll-up with more windows, oldest first, behind those that it has; a sealed one may get late ones."""
     for member in members:
         roll_up = with_member(roll_up, member)
     return roll_up

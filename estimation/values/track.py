@@ -11,12 +11,9 @@ import numpy as np
 from annotated_types import Interval
 
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, freeze
-from estimation.values.file_units import MM, FileForm, Key
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import IN_MM, MM, FileForm, JsonValue, Key, Served
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
-from estimation.values.served import MM as IN_MM
-from estimation.values.served import Served
 from estimation.values.windows import WindowRecord
 
 MOST_TONNAGE_MGT = 1000.0  # a year, on one section
@@ -305,3 +302,22 @@ def evidence_of_measurement(name: str) -> str:
 def evidence_of_version(source: str, version: int) -> str:
     """Return what stands for an alignment that was known before."""
     return f"{source} version {version}"
+
+
+class Iterated(StrEnum):
+    """What is iterated."""
+
+    POSITIONS = "positions"
+    STIFFNESS_RATIOS = "stiffness_ratios"
+    GAUGE_STEP = "gauge_step"
+    GAUGE = "gauge"
+
+
+@dataclass(frozen=True, slots=True)
+class Convergence:
+    """How the iteration of one quantity ended."""
+
+    of: Iterated
+    converged: bool
+    rounds: int
+    change: float  # by the last round: m of positions and gauge, relative of stiffness ratios; NaN of a linear solve

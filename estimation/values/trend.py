@@ -1,9 +1,7 @@
 """Trends of wear and of the suspension, and sudden changes in them.
 
-Identity changes: when a wheelset on file stopped being the one that ran, or the way round that it ran.
-
-They are found by the alert rule of this kind and kept in the evidence of its alerts. Geometries and trends read them:
-data from both sides of a change are of two wheelsets and are never merged.
+Identity changes, when a wheelset on file stopped being the one that ran or the way round that it ran, are found by the
+alert rule of this kind and kept in the evidence of its alerts. Data from both sides of a change are never merged.
 """
 
 from __future__ import annotations
@@ -15,12 +13,11 @@ from typing import Annotated, Protocol, TypeVar
 
 from estimation.values.alerts import Alert
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import IN_MM, JsonValue, Served
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason
 from estimation.values.results import History, ResultKind
 from estimation.values.runs import SubjectKind
-from estimation.values.served import MM, Served
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +31,7 @@ class TrendStep:
     found_ns: int  # end of the data that showed it first
     size: Annotated[Estimate, Served("By how much the indicator has changed, at `amplitude_mm`.", "size_1")]
     level_before: Annotated[float, Served("The indicator before it.", "level_before_1", finite=False)]
-    amplitude: Annotated[float, Served("Amplitude that size and level are of.", "amplitude_mm", MM, finite=False)]
+    amplitude: Annotated[float, Served("Amplitude that size and level are of.", "amplitude_mm", IN_MM, finite=False)]
     probability: Annotated[float, Served("That there is a step there.", "probability_1", finite=False)]
     before: Annotated[int, Served("Intervals before it.", "intervals_before")]
     behind: Annotated[int, Served("Intervals behind it.", "intervals_behind")]
@@ -207,11 +204,7 @@ def latest_identity_change(alerts: Iterable[Alert]) -> IdentityChange | None:
 
 
 def since_change(records: Sequence[_Record], change: IdentityChange | None) -> list[_Record]:
-    """Return the geometries of the wheelset that it is now.
-
-    Args:
-        records: Geometries of one wheelset, or what is left of them.
-    """
+    """Return the geometries of the wheelset that it is now."""
     return [record for record in records if change is None or record.from_ns >= change.after_ns]
 
 
@@ -221,11 +214,7 @@ def _change(alert: Alert) -> IdentityChange | None:
 
 
 def on_one_side(change: IdentityChange | None, first_ns: int, second_ns: int) -> bool:
-    """Return whether two times are of the same wheelset: both before its identity change, or both after it.
-
-    Args:
-        change: The last one; None where there was none.
-    """
+    """Return whether two times are of the same wheelset: both before its identity change, or both after it."""
     if change is None:
         return True
     before = first_ns <= change.before_ns and second_ns <= change.before_ns

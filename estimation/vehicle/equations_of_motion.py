@@ -102,21 +102,14 @@ class ContactState:
 
 
 def lateral_suspension_force(parameters: VehicleParameters, state: WheelsetState) -> FloatArray:
-    """Return Fsy (n,), N: the force of spring and damper on the wheelset, positive to the left (Eq. 4).
-
-    Args:
-        state: (n,) displacements and velocities.
-    """
-    y, v, ym, vm = (_array(value) for value in _lateral(state))
-    return parameters.lateral_stiffness * (ym - y) + parameters.lateral_damping * (vm - v)
+    """Return Fsy (n,), N: the force of spring and damper on the wheelset, positive to the left (Eq. 4)."""
+    deflection = _array(state.mass_lateral_displacement) - _array(state.lateral_displacement)
+    rate = _array(state.mass_lateral_velocity) - _array(state.lateral_velocity)
+    return parameters.lateral_stiffness * deflection + parameters.lateral_damping * rate
 
 
 def yaw_suspension_moment(parameters: VehicleParameters, state: WheelsetState) -> FloatArray:
-    """Return Mpsi (n,), N m: the moment of the yaw suspension on the wheelset (Eq. 5).
-
-    Args:
-        state: (n,) yaw and yaw rate.
-    """
+    """Return Mpsi (n,), N m: the moment of the yaw suspension on the wheelset (Eq. 5)."""
     psi, psi_rate = _array(state.yaw), _array(state.yaw_rate)
     return -parameters.yaw_stiffness * psi - parameters.yaw_damping * psi_rate
 
@@ -124,13 +117,7 @@ def yaw_suspension_moment(parameters: VehicleParameters, state: WheelsetState) -
 def lateral_acceleration(
     parameters: VehicleParameters, speed: npt.ArrayLike, state: WheelsetState, contact: ContactState
 ) -> FloatArray:
-    """Return y'' (n,), m/s2, of the wheelset (Eq. 1); ``speed`` V in m/s, positive.
-
-    Args:
-        parameters: Table A.1.
-        state: (n,) states of wheelset and mass.
-        contact: (n,) radii, angles and roll.
-    """
+    """Return y'' (n,), m/s2, of the wheelset (Eq. 1); ``speed`` V in m/s, positive."""
     p = parameters
     f11, f22, f23 = p.longitudinal_creep_coefficient, p.lateral_creep_coefficient, p.lateral_spin_creep_coefficient
     V, psi, psi_rate = _array(speed), _array(state.yaw), _array(state.yaw_rate)
@@ -149,13 +136,7 @@ def lateral_acceleration(
 def yaw_acceleration(
     parameters: VehicleParameters, speed: npt.ArrayLike, state: WheelsetState, contact: ContactState
 ) -> FloatArray:
-    """Return psi'' (n,), rad/s2, of the wheelset (Eq. 2 and 5); ``speed`` V in m/s, positive.
-
-    Args:
-        parameters: Table A.1.
-        state: (n,) states of wheelset and mass.
-        contact: (n,) radii, angles and roll.
-    """
+    """Return psi'' (n,), rad/s2, of the wheelset (Eq. 2 and 5); ``speed`` V in m/s, positive."""
     p = parameters
     f11, f23, f33 = p.longitudinal_creep_coefficient, p.lateral_spin_creep_coefficient, p.spin_creep_coefficient
     half, r0 = p.half_contact_distance, p.nominal_radius
@@ -176,21 +157,12 @@ def yaw_acceleration(
 
 
 def mass_lateral_acceleration(parameters: VehicleParameters, state: WheelsetState) -> FloatArray:
-    """Return ym'' (n,), m/s2, of the suspended mass (Eq. 3).
-
-    Args:
-        state: (n,) displacements and velocities.
-    """
+    """Return ym'' (n,), m/s2, of the suspended mass (Eq. 3)."""
     return -lateral_suspension_force(parameters, state) / parameters.suspended_mass
 
 
 def lateral_slip_velocity(speed: npt.ArrayLike, state: WheelsetState, contact: ContactState) -> FloatArray:
-    """Return y' + (rL+rR)/2 phi' - V psi (n,), m/s: the lateral slip that Eq. 1 and 2 share.
-
-    Args:
-        state: (n,) lateral velocity and yaw.
-        contact: (n,) radii and roll rate.
-    """
+    """Return y' + (rL+rR)/2 phi' - V psi (n,), m/s: the lateral slip that Eq. 1 and 2 share."""
     return (
         _array(state.lateral_velocity)
         + 0.5 * _radius_sum(contact) * _array(contact.roll_rate)
@@ -211,15 +183,6 @@ def creep_rate(parameters: VehicleParameters, speed: float) -> float:
 
 def _array(value: npt.ArrayLike) -> FloatArray:
     return np.asarray(value, dtype=np.float64)
-
-
-def _lateral(state: WheelsetState) -> tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]:
-    return (
-        state.lateral_displacement,
-        state.lateral_velocity,
-        state.mass_lateral_displacement,
-        state.mass_lateral_velocity,
-    )
 
 
 def _radius_sum(contact: ContactState) -> FloatArray:

@@ -141,9 +141,6 @@ def _semi_axis_ratio(curvature_ratio: float) -> float:
 def table_coefficients(ratio: float) -> tuple[float, float, float, float]:
     """Return Kalker's C11, C22, C23 and C33 for the semi-axis ratio a/b, interpolated in its logarithm.
 
-    Args:
-        ratio: a/b, 0.1 to 10.
-
     Raises:
         ParameterError: The ratio is outside the table.
     """
@@ -178,7 +175,6 @@ def creep_coefficient_std(
     """Return the relative standard deviation of each coefficient: from radii and load, and from the rail's condition.
 
     Args:
-        std: Relative standard deviation of each.
         rail_condition_std: Relative std of all coefficients beside: what dirt, water and roughness take away.
     """
     values = creep_coefficients(contact)

@@ -11,10 +11,13 @@ with s = i omega, ym the lateral position of what is above the wheelset, yn that
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
+from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import (
     GRAVITY,
@@ -23,19 +26,118 @@ from estimation.vehicle.equations_of_motion import (
     WheelsetState,
     lateral_acceleration,
     lateral_suspension_force,
+    mass_lateral_acceleration,
     yaw_acceleration,
     yaw_suspension_moment,
 )
-from estimation.vehicle.linear_wheelset import (
-    ComplexArray,
-    LinearContact,
-    LinearModel,
-    assemble,
-    klingel_frequency,
-    single_wheelset_model,
-    wheelset_accelerations,
-)
 from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass
+
+ComplexArray = npt.NDArray[np.complex128]
+ANGLE_PER_DIFFERENCE = 67.0  # c, rad/m: touching at 1:20 on a tread of 300 mm
+ANGLE_SUM = 0.1  # A, rad: twice 1:20
+
+
+@dataclass(frozen=True, slots=True)
+class LinearContact:
+    """Contact geometry of one conicity.
+
+    Raises:
+        ParameterError: The conicity is not positive.
+    """
+
+    conicity: float = 0.2  # gamma
+    angle_per_difference: float = ANGLE_PER_DIFFERENCE  # D/R, rad/m
+    angle_sum: float = ANGLE_SUM  # A, rad
+
+    def __post_init__(self) -> None:
+        if not self.conicity > 0.0:
+            raise ParameterError(f"{self.conicity!r} is not positive", field="conicity")
+
+
+@dataclass(frozen=True, slots=True)
+class LinearModel:
+    """State space of n coordinates, state [coordinates; their rates], driven by the alignment under k wheelsets."""
+
+    speed: float  # m/s
+    klingel_hz: float  # of a free wheelset that rolls without slip
+    coordinates: tuple[str, ...]  # n
+    matrix: FloatArray  # (2n, 2n)
+    alignment_input: FloatArray  # (2n, k), of d, 1/s2 per m
+    alignment_rate_input: FloatArray  # (2n, k), of d'
+    wheelset_offsets: tuple[float, ...]  # k, m, behind the leading wheelset
+
+    def response(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return the coordinates (f, n) per metre of alignment under the leading wheelset."""
+        n = len(self.coordinates)
+        s = 2j * np.pi * frequency_hz
+        delay = np.exp(-np.outer(s, np.array(self.wheelset_offsets) / self.speed))  # (f, k)
+        drive = (self.alignment_input + s[:, None, None] * self.alignment_rate_input) @ delay[:, :, None]
+        system = s[:, None, None] * np.eye(2 * n) - self.matrix
+        return np.asarray(np.linalg.solve(system, drive)[:, :n, 0], dtype=np.complex128)
+
+
+def klingel_wavelength(parameters: VehicleParameters, contact: LinearContact) -> float:
+    """Return the wavelength of a free wheelset that rolls without slip, m (Klingel)."""
+    return 2 * math.pi * math.sqrt(parameters.nominal_radius * parameters.half_contact_distance / contact.conicity)
+
+
+def wheelset_accelerations(
+    parameters: VehicleParameters, speed: float, contact: LinearContact, state: WheelsetState, alignment: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return y'' and psi'' (n,) of a wheelset; its yaw spring is tied to a body that does not yaw.
+
+    Args:
+        alignment: (2, n) d in m and d' in m/s.
+    """
+    x = np.asarray(state.lateral_displacement) - alignment[0]
+    rate = np.asarray(state.lateral_velocity) - alignment[1]
+    radius = contact.conicity * x
+    angle = contact.angle_per_difference * radius
+    roll = contact.conicity / parameters.half_contact_distance
+    at = ContactState(
+        rolling_radius_left=parameters.nominal_radius + radius,
+        rolling_radius_right=parameters.nominal_radius - radius,
+        contact_angle_left=contact.angle_sum / 2 + angle,
+        contact_angle_right=contact.angle_sum / 2 - angle,
+        roll=roll * x,
+        roll_rate=roll * rate,
+    )
+    return lateral_acceleration(parameters, speed, state, at), yaw_acceleration(parameters, speed, state, at)
+
+
+def assemble(
+    accelerations: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
+    speed: float,
+    klingel_hz: float,
+    coordinates: tuple[str, ...],
+    wheelset_offsets: tuple[float, ...],
+) -> LinearModel:
+    """Return the state space of accelerations that are linear in coordinates, rates and alignment.
+
+    Args:
+        accelerations: Of (n, m) coordinates, (n, m) rates and (2k, m) alignments (d of each wheelset, then d'), (n, m).
+    """
+    n, k = len(coordinates), len(wheelset_offsets)
+    units = np.eye(2 * n + 2 * k)
+    columns = accelerations(units[:n], units[n : 2 * n], units[2 * n :])
+    matrix = np.zeros((2 * n, 2 * n + 2 * k))
+    matrix[:n, n : 2 * n] = np.eye(n)
+    matrix[n:] = columns
+    state, alignment, rate = matrix[:, : 2 * n], matrix[:, 2 * n : 2 * n + k], matrix[:, 2 * n + k :]
+    return LinearModel(speed, klingel_hz, coordinates, state, alignment, rate, wheelset_offsets)
+
+
+def single_wheelset_model(parameters: VehicleParameters, speed: float, contact: LinearContact) -> LinearModel:
+    """Return the model of a wheelset and its suspended mass."""
+
+    def accelerations(q: FloatArray, v: FloatArray, d: FloatArray) -> FloatArray:
+        state = WheelsetState(q[0], v[0], q[1], v[1], q[2], v[2])
+        lateral, yaw = wheelset_accelerations(parameters, speed, contact, state, d)
+        return np.stack([lateral, yaw, mass_lateral_acceleration(parameters, state)])
+
+    coordinates = "wheelset lateral", "wheelset yaw", "mass lateral"
+    return assemble(accelerations, speed, speed / klingel_wavelength(parameters, contact), coordinates, (0.0,))
+
 
 COORDINATES = (
     "front wheelset lateral",
@@ -60,10 +162,12 @@ def bogie_model(
         result[6] = -force / bogie.body_mass
         for number, arm in enumerate(arms):
             at = 2 * number
-            state = _state(q, v, at, arm)
+            above = q[4] + arm * q[5], v[4] + arm * v[5]  # the frame as the mass of the wheelset
+            state = WheelsetState(q[at], v[at], q[at + 1], v[at + 1], *above)
             lateral, yaw = wheelset_accelerations(parameters, speed, contact, state, d[number::2])
             on_wheelset = lateral_suspension_force(parameters, state)
-            torsion = yaw_suspension_moment(parameters, _relative(state, q[5], v[5]))
+            turned = replace(state, yaw=q[at + 1] - q[5], yaw_rate=v[at + 1] - v[5])
+            torsion = yaw_suspension_moment(parameters, turned)
             unyawing = yaw_suspension_moment(parameters, state)
             result[at] = lateral
             result[at + 1] = yaw + (torsion - unyawing) / parameters.yaw_inertia
@@ -72,25 +176,8 @@ def bogie_model(
         result[4], result[5] = force / bogie.frame_mass, moment / bogie.frame_yaw_inertia
         return result
 
-    klingel_hz = klingel_frequency(parameters, speed, contact)
+    klingel_hz = speed / klingel_wavelength(parameters, contact)
     return assemble(accelerations, speed, klingel_hz, COORDINATES, (0.0, bogie.wheelbase))
-
-
-def _state(q: FloatArray, v: FloatArray, at: int, arm: float) -> WheelsetState:
-    """Return the state of the wheelset whose coordinates begin at ``at``, with the frame above it as its mass."""
-    return WheelsetState(q[at], v[at], q[at + 1], v[at + 1], q[4] + arm * q[5], v[4] + arm * v[5])
-
-
-def _relative(state: WheelsetState, yaw: FloatArray, yaw_rate: FloatArray) -> WheelsetState:
-    """Return the state with its yaw against the frame's."""
-    return WheelsetState(
-        state.lateral_displacement,
-        state.lateral_velocity,
-        np.asarray(state.yaw) - yaw,
-        np.asarray(state.yaw_rate) - yaw_rate,
-        state.mass_lateral_displacement,
-        state.mass_lateral_velocity,
-    )
 
 
 def _secondary(bogie: BogieParameters, q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -121,11 +208,7 @@ class Mode:
 
 
 def linear_model(vehicle_class: VehicleClass, speed: float, contact: LinearContact) -> LinearModel:
-    """Return the state space of a class.
-
-    Args:
-        speed: V, m/s, positive.
-    """
+    """Return the state space of a class at V, m/s, positive."""
     if vehicle_class.bogie is None:
         return single_wheelset_model(vehicle_class.parameters, speed, contact)
     return bogie_model(vehicle_class.parameters, vehicle_class.bogie, speed, contact)
@@ -235,7 +318,6 @@ def filtered(coefficients: FloatArray, s: ComplexArray) -> ComplexArray:
     """Return E(s) (f, 2, signals).
 
     Args:
-        coefficients: (2, signals, 3), see :func:`equations`.
         s: (f,) i omega, 1/s.
     """
     powers = np.stack([np.ones_like(s), s, s * s])
@@ -243,11 +325,7 @@ def filtered(coefficients: FloatArray, s: ComplexArray) -> ComplexArray:
 
 
 def true_signals(model: LinearModel, contact: LinearContact, p: VehicleParameters, s: ComplexArray) -> ComplexArray:
-    """Return u (f, signals) of the front wheelset per metre of alignment.
-
-    Args:
-        s: (f,) i omega, 1/s.
-    """
+    """Return u (f, signals) of the front wheelset per metre of alignment at s (f,), i omega."""
     q = model.response(s.imag / (2 * np.pi))
     u = np.zeros((len(s), SIGNALS), dtype=np.complex128)
     u[:, _Y], u[:, _PSI], u[:, _X] = q[:, 0], q[:, 1], q[:, 0] - 1.0
@@ -264,9 +342,6 @@ def sensor_filters(layout: SensorLayout, s: ComplexArray) -> tuple[ComplexArray,
     """Return what sensors become of signals (f, sensors, signals), and signals of sensors (f, signals, sensors).
 
     The second integrates, and takes gravity off the lateral signal by the roll.
-
-    Args:
-        s: (f,) i omega, 1/s.
     """
     orders = 2, 1 if layout.yaw_is_gyroscope else 2, 1 if layout.roll_is_gyroscope else 2, 2, 2
     measured = np.zeros((len(s), len(SENSORS), SIGNALS), dtype=np.complex128)

@@ -25,6 +25,8 @@ from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.linear_model import (
     SENSORS,
     Combinations,
+    ComplexArray,
+    LinearContact,
     combinations,
     equations,
     filtered,
@@ -32,7 +34,6 @@ from estimation.vehicle.linear_model import (
     sensor_filters,
     true_signals,
 )
-from estimation.vehicle.linear_wheelset import ComplexArray, LinearContact
 from estimation.vehicle.vehicle_class import VehicleClass
 
 CAUSES = ("noise", "dilution", "track", "creep", "stiffness", "mass", "lengths", "scale")

@@ -63,13 +63,8 @@ def check_plausible(vehicle_class: VehicleClass) -> None:
 def plausible_ranges(vehicle_class: VehicleClass) -> tuple[PlausibleRange, ...]:
     """Return the quantities of a class with their ranges, modes first."""
     p, bogie = vehicle_class.parameters, vehicle_class.bogie
-    found = list(_wheelset_modes(p))
-    found += _mass_modes(p) if bogie is None else _bogie_modes(p, bogie)
-    found += _damping(p)
-    if bogie is not None:
-        found += _secondary_damping(bogie)
-        found += _bogie_ratios(bogie)
-    return (*found, *_wheelset_ratios(p), *_creep_ratios(p))
+    of_bogie = () if bogie is None else (*_secondary_damping(bogie), *_bogie_ratios(bogie))
+    return (*_modes(p, bogie), *_damping(p), *of_bogie, *_wheelset_ratios(p), *_creep_ratios(p))
 
 
 def _suspect(vehicle_class: VehicleClass, failing: list[PlausibleRange]) -> tuple[str, float | None]:
@@ -99,38 +94,30 @@ def _mode(name: str, stiffness: float, inertia: float, ends: tuple[float, float]
     return PlausibleRange(f"the mode {name!r}", "Hz", frequency, *ends, names)
 
 
-def _wheelset_modes(p: VehicleParameters) -> Iterator[PlausibleRange]:
-    lateral, yaw = (1.0, 30.0), (2.5, 70.0)
-    on = "on its primary springs"
-    yield _mode(
-        f"wheelset lateral {on}", p.lateral_stiffness, p.wheelset_mass, lateral, "lateral_stiffness", "wheelset_mass"
-    )
-    yield _mode(f"wheelset yaw {on}", p.yaw_stiffness, p.yaw_inertia, yaw, "yaw_stiffness", "yaw_inertia")
-
-
-def _mass_modes(p: VehicleParameters) -> Iterator[PlausibleRange]:
-    ends = 0.2, 6.0
-    name = "mass lateral on its springs"
-    yield _mode(name, p.lateral_stiffness, p.suspended_mass, ends, "suspended_mass", "lateral_stiffness")
-
-
-def _bogie_modes(p: VehicleParameters, bogie: BogieParameters) -> Iterator[PlausibleRange]:
-    lateral, on = 2 * p.lateral_stiffness, "on the primary springs"
-    yield _mode(f"frame lateral {on}", lateral, bogie.frame_mass, (2.0, 60.0), "frame_mass", "lateral_stiffness")
-    torsion = 2 * p.yaw_stiffness + lateral * (bogie.wheelbase / 2) ** 2
+def _modes(p: VehicleParameters, bogie: BogieParameters | None) -> Iterator[PlausibleRange]:
+    on, lateral = "on its primary springs", ("lateral_stiffness", "wheelset_mass")
+    yield _mode(f"wheelset lateral {on}", p.lateral_stiffness, p.wheelset_mass, (1.0, 30.0), *lateral)
+    yield _mode(f"wheelset yaw {on}", p.yaw_stiffness, p.yaw_inertia, (2.5, 70.0), "yaw_stiffness", "yaw_inertia")
+    if bogie is None:
+        names: tuple[str, ...] = "suspended_mass", "lateral_stiffness"
+        yield _mode("mass lateral on its springs", p.lateral_stiffness, p.suspended_mass, (0.2, 6.0), *names)
+        return
+    both, on = 2 * p.lateral_stiffness, "on the primary springs"
+    yield _mode(f"frame lateral {on}", both, bogie.frame_mass, (2.0, 60.0), "frame_mass", "lateral_stiffness")
+    torsion = 2 * p.yaw_stiffness + both * (bogie.wheelbase / 2) ** 2
     names = "frame_yaw_inertia", "yaw_stiffness", "lateral_stiffness", "wheelbase"
     yield _mode(f"frame yaw {on}", torsion, bogie.frame_yaw_inertia, (3.0, 90.0), *names)
-    on = "on the secondary springs"
-    if bogie.secondary_lateral_stiffness:
-        names_of_body = "secondary_lateral_stiffness", "body_mass"
-        yield _mode(
-            f"body lateral {on}", bogie.secondary_lateral_stiffness, bogie.body_mass, (0.2, 6.0), *names_of_body
-        )
-    if bogie.secondary_yaw_stiffness:
-        names_of_yaw = "secondary_yaw_stiffness", "frame_yaw_inertia"
-        yield _mode(
-            f"frame yaw {on}", bogie.secondary_yaw_stiffness, bogie.frame_yaw_inertia, (0.3, 9.0), *names_of_yaw
-        )
+    on, stiffness, torsion = (
+        "on the secondary springs",
+        bogie.secondary_lateral_stiffness,
+        bogie.secondary_yaw_stiffness,
+    )
+    if stiffness:
+        names = "secondary_lateral_stiffness", "body_mass"
+        yield _mode(f"body lateral {on}", stiffness, bogie.body_mass, (0.2, 6.0), *names)
+    if torsion:
+        names = "secondary_yaw_stiffness", "frame_yaw_inertia"
+        yield _mode(f"frame yaw {on}", torsion, bogie.frame_yaw_inertia, (0.3, 9.0), *names)
 
 
 def _damped(

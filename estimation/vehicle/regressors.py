@@ -93,55 +93,9 @@ def signals_of(motion: Motion) -> Signals:
 _NOTHING = frozen_array(np.zeros(0), (0,), name="nothing")
 
 
-def coefficients_of(
-    p: VehicleParameters,
-    angle_factor: float,
-    difference_noise: float,
-    displacement_noise: float,
-    wheelbase: float,
-    *,
-    in_bogie: bool,
-) -> Coefficients:
-    """Return the coefficients of a vehicle.
-
-    Args:
-        angle_factor: x2, N.
-        difference_noise: Variance of R by the noise of the sensors times the cube of the speed, m2 (m/s)3.
-        displacement_noise: Variance of y - d by the noise of the sensors, m2.
-        wheelbase: Of the bogie, m; without one it plays no part.
-        in_bogie: Whether the yaw spring is tied to the frame of a bogie.
-    """
-    return Coefficients(
-        p.longitudinal_creep_coefficient,
-        p.lateral_creep_coefficient,
-        p.lateral_spin_creep_coefficient,
-        p.spin_creep_coefficient,
-        p.lateral_damping,
-        p.yaw_damping,
-        p.yaw_inertia,
-        p.pitch_inertia,
-        p.half_contact_distance,
-        p.wheelset_mass,
-        p.lateral_stiffness,
-        p.yaw_stiffness,
-        p.load,
-        p.nominal_radius,
-        p.axle_load,
-        angle_factor,
-        difference_noise,
-        displacement_noise,
-        wheelbase,
-        in_bogie,
-    )
-
-
 @compiled(nogil=True, error_model="numpy")
 def lateral_equation(signals: Signals, k: Coefficients, i: int, row: FloatArray) -> None:
-    """Write x1, x2 and the targets of Eq. 1 of sample ``i``.
-
-    Args:
-        row: (9,), written.
-    """
+    """Write x1, x2 and the targets of Eq. 1 of sample ``i``."""
     speed, yaw, roll_rate = signals.speed[i], signals.yaw[i], signals.roll_rate[i]
     slip = signals.lateral_velocity[i] - speed * yaw  # without the roll term, which carries S
     inertia = k.wheelset_mass * signals.lateral_acceleration[i]
@@ -176,11 +130,7 @@ def yaw_moments(signals: Signals, k: Coefficients, i: int) -> tuple[float, float
 
 @compiled(nogil=True, error_model="numpy")
 def yaw_targets(signals: Signals, k: Coefficients, i: int, row: FloatArray, at: int) -> None:
-    """Write c and behind it the targets of Eq. 2 of sample ``i``, from ``row[at]``.
-
-    Args:
-        row, at: Where c and the targets are written.
-    """
+    """Write c and behind it the targets of Eq. 2 of sample ``i``, from ``row[at]``."""
     z2, inertia, creep, spring, damper, spin = yaw_moments(signals, k, i)
     c = radius_factor(k)
     creep_moment = inertia + spring + damper  # what the creep forces hold up
@@ -259,9 +209,6 @@ def angle_difference_derivatives(parameters: VehicleParameters) -> FloatArray:
     """Return (6,) derivatives of ln |x2| by the logarithms of the parameters, in the order of LATERAL_TARGETS after z1.
 
     The data determine the product x2 D, so that D changes by as much the other way, whatever the samples.
-
-    Args:
-        parameters: Of the vehicle; f23 and W make the factor.
     """
     by_name = dict.fromkeys(LATERAL_TARGETS[1:], 0.0)
     by_name["spin_creep"] = parameters.lateral_spin_creep_coefficient / parameters.nominal_radius
@@ -279,7 +226,6 @@ def regression(
     Args:
         parameters: As assumed; the longitudinal creep coefficient is divided by the stiffness ratio of the motion.
         difference_noise: Variance of R by the noise of the sensors times the cube of the speed, m2 (m/s)3.
-        wheelbase: Of the bogie, m; without one it plays no part.
     """
     signals, k = signals_of(motion), coefficients(motion, parameters, difference_noise, wheelbase)
     before_c = SHARED_IN_BOGIE if k.in_bogie else 1
@@ -295,6 +241,15 @@ def coefficients(
     """Return the coefficients of both equations."""
     f11 = parameters.longitudinal_creep_coefficient / motion.stiffness_ratio
     p = replace(parameters, longitudinal_creep_coefficient=f11)
-    in_bogie = motion.frame_yaw is not None and motion.frame_displacement is not None
-    noises = difference_noise, motion.displacement_noise
-    return coefficients_of(p, angle_difference_factor(p), *noises, wheelbase, in_bogie=in_bogie)
+    return Coefficients(
+        f11=p.longitudinal_creep_coefficient,
+        f22=p.lateral_creep_coefficient,
+        f23=p.lateral_spin_creep_coefficient,
+        f33=p.spin_creep_coefficient,
+        **{name: getattr(p, name) for name in Coefficients._fields if hasattr(p, name)},
+        angle_factor=angle_difference_factor(p),
+        difference_noise=difference_noise,
+        displacement_noise=motion.displacement_noise,
+        wheelbase=wheelbase,
+        in_bogie=motion.frame_yaw is not None and motion.frame_displacement is not None,
+    )

@@ -144,11 +144,7 @@ UNSTATED_SCALE_STD = 0.03  # of a sensor whose scale has no std on file
 
 
 def default_relative_std(name: str) -> float:
-    """Return the relative standard deviation of a parameter of which none is on file.
-
-    Args:
-        name: Of a field of :class:`VehicleParameters` or :class:`BogieParameters`.
-    """
+    """Return the relative standard deviation of a parameter of which none is on file."""
     ends = {
         "_coefficient": CREEP_STD,
         "_stiffness": STIFFNESS_STD,
@@ -190,9 +186,6 @@ def class_document(vehicle_class: VehicleClass) -> dict[str, Any]:
 
 def class_of_document(document: Mapping[str, Any]) -> VehicleClass:
     """Return the class that :func:`class_document` described.
-
-    Args:
-        document: As stored; a field that it does not have takes its default.
 
     Raises:
         ParameterError: A value is impossible.
@@ -251,9 +244,6 @@ def usable_cutoff(vehicle_class: VehicleClass, longest: float) -> float:
 
     A stiff yaw spring turns the slow noise of the yaw sensor into rolling radius difference. Where that is large,
     longer waves hold noise alone. Shorter ones than ``SHORTEST_CUTOFF`` would not hold the displacement of a wheelset.
-
-    Args:
-        longest: m, where there is no such noise.
     """
     cutoff = longest
     while cutoff - CUTOFF_STEP >= SHORTEST_CUTOFF and _usual_noise(vehicle_class, cutoff) > MOST_DIFFERENCE_NOISE:
@@ -272,7 +262,7 @@ USUAL_SPEED = 20.0  # m/s
 
 
 def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, speed: FloatArray) -> FloatArray:
-    """Return the variance (n,) of the lateral displacement by the noise of the sensors, m2.
+    """Return the variance (n,) of the lateral displacement by the noise of the sensors, m2, at speeds (n,), m/s.
 
     Of white noise of an acceleration, integrated twice, and of the roll, which is taken off at the height of the axle.
     Where gravity is taken out, g times the roll is integrated twice once more, which adds to the same error. A slow
@@ -281,7 +271,6 @@ def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, sp
 
     Args:
         cutoff_wavelength: m, of the high-pass of the motion.
-        speed: (n,) m/s.
     """
     slowest = speed / cutoff_wavelength
     sensors, height = vehicle_class.sensors, vehicle_class.parameters.nominal_radius

@@ -14,25 +14,26 @@ from datetime import UTC, datetime
 
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.limit_forecast import LimitForecastRule
-from estimation.alerts.rules.no_data import NoDataRule
+from estimation.alerts.rules.near_limit import LimitForecastRule
+from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
-from estimation.values.alerts import Condition, Severity
-from estimation.values.geometry import GEOMETRY, GeometryRecord
-from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.subjects import Facet
-from estimation.values.trend import TREND, TrendRecord
-from estimation.values.worklist import (
+from estimation.values.alerts import (
     AxlePosition,
     BogiePlace,
+    Condition,
     MileageNow,
     OpenAlert,
+    Severity,
     Urgency,
     WorklistRow,
     WorklistState,
 )
+from estimation.values.geometry import GEOMETRY, GeometryRecord
+from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.registry import VehicleRecord, WheelsetRecord
+from estimation.values.results import Facet
+from estimation.values.trend import TREND, TrendRecord
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
 
 FORM = 1

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from estimation.values.quantities import Status
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason, ReasonCode, utc_text
 from estimation.values.runs import JobOutcome, JobRun, Quarantined
 from estimation.values.track import AlignmentRecord, AlignmentSource
-from estimation.values.utc_text import utc_text
 
 ESTIMATION, ALIGNMENT, GEOMETRY = "estimate_windows", "refresh_alignment", "refresh_geometry"
 """Jobs that make bin tables of windows, alignments of sections, and geometries of wheelsets."""

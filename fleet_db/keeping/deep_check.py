@@ -10,12 +10,20 @@ from sqlalchemy import Connection, and_, exists, func, select
 
 from estimation.errors import DamagedError
 from estimation.values.windows import WindowState
-from fleet_db.keeping.kept_files import KeptFile, KeptRecording, kept_files, kept_recordings
-from fleet_db.keeping.orphans import orphaned_recordings, orphaned_samples
+from fleet_db.keeping.kept_files import (
+    KeptFile,
+    KeptRecording,
+    kept_files,
+    kept_recordings,
+    orphaned_recordings,
+    orphaned_samples,
+)
 from fleet_db.raw import RawStore
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.tables import AlertEventRow, AlertRow, TrackAlignmentRow, WindowBinTableRow, WindowPositionRow, WindowRow
+from fleet_db.tables.alerts import AlertEventRow, AlertRow
+from fleet_db.tables.track import TrackAlignmentRow, WindowPositionRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)
 ALERTS, EVENTS, ALIGNMENTS = table_of(AlertRow), table_of(AlertEventRow), table_of(TrackAlignmentRow)
@@ -51,14 +59,7 @@ class DeepCheck:
 
 
 def check_deep(storage: SqlStorage, raw: RawStore, progress: Callable[[int, int], None]) -> DeepCheck:
-    """Read everything that is stored and compare it; changes nothing, and services may run.
-
-    Args:
-        progress: Called with (done, total) files.
-
-    Raises:
-        StorageError, PassingFaultError: The database, a file or the store of raw recordings cannot be read now.
-    """
+    """Read everything that is stored and compare it; changes nothing, and services may run."""
     with storage.read() as unit:
         findings = [*_database(unit.connection), *_rows(unit.connection), *_bins(unit)]
         packed, rows = _packed(unit)

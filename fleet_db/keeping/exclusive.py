@@ -18,12 +18,7 @@ BUSY = "a backup, restore or purge of this database is running"
 
 @contextmanager
 def keeping_alone(engine: Engine) -> Iterator[None]:
-    """Hold the lock of those who copy or delete files of a database.
-
-    Raises:
-        ConflictError: Another process holds it.
-        StorageError: The database cannot be reached.
-    """
+    """Hold the lock of those who copy or delete files of a database; ConflictError: another process holds it."""
     file = sqlite_file(engine)
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)

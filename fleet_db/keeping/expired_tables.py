@@ -10,15 +10,8 @@ from estimation.values.roll_up import APART
 from estimation.values.windows import DueStage, WindowState
 from fleet_db.due import DUE
 from fleet_db.rows import table_of
-from fleet_db.tables import (
-    RollUpRow,
-    RollUpStateRow,
-    TrackEpochRow,
-    TrackEpochWindowRow,
-    WindowBinTableRow,
-    WindowPositionRow,
-    WindowRow,
-)
+from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, WindowPositionRow
+from fleet_db.tables.windows import RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES, ROLL_UPS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(RollUpRow)
 EPOCHS, MEMBERS, POSITIONS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow), table_of(WindowPositionRow)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +14,11 @@ from sqlalchemy import Connection, select
 
 from estimation.errors import DamagedError, StorageError
 from fleet_db.atomic_files import sync_directory, write_atomically
-from fleet_db.raw import LostRecordingError, RawStore, recording_name
+from fleet_db.raw import LostRecordingError, RawItem, RawStore, recording_name
 from fleet_db.rows import table_of
-from fleet_db.tables import ChunkRow, WindowRow
+from fleet_db.storage import SqlStorage
+from fleet_db.tables.recordings import ChunkRow
+from fleet_db.tables.windows import WindowRow
 from fleet_db.telemetry import WindowFiles, unpack_window, window_digest
 
 WINDOWS = table_of(WindowRow)
@@ -32,11 +35,7 @@ class KeptFile:
     owner: str  # whose it is, for messages
 
     def fault(self, folder: Path) -> str | None:
-        """Return what is wrong with this file in a data folder or backup; None where nothing is.
-
-        Raises:
-            StorageError: It cannot be read now; it may be whole.
-        """
+        """Return what is wrong with this file in a data folder or backup, None where nothing is."""
         place = folder / self.path
         try:
             found = place.stat().st_size
@@ -67,16 +66,7 @@ def kept_files(connection: Connection) -> Iterator[KeptFile]:
 
 
 def copy_kept(file: KeptFile, source: Path, target: Path) -> str | None:
-    """Copy a file from one folder to another, durably, and look at what was copied; return what is wrong with it.
-
-    A file of this content that is there already stays as it is; one of the same name that is not is replaced.
-
-    Args:
-        source, target: The folders: data folders or backups.
-
-    Raises:
-        StorageError: It cannot be read or written now.
-    """
+    """Copy a file between data folder and backup, durably, unless it is there; return what is wrong with the copy."""
     place = target / file.path
     if file.fault(target) is None:
         return None
@@ -141,15 +131,7 @@ def kept_recordings(connection: Connection) -> Iterator[KeptRecording]:
 
 
 def copy_recording(kept: KeptRecording, source: RawStore, target: RawStore) -> str | None:
-    """Copy a recording from one store to another and look at what was copied; return what is wrong with it.
-
-    Args:
-        kept: Which; it stays as it is where it is whole in the target.
-        source, target: The stores: that of the installation, or that of a backup.
-
-    Raises:
-        PassingFaultError: It cannot be read or written now.
-    """
+    """Copy a recording between stores unless it is there whole; return what is wrong with the copy."""
     if target.holds(kept.digest, kept.suffix) and kept.fault(target) is None:
         return None
     try:
@@ -161,14 +143,7 @@ def copy_recording(kept: KeptRecording, source: RawStore, target: RawStore) -> s
 
 
 def not_listed(recordings: Sequence[KeptRecording], raw: RawStore) -> list[tuple[KeptRecording, str]]:
-    """Return the recordings that a store does not list with their size, each with what is wrong; nothing is read.
-
-    Args:
-        recordings: That must be there.
-
-    Raises:
-        PassingFaultError: It cannot be listed now.
-    """
+    """Return the recordings that a store does not list with their size, each with what is wrong; nothing is read."""
     sizes = {item.digest: item.size_bytes for item in raw.listed() if item.digest}
     wrong = []
     for kept in recordings:
@@ -181,9 +156,40 @@ def not_listed(recordings: Sequence[KeptRecording], raw: RawStore) -> list[tuple
 
 
 def write_digests(path: Path, recordings: Sequence[KeptRecording]) -> None:
-    """Write digest and name of recordings as ``sha256sum --check`` reads them, durably.
-
-    Args:
-        recordings: Of a store that is not copied.
-    """
+    """Write digest and name of recordings as ``sha256sum --check`` reads them, durably."""
     write_atomically(path, "".join(f"{one.digest}  {one.name}\n" for one in recordings).encode(), durable=True)
+
+
+LEAST_AGE_S = 3600.0  # a file may be older than its row by the length of the transaction that stores it
+
+
+def orphaned_samples(storage: SqlStorage, least_age_s: float = LEAST_AGE_S) -> list[Path]:
+    """Return the files of windows that no row refers to, relative to the data folder; younger ones do not count."""
+    files = sorted(_old_files(storage.data_dir, least_age_s))  # before the rows: these only grow more
+    kept = select(WINDOWS.c.content_digest).where(WINDOWS.c.samples_purged_ns.is_(None)).distinct()
+    with storage.read() as unit:
+        known = frozenset(unit.connection.scalars(kept))
+    return [path for path in files if path.name.partition(".")[0] not in known]
+
+
+def orphaned_recordings(storage: SqlStorage, raw: RawStore, least_age_s: float = LEAST_AGE_S) -> list[RawItem]:
+    """Return what is in the store of raw recordings and no row refers to."""
+    before_s = time.time() - least_age_s
+    items = sorted((one for one in raw.listed() if one.changed_s <= before_s), key=lambda one: one.place)
+    with storage.read() as unit:
+        known = frozenset(unit.connection.scalars(select(CHUNKS.c.digest).where(CHUNKS.c.purged_ns.is_(None))))
+    return [one for one in items if one.digest not in known]
+
+
+def _old_files(data_dir: Path, least_age_s: float) -> Iterator[Path]:
+    """Yield the files that have not been changed for a while; by the clock of the file system and this machine."""
+    before, folder = time.time() - least_age_s, data_dir / SAMPLES
+    try:
+        for path in folder.rglob("*"):
+            try:
+                if path.parent != folder and path.is_file() and path.stat().st_mtime <= before:
+                    yield path.relative_to(data_dir)
+            except FileNotFoundError:
+                continue  # replaced or removed meanwhile
+    except OSError as error:
+        raise StorageError(f"{folder}: cannot be read: {error.strerror}") from error

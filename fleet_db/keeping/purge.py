@@ -30,26 +30,18 @@ from estimation.values.windows import DueStage, WindowState
 from fleet_db.due import is_due
 from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.expired_tables import expired_tables, seal
-from fleet_db.keeping.kept_files import SAMPLES
-from fleet_db.keeping.orphans import LEAST_AGE_S, orphaned_recordings, orphaned_samples
+from fleet_db.keeping.kept_files import LEAST_AGE_S, SAMPLES, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import unlink_old
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import (
-    AuditRow,
-    IdempotencyRow,
-    JobRunRow,
-    PurgeRow,
-    ResultRow,
-    TrackEpochRow,
-    TrackEpochWindowRow,
-    TrackReportRow,
-    WebhookDeliveryRow,
-    WindowBinTableRow,
-    WindowRow,
-)
+from fleet_db.tables.alerts import WebhookDeliveryRow
+from fleet_db.tables.operation import AuditRow, IdempotencyRow, JobRunRow
+from fleet_db.tables.recordings import PurgeRow
+from fleet_db.tables.results import ResultRow
+from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, TrackReportRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 from fleet_db.telemetry import WindowFiles
 from fleet_db.webhook_records import DeliveryState
 
@@ -177,11 +169,7 @@ def _purge_kind(
 
 
 def record_purge(connection: Connection, purged: Purged, before_ns: int, now_ns: int) -> None:
-    """Store what was deleted, in the transaction that deletes it.
-
-    Args:
-        before_ns: Everything of its kind that is older is gone.
-    """
+    """Store what was deleted, in the transaction that deletes it: all of its kind from before is gone."""
     values = {"kind": purged.kind.value, "items": purged.items, "item_bytes": purged.item_bytes}
     connection.execute(insert(PURGES).values(**values, before_ns=before_ns, purged_ns=now_ns))
 
@@ -312,11 +300,7 @@ def _thin_estimates(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint
 
 
 def replaced_within_a_day(connection: Connection, from_ns: int, before_ns: int) -> Sequence[int]:
-    """Return the numbers of results that another of the same part followed on the same day, UTC.
-
-    Args:
-        from_ns, before_ns: Begins of days between which they were recorded, ns UTC.
-    """
+    """Return the numbers of results that another of the same part followed on the same day, UTC."""
     end_of_day = RESULTS.c.recorded_ns - RESULTS.c.recorded_ns % DAY_NS + DAY_NS
     within = (RESULTS.c.recorded_ns >= from_ns, RESULTS.c.recorded_ns < before_ns)
     found = select(RESULTS.c.result_id).where(*within, RESULTS.c.superseded_ns < end_of_day)

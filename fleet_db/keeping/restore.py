@@ -16,6 +16,7 @@ from sqlalchemy import Connection, Engine, exists, inspect, select
 
 from estimation.errors import ConflictError, InputError, StorageError
 from fleet_db.atomic_files import sync_directory
+from fleet_db.keeping.backup import Manifest, copy_rows, read_manifest, row_counts, sha256_of
 from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.kept_files import (
     RAW,
@@ -27,15 +28,15 @@ from fleet_db.keeping.kept_files import (
     kept_recordings,
     not_listed,
 )
-from fleet_db.keeping.manifest import Manifest, copy_rows, read_manifest, row_counts, sha256_of
 from fleet_db.migrate import check_upgradable, known_revisions, refusal, upgrade
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import FileRawStore
 from fleet_db.rows import table_of
 from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, sqlite_file, translate_errors
-from fleet_db.stores.feed_branches import FeedBranchStore
+from fleet_db.stores.installation import FeedBranchStore
 from fleet_db.stores.stale_spans import StaleSpanStore
-from fleet_db.tables import Base, WindowRow
+from fleet_db.tables import Base
+from fleet_db.tables.windows import WindowRow
 
 WINDOWS = table_of(WindowRow)
 Progress = Callable[[int, int], None]

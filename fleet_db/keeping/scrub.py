@@ -7,13 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from estimation.errors import PassingFaultError
-from estimation.failures import after_failure
-from estimation.values.runs import SubjectKind, resolved
+from estimation.values.runs import SubjectKind, after_failure, resolved
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.raw_scrubs import RawFile, RawScrub
+from fleet_db.stores.chunks import RawFile, RawScrub
 
 STAGE = "scrub"
 """Under which damaged and missing files are in quarantine; a later reading that finds one whole ends that."""

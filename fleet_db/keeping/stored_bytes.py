@@ -29,8 +29,10 @@ from fleet_db.raw import RawStore, RawTotal
 from fleet_db.raw_files import total_of
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import ChunkRow, VehicleRow, WheelsetRow, WindowRow
 from fleet_db.tables.base import Base
+from fleet_db.tables.recordings import ChunkRow
+from fleet_db.tables.registry import VehicleRow, WheelsetRow
+from fleet_db.tables.windows import WindowRow
 
 EXACT_BYTES = 256 << 20
 """An SQLite file up to this size is read page by page (dbstat); of a larger one rows are sampled."""

@@ -8,11 +8,11 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, Select, and_, delete, func, select, tuple_
 
-from estimation.values.adhesion import CREEP, FRICTION, SectionAdhesion, WindowAdhesion
+from estimation.values.opinions import CREEP, FRICTION, SectionAdhesion, WindowAdhesion
 from estimation.values.runs import SubjectKind
 from estimation.values.windows import WindowKey
 from fleet_db.due import NOT_LOOKED_AT, list_due
-from fleet_db.packed_adhesion import (
+from fleet_db.packed_values import (
     pack_section_adhesion,
     pack_window_adhesion,
     unpack_section_adhesion,
@@ -21,7 +21,7 @@ from fleet_db.packed_adhesion import (
 from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
 from fleet_db.rows import replace as replace_row
 from fleet_db.subjects import Subjects
-from fleet_db.tables import SectionAdhesionRow, WindowAdhesionRow, WindowRow
+from fleet_db.tables.windows import SectionAdhesionRow, WindowAdhesionRow, WindowRow
 
 OF_WINDOWS, OF_SECTIONS = table_of(WindowAdhesionRow), table_of(SectionAdhesionRow)
 WINDOWS = table_of(WindowRow)
@@ -31,7 +31,7 @@ SAME = and_(OF_WINDOWS.c.wheelset == WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns =
 
 @dataclass(frozen=True, slots=True)
 class AdhesionStore:
-    """Implements ``estimation.storage.Adhesion``."""
+    """Creep forces of windows, and the friction of sections."""
 
     connection: Connection
     subjects: Subjects

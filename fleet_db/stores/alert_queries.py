@@ -11,7 +11,8 @@ from sqlalchemy import Select, and_, or_, select
 
 from estimation.values.alerts import AlertScope, Condition, Severity
 from fleet_db.rows import table_of
-from fleet_db.tables import AlertEventRow, AlertRow, MountingRow
+from fleet_db.tables.alerts import AlertEventRow, AlertRow
+from fleet_db.tables.registry import MountingRow
 
 ALERTS, EVENTS, MOUNTINGS = table_of(AlertRow), table_of(AlertEventRow), table_of(MountingRow)
 
@@ -88,12 +89,7 @@ def _outlines() -> Select[Any]:
 def page_of(
     statement: Select[Any], choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool
 ) -> Select[Any]:
-    """Return a statement narrowed to one page of alerts, by number.
-
-    Args:
-        after_id: Behind this number; None from the beginning.
-        limit: How many at most.
-    """
+    """Return a statement narrowed to the alerts behind a number."""
     number = ALERTS.c.alert_id
     if choice.open_only:
         statement = statement.where(ALERTS.c.closed_ns.is_(None))
@@ -118,11 +114,7 @@ def feed_of(
     kinds: Collection[str],
     severities: Collection[str],
 ) -> Select[Any]:
-    """Return a statement narrowed to what the feed lists behind a number.
-
-    Args:
-        after_sequence, fleets, kinds, severities: As of ``AlertStore.feed``.
-    """
+    """Return a statement narrowed to what the feed lists behind a number."""
     statement = statement.where(EVENTS.c.sequence > after_sequence, EVENTS.c.in_feed)
     for column, wanted in ((ALERTS.c.fleet, fleets), (ALERTS.c.kind, kinds)):
         if wanted:

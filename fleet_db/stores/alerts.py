@@ -11,8 +11,8 @@ from sqlalchemy import Connection, Select, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.locks import Subject, serialise
 from fleet_db.read_once import ReadOnce
@@ -37,7 +37,10 @@ RESTARTING = (IDENTITY, UNREGISTERED_CHANGE)  # kinds of alerts of changes that 
 
 @dataclass(frozen=True, slots=True)
 class AlertStore:
-    """Implements ``estimation.storage.Alerts``.
+    """Alerts and their feed; at most one open alert per (wheelset, kind), held by the database.
+
+    Of fleet alerts at most one per (fleet, kind) is open. What happens to a member that was raised with its fleet alert
+    is among its events, but not in the feed, where the fleet alert stands for it.
 
     In a transaction that writes, the first read of an alert takes the lock of the alerts until the end: what was
     read is still true when it is saved, and events are numbered in the order in which they become visible.

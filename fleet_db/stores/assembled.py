@@ -16,7 +16,9 @@ from fleet_db.rows import insert_all_new, replace_all, table_of
 from fleet_db.stores.window_marks import list_for_sums, pass_over
 from fleet_db.stores.windows import to_window_record, window_values
 from fleet_db.subjects import Subjects
-from fleet_db.tables import ChunkRow, WindowBinTableRow, WindowPositionRow, WindowRow
+from fleet_db.tables.recordings import ChunkRow
+from fleet_db.tables.track import WindowPositionRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 from fleet_db.telemetry import WindowFiles
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)

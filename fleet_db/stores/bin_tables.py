@@ -36,7 +36,7 @@ from fleet_db.rows import insert_all_new, on_sections, replace, replace_all, tab
 from fleet_db.stores.window_marks import keys_given, list_for_sums
 from fleet_db.stores.windows import NOT_PASSED_OVER, to_window_record
 from fleet_db.subjects import Subjects
-from fleet_db.tables import WindowBinTableRow, WindowRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 SAME_WINDOW = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
@@ -47,7 +47,7 @@ TabledSpan = tuple[str, int, int | None, int]
 
 @dataclass(frozen=True, slots=True)
 class BinTableStore:
-    """Implements ``estimation.storage.BinTables``."""
+    """One packed bin table per window."""
 
     connection: Connection
     subjects: Subjects
@@ -63,11 +63,7 @@ class BinTableStore:
         self.put_all([WindowTable(wheelset, start_ns, window_digest, table, track_version)])
 
     def put_all(self, tables: Sequence[WindowTable]) -> None:
-        """Store the bin tables of different windows as :meth:`put` does; where one has been purged it stays summed.
-
-        Raises:
-            NotFoundError, ConflictError: As :meth:`put`.
-        """
+        """Store the bin tables of different windows as :meth:`put` does; where one has been purged it stays summed."""
         windows = self._checked([(one.key, one.window_digest) for one in tables])
         rows = {one.key: _values(one) for one in tables if windows[one.key].table_purged_ns is None}
         stored = self._stored(list(rows))
@@ -133,12 +129,7 @@ class BinTableStore:
     def tabled(
         self, wheelset: str, from_ns: int | None = None, to_ns: int | None = None, limit: int | None = None
     ) -> Sequence[TabledWindow]:
-        """Return windows with tables that start in ``[from_ns, to_ns)``, oldest first, without the tables.
-
-        Args:
-            from_ns, to_ns: Without bound where None.
-            limit: At most so many; None: all.
-        """
+        """Return windows with tables that start in ``[from_ns, to_ns)``, oldest first, without the tables."""
         if limit is not None and from_ns is not None:
             span = (wheelset, from_ns, to_ns, limit)
             return self.once.of("tabled", [span], self._some_tabled).get(span, [])
@@ -217,23 +208,16 @@ class BinTableStore:
         replace_all(self.connection, TABLES, rows)
 
     def cells_of(self, wheelset: str, starts: Sequence[int]) -> Iterator[tuple[int, FilledCells]]:
-        """Yield start and filled cells of the tables of some windows, oldest first.
-
-        Args:
-            starts: Of the windows, increasing.
-
-        Raises:
-            DamagedError: A table is damaged; names the window.
-        """
-        ahead = {start_ns: self.once.known("packed", (wheelset, start_ns)) for start_ns in starts}
-        for start_ns, packed in ahead.items():
-            if packed is not None:
+        """Yield start and filled cells of the tables of some windows, oldest first; DamagedError names the window."""
+        ahead = [(start_ns, self.once.known("packed", (wheelset, start_ns))) for start_ns in starts]
+        if all(packed is not None for _, packed in ahead):
+            for start_ns, packed in ahead:
                 yield start_ns, unpack_filled_cells(packed, where=f"bin table of window {wheelset}@{start_ns}")
-        rest = [start_ns for start_ns, packed in ahead.items() if packed is None]
-        for first in range(0, len(rest), BATCH):
+            return
+        for first in range(0, len(starts), BATCH):
             statement = (
                 select(TABLES.c.start_ns, TABLES.c.packed)
-                .where(TABLES.c.wheelset == wheelset, TABLES.c.start_ns.in_(rest[first : first + BATCH]))
+                .where(TABLES.c.wheelset == wheelset, TABLES.c.start_ns.in_(starts[first : first + BATCH]))
                 .order_by(TABLES.c.start_ns)
             )
             with self.connection.execute(statement.execution_options(yield_per=BATCH)) as found:
@@ -243,11 +227,7 @@ class BinTableStore:
     def stream(
         self, wheelset: str, from_ns: int, to_ns: int | None
     ) -> Iterator[tuple[WindowRecord, BinTable, int | None]]:
-        """Yield windows that start in ``[from_ns, to_ns)`` with their bin table and track version, oldest first.
-
-        Raises:
-            DamagedError: A table is damaged; names the window.
-        """
+        """Yield windows that start in ``[from_ns, to_ns)`` with bin table and track version, oldest first."""
         statement = _selected(select(WINDOWS, TABLES.c.track_version, TABLES.c.packed), wheelset, from_ns, to_ns)
         with self.connection.execute(statement.execution_options(yield_per=BATCH)) as found:
             for row in found:

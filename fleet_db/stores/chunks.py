@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import builtins
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from typing import Any
@@ -12,10 +12,11 @@ from sqlalchemy import (
     ColumnElement,
     CompoundSelect,
     Connection,
-    Row,
+    Select,
     bindparam,
     exists,
     func,
+    insert,
     select,
     tuple_,
     union_all,
@@ -24,14 +25,15 @@ from sqlalchemy import (
 
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.windows import WindowState
-from fleet_db.receipts import ChunkRecord, ChunkState
-from fleet_db.rows import insert_new, reason_columns, stored_reason, table_of
+from fleet_db.receipts import ChunkRecord, ChunkState, RecordingChange
+from fleet_db.rows import columns_of, insert_new, row_of, table_of, value_of_row
 from fleet_db.subjects import Subjects
-from fleet_db.tables import ChunkRow, MountingRow, VehicleRow, WindowRow
-from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, of_length
+from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, ChunkRow, RawScrubRow, RecordingChangeRow, of_length
+from fleet_db.tables.registry import MountingRow, VehicleRow
+from fleet_db.tables.windows import WindowRow
 
 CHUNKS, VEHICLES = table_of(ChunkRow), table_of(VehicleRow)
 MOUNTINGS, WINDOWS = table_of(MountingRow), table_of(WindowRow)
@@ -93,8 +95,8 @@ class ChunkStore:
 
     def get(self, digest: str) -> ChunkRecord | None:
         """Return the receipt of the recording with this digest."""
-        row = self.connection.execute(select(CHUNKS).where(CHUNKS.c.digest == digest)).first()
-        return None if row is None else _record(row)
+        row = row_of(self.connection, CHUNKS, digest)
+        return None if row is None else value_of_row(ChunkRecord, row)
 
     def put(self, record: ChunkRecord) -> bool:
         """Store a receipt; False, and nothing changed, if there is one of that digest."""
@@ -102,11 +104,7 @@ class ChunkStore:
         return insert_new(self.connection, CHUNKS, _values(record))
 
     def update(self, record: ChunkRecord) -> None:
-        """Replace the receipt of ``record.digest``.
-
-        Raises:
-            NotFoundError: There is none.
-        """
+        """Replace the receipt of ``record.digest``; raises NotFoundError."""
         before = self.get(record.digest)
         if before is None:
             raise NotFoundError("chunk", record.digest)
@@ -114,28 +112,30 @@ class ChunkStore:
         self._note(before)
         self._note(record)
 
-    def overlapping(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[ChunkRecord]:
-        """Return decoded recordings with frames in ``[from_ns, to_ns)``, by their first frame.
+    def overlapping(
+        self, vehicle: str, from_ns: int, to_ns: int, clock: tuple[str, str] = CLOCKS[0]
+    ) -> Sequence[ChunkRecord]:
+        """Return decoded recordings with frames in ``[from_ns, to_ns)`` of a clock, by their first frame.
 
         What is read does not grow with the recordings of the vehicle: those of each length have an index.
         """
-        return self._overlapping(vehicle, from_ns, to_ns, CLOCKS[0])
+        within = {"of_vehicle": vehicle, "from_ns": from_ns, "to_ns": to_ns}
+        within |= {f"from_ns_{number}": from_ns - (longest or 0) for number, (_, _, longest) in enumerate(LENGTHS)}
+        found = self._read(_in_span(clock), within)
+        return sorted(found, key=lambda record: (record.first_ns or 0, record.digest))
 
     def overlapping_by_recorder(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[ChunkRecord]:
         """Return decoded recordings whose recorder stamped frames in ``[from_ns, to_ns)``, by their first frame."""
-        return self._overlapping(vehicle, from_ns, to_ns, CLOCKS[1])
-
-    def _overlapping(self, vehicle: str, from_ns: int, to_ns: int, clock: tuple[str, str]) -> Sequence[ChunkRecord]:
-        within = {"of_vehicle": vehicle, "from_ns": from_ns, "to_ns": to_ns}
-        within |= {f"from_ns_{number}": from_ns - (longest or 0) for number, (_, _, longest) in enumerate(LENGTHS)}
-        found = [_record(row) for row in self.connection.execute(_in_span(clock), within)]
-        return sorted(found, key=lambda record: (record.first_ns or 0, record.digest))
+        return self.overlapping(vehicle, from_ns, to_ns, CLOCKS[1])
 
     def purge(self, before_ns: int, now_ns: int, limit: int) -> Sequence[ChunkRecord]:
         """Note of decoded recordings that came before a time that their raw bytes are deleted; return these."""
         old = (CHUNKS.c.received_ns < before_ns, CHUNKS.c.purged_ns.is_(None))
         decoded = select(CHUNKS).where(*old, CHUNKS.c.state == ChunkState.DECODED.value)
-        found = [_record(row) for row in self.connection.execute(decoded.order_by(CHUNKS.c.digest).limit(limit))]
+        found = [
+            value_of_row(ChunkRecord, row)
+            for row in self.connection.execute(decoded.order_by(CHUNKS.c.digest).limit(limit))
+        ]
         digests = [record.digest for record in found]
         self.connection.execute(update(CHUNKS).where(CHUNKS.c.digest.in_(digests)).values(purged_ns=now_ns))
         return found
@@ -147,11 +147,7 @@ class ChunkStore:
         return found
 
     def newest_of_vehicle(self, vehicle: str, most: int = LOOKED_THROUGH) -> ChunkRecord | None:
-        """Return the receipt of a vehicle that came last; None where none is among the newest of all vehicles.
-
-        Args:
-            most: How many receipts of all vehicles are looked through: there is no index by vehicle.
-        """
+        """Return the newest receipt of a vehicle among the ``most`` newest of all (there is no index by vehicle)."""
         place = (CHUNKS.c.received_ns.desc(), CHUNKS.c.digest.desc())
         there = CHUNKS.c.state != ChunkState.DELETED.value
         names = (CHUNKS.c.digest, CHUNKS.c.vehicle, CHUNKS.c.received_ns)
@@ -167,18 +163,12 @@ class ChunkStore:
     def undecoded(
         self, limit: int, after: tuple[int, str] = (-1, ""), vehicle: str | None = None
     ) -> Sequence[ChunkRecord]:
-        """Return the receipts of recordings that wait for a worker to decode them, in the order of their receipt.
-
-        Args:
-            limit: At most so many.
-            after: Recorded time and digest of the last one of the page before.
-            vehicle: Only its; None for all.
-        """
+        """Return receipts that wait for decoding, oldest first, behind (recorded time, digest) of ``after``."""
         place = (CHUNKS.c.recorded_ns, CHUNKS.c.digest)
         statement = select(CHUNKS).where(UNDECODED, tuple_(*place) > tuple_(*after)).order_by(*place).limit(limit)
         if vehicle is not None:
             statement = statement.where(CHUNKS.c.vehicle == vehicle)
-        return [_record(row) for row in self.connection.execute(statement)]
+        return self._read(statement)
 
     def undecoded_size(self) -> Undecoded:
         """Return how many recordings wait for a worker to decode them, how large they are, and since when."""
@@ -187,13 +177,9 @@ class ChunkStore:
         return Undecoded(int(count), int(size), since_ns)
 
     def of_digests(self, digests: Sequence[str]) -> dict[str, ChunkRecord]:
-        """Return the receipts of these recordings, each under its digest.
-
-        Args:
-            digests: At most some hundreds.
-        """
+        """Return the receipts of some hundred recordings at most, each under its digest."""
         found = self.connection.execute(select(CHUNKS).where(CHUNKS.c.digest.in_(digests)))
-        return {row.digest: _record(row) for row in found}
+        return {row.digest: value_of_row(ChunkRecord, row) for row in found}
 
     def waiting_for_time(self, vehicle: str) -> Sequence[ChunkRecord]:
         """Return the receipts of a vehicle's recordings that wait for a TIME frame beside them, oldest first."""
@@ -203,27 +189,24 @@ class ChunkStore:
             .where(CHUNKS.c.reason_code == ReasonCode.WAITS_FOR_TIME.value)
             .order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
         )
-        return [_record(row) for row in self.connection.execute(statement)]
+        return self._read(statement)
 
     def beginning(self, digest: str) -> Sequence[ChunkRecord]:
         """Return the receipts whose digest begins so, at most two."""
         begins = func.substr(CHUNKS.c.digest, 1, len(digest)) == digest
-        return [_record(row) for row in self.connection.execute(select(CHUNKS).where(begins).limit(2))]
+        return [
+            value_of_row(ChunkRecord, row) for row in self.connection.execute(select(CHUNKS).where(begins).limit(2))
+        ]
 
     def page(
         self, chosen: ChosenChunks, limit: int, before: tuple[int, str] | None = None
     ) -> builtins.list[ChunkRecord]:
-        """Return receipts, the one that was received last first.
-
-        Args:
-            limit: At most so many.
-            before: Time of receipt and digest of the last one of the page before; None for the first page.
-        """
+        """Return receipts, the newest first, behind (time of receipt, digest) of ``before``."""
         place = (CHUNKS.c.received_ns, CHUNKS.c.digest)
         statement = select(CHUNKS).where(*chosen.conditions()).order_by(*(one.desc() for one in place)).limit(limit)
         if before is not None:
             statement = statement.where(tuple_(*place) < tuple_(*before))
-        return [_record(row) for row in self.connection.execute(statement)]
+        return self._read(statement)
 
     def window_counts(self, record: ChunkRecord) -> dict[WindowState, int]:
         """Return how many windows share time and vehicle with a recording, by their state."""
@@ -243,7 +226,11 @@ class ChunkStore:
         kept = select(CHUNKS).where(CHUNKS.c.purged_ns.is_(None)).limit(count)
         oldest = kept.order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
         newest = kept.order_by(CHUNKS.c.recorded_ns.desc(), CHUNKS.c.digest)
-        return [_record(row) for statement in (oldest, newest) for row in self.connection.execute(statement)]
+        return [
+            value_of_row(ChunkRecord, row)
+            for statement in (oldest, newest)
+            for row in self.connection.execute(statement)
+        ]
 
     def of_known_vehicles(self) -> Sequence[ChunkRecord]:
         """Return the receipts of recordings that waited for their vehicle and whose vehicle there is, oldest first."""
@@ -254,17 +241,17 @@ class ChunkStore:
             .where(exists().where(VEHICLES.c.code == CHUNKS.c.vehicle))
             .order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
         )
-        return [_record(row) for row in self.connection.execute(statement)]
+        return self._read(statement)
 
     def with_state(self, state: ChunkState, limit: int = 100) -> Sequence[ChunkRecord]:
         """Return receipts in ``state``, oldest first."""
-        statement = (
-            select(CHUNKS)
-            .where(CHUNKS.c.state == state.value)
-            .order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
-            .limit(limit)
-        )
-        return [_record(row) for row in self.connection.execute(statement)]
+        found = select(CHUNKS).where(CHUNKS.c.state == state.value)
+        return self._read(found.order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest).limit(limit))
+
+    def _read(
+        self, statement: Select[Any] | CompoundSelect[Any], given: Mapping[str, Any] | None = None
+    ) -> builtins.list[ChunkRecord]:
+        return [value_of_row(ChunkRecord, row) for row in self.connection.execute(statement, given)]
 
     def _note(self, record: ChunkRecord) -> None:
         """Let what rests on the rejected recordings of a vehicle follow one that is among them, or was."""
@@ -287,13 +274,84 @@ def _in_span(clock: tuple[str, str]) -> CompoundSelect[Any]:
 
 
 def _values(record: ChunkRecord) -> dict[str, object]:
-    plain = {"counts": dict(record.counts), "state": record.state.value}
-    stamps = {name: record.counts.get(name) for name in CLOCKS[1]}
-    return asdict(record) | plain | stamps | reason_columns(record.reason)
+    return columns_of(record) | {name: record.counts.get(name) for name in CLOCKS[1]}
 
 
-def _record(row: Row[Any]) -> ChunkRecord:
-    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
-    for name in ("reason_code", *CLOCKS[1]):
-        del fields[name]
-    return ChunkRecord(**{**fields, "state": ChunkState(row.state), "reason": stored_reason(row)})
+CHANGES = table_of(RecordingChangeRow)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingChangeStore:
+    """The record of changes, append-only, in one transaction."""
+
+    connection: Connection
+
+    def add(self, change: RecordingChange) -> None:
+        """Add one."""
+        self.connection.execute(insert(CHANGES).values(columns_of(change)))
+
+    def list(self, digest: str) -> Sequence[RecordingChange]:
+        """Return what was done to one recording, oldest first."""
+        statement = select(CHANGES).where(CHANGES.c.digest == digest).order_by(CHANGES.c.id)
+        return [value_of_row(RecordingChange, row) for row in self.connection.execute(statement)]
+
+
+SCRUBS = table_of(RawScrubRow)
+
+
+@dataclass(frozen=True, slots=True)
+class RawScrub:
+    """One reading: begin and end (ns of our clock; None while it is not whole), the last digest, and what was found."""
+
+    scrub_id: int
+    started_ns: int
+    finished_ns: int | None
+    after_digest: str
+    files: int
+    file_bytes: int
+    faults: int
+
+
+@dataclass(frozen=True, slots=True)
+class RawFile:
+    """A raw file that a receipt refers to."""
+
+    digest: str
+    suffix: str
+    size_bytes: int
+    vehicle: str
+
+
+@dataclass(frozen=True, slots=True)
+class RawScrubStore:
+    """Readings, in one transaction."""
+
+    connection: Connection
+
+    def last(self) -> RawScrub | None:
+        """Return the newest; None before the first."""
+        row = self.connection.execute(select(SCRUBS).order_by(SCRUBS.c.scrub_id.desc()).limit(1)).first()
+        return None if row is None else value_of_row(RawScrub, row)
+
+    def begin(self, now_ns: int) -> RawScrub:
+        """Begin one, and return it."""
+        number = int(self.connection.scalar(select(func.coalesce(func.max(SCRUBS.c.scrub_id), 0))) or 0) + 1
+        begun = RawScrub(number, now_ns, None, "", 0, 0, 0)
+        self.connection.execute(insert(SCRUBS).values(**asdict(begun)))
+        return begun
+
+    def put(self, scrub: RawScrub) -> None:
+        """Keep how far one has come."""
+        self.connection.execute(update(SCRUBS).where(SCRUBS.c.scrub_id == scrub.scrub_id).values(**asdict(scrub)))
+
+    def files_after(self, digest: str, limit: int) -> Sequence[RawFile]:
+        """Return raw files that must be there, in the order of their digests, behind one."""
+        columns = (CHUNKS.c.digest, CHUNKS.c.suffix, CHUNKS.c.size_bytes, CHUNKS.c.vehicle)
+        kept = (CHUNKS.c.purged_ns.is_(None), CHUNKS.c.state != ChunkState.DELETED.value, CHUNKS.c.digest > digest)
+        found = self.connection.execute(select(*columns).where(*kept).order_by(CHUNKS.c.digest).limit(limit))
+        return [RawFile(*row) for row in found]
+
+    def count_after(self, digest: str) -> int:
+        """Return how many raw files are still to be read behind a digest."""
+        kept = (CHUNKS.c.purged_ns.is_(None), CHUNKS.c.state != ChunkState.DELETED.value, CHUNKS.c.digest > digest)
+        return int(self.connection.scalar(select(func.count()).where(*kept)) or 0)

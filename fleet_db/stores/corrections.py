@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, insert, select
+from sqlalchemy import Connection, insert
 
 from estimation.errors import ConflictError, NotFoundError, ParameterError
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.values.registry import Mounting, Reprofiling
 from estimation.values.track import TrackSectionRecord
 from estimation.vehicle.vehicle_class import (
@@ -26,20 +26,19 @@ from estimation.vehicle.vehicle_class import (
 )
 from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
-from fleet_db.rows import table_of
-from fleet_db.stores.measured_profiles import stored_measurement
-from fleet_db.stores.mountings import delete_mounting, mountings_on
+from fleet_db.rows import columns_of, delete_row, row_of, table_of
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
-from fleet_db.stores.section_numbers import give_up_number
 from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.sensor_changes import SensorChangeStore, sensor_change_of
 from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS
-from fleet_db.stores.tracks import TrackStore
+from fleet_db.stores.tracks import TrackStore, give_up_number
 from fleet_db.stores.vehicle_classes import find_class
-from fleet_db.tables import MeasuredProfilesRow, ReprofilingRow, TrackSectionRow
+from fleet_db.stores.wheelset_events import MEASURED, MOUNTINGS, REPROFILINGS, stored_measurement
+from fleet_db.tables.track import TrackSectionRow
 
-REPROFILINGS, MEASURED, SECTIONS = table_of(ReprofilingRow), table_of(MeasuredProfilesRow), table_of(TrackSectionRow)
+SECTIONS = table_of(TrackSectionRow)
+_DATED = {RecordKind.REPROFILING: REPROFILINGS, RecordKind.MEASUREMENT: MEASURED}
 _Values = dict[str, Any]
 
 
@@ -99,9 +98,9 @@ class CorrectionStore:
             RecordKind.MOUNTING: self._restore_mounting,
             RecordKind.REPROFILING: self._restore_reprofiling,
             RecordKind.MEASUREMENT: self._restore_measurement,
-            RecordKind.WHEELSET: self._restore_wheelset,
+            RecordKind.WHEELSET: self._restore_nothing,
             RecordKind.SECTION: self._restore_section,
-            RecordKind.VEHICLE: self._restore_vehicle,
+            RecordKind.VEHICLE: self._restore_nothing,
             RecordKind.VEHICLE_CLASS: self._restore_class,
             RecordKind.SENSOR_CHANGE: self._restore_sensor_change,
         }[key.kind]
@@ -113,48 +112,36 @@ class CorrectionStore:
         if key.kind is RecordKind.MOUNTING:
             return next((m for m in self.registry.mountings(key.subject) if m.from_ns == key.at_ns), None)
         if key.kind is RecordKind.SECTION:
-            return self.connection.execute(
-                select(SECTIONS).where(SECTIONS.c.code == key.subject, SECTIONS.c.number > 0)
-            ).first()
+            section = row_of(self.connection, SECTIONS, key.subject)
+            return None if section is None or section["number"] <= 0 else section
         if key.kind in {RecordKind.VEHICLE, RecordKind.VEHICLE_CLASS}:
             return None if self.history.stands_voided(key) is not None else key
         if key.kind is RecordKind.SENSOR_CHANGE:
             return self.sensor_changes.stored(key.subject, key.at_ns or 0)
         if key.kind is RecordKind.WHEELSET:
             return None if self.registry.voided(key.subject) else self.registry.wheelset(key.subject)
-        return self._dated_row(key)
-
-    def _dated_row(self, key: RecordKey) -> Row[Any] | None:
-        table = REPROFILINGS if key.kind is RecordKind.REPROFILING else MEASURED
-        statement = select(table).where(table.c.wheelset == key.subject, table.c.at_ns == key.at_ns)
-        return self.connection.execute(statement).first()
+        return row_of(self.connection, _DATED[key.kind], key.subject, key.at_ns)
 
     def _void_mounting(self, key: RecordKey) -> _Values:
         found = self._on_file(key)
         if not isinstance(found, Mounting):
             raise NotFoundError(key.kind.value, _name(key))
-        delete_mounting(self.connection, found)
+        delete_row(self.connection, MOUNTINGS, found.wheelset, found.from_ns)
         self.registry.mounting_changed(found, None)
         return asdict(found)
 
     def _void_reprofiling(self, key: RecordKey) -> _Values:
-        return self._taken(key)
+        return self._taken(key, row_of(self.connection, REPROFILINGS, key.subject, key.at_ns))
 
     def _void_measurement(self, key: RecordKey) -> _Values:
-        found = stored_measurement(self.connection, key.subject, key.at_ns or 0)
-        if found is None:
-            raise NotFoundError(key.kind.value, _name(key))
-        self._taken(key)
-        return found
+        return self._taken(key, stored_measurement(self.connection, key.subject, key.at_ns or 0))
 
-    def _taken(self, key: RecordKey) -> _Values:
+    def _taken(self, key: RecordKey, row: _Values | None) -> _Values:
         """Return a dated row of a wheelset that is no mounting, and delete it."""
-        row = self._dated_row(key)
         if row is None:
             raise NotFoundError(key.kind.value, _name(key))
-        table = REPROFILINGS if key.kind is RecordKind.REPROFILING else MEASURED
-        self.connection.execute(delete(table).where(table.c.wheelset == key.subject, table.c.at_ns == key.at_ns))
-        return dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
+        delete_row(self.connection, _DATED[key.kind], key.subject, key.at_ns)
+        return row
 
     def _void_wheelset(self, key: RecordKey) -> _Values:
         record = self.registry.wheelset(key.subject)
@@ -164,7 +151,7 @@ class CorrectionStore:
         if mounted:
             reason = f"wheelset {key.subject!r} is mounted on {mounted[-1].vehicle!r}: void its mountings first"
             raise ConflictError(reason, kind=key.kind.value, key=key.subject)
-        return {name: getattr(record, name) for name in ("serial", "fleet", "wheel_profile", "nominal_radius_m")}
+        return columns_of(record, "mounting", "reprofilings")
 
     def _void_section(self, key: RecordKey) -> _Values:
         record = self.tracks.section(key.subject)
@@ -176,11 +163,11 @@ class CorrectionStore:
         record = self.registry.vehicle(key.subject)
         if self.history.stands_voided(key) is not None:
             raise NotFoundError(key.kind.value, _name(key))
-        mounted = mountings_on(self.connection, key.subject, EARLIEST_NS, LATEST_NS)
+        mounted = self.registry.mountings_on(key.subject, EARLIEST_NS, LATEST_NS)
         if mounted:
             reason = f"wheelset {mounted[0].wheelset!r} is mounted on vehicle {key.subject!r}: void its mountings first"
             raise ConflictError(reason, kind=key.kind.value, key=key.subject)
-        return asdict(record) | {"axle_offsets_m": list(record.axle_offsets_m)}
+        return columns_of(record)
 
     def _void_class(self, key: RecordKey) -> _Values:
         """Return the newest version of a class that is registered; what was in force before it follows it."""
@@ -213,9 +200,6 @@ class CorrectionStore:
         self.sensor_changes.remove(key.subject, key.at_ns or 0)
         return found
 
-    def _restore_vehicle(self, _record: _Values, _recorded_ns: int | None) -> None:
-        """Nothing is to be put back: the decision itself ends that it is voided."""
-
     def _restore_class(self, record: _Values, recorded_ns: int | None) -> None:
         restored = class_of_document(record)
         newest = find_class(self.connection, restored.code, None)
@@ -237,7 +221,7 @@ class CorrectionStore:
         row = record | {"packed": base64.b64decode(record["packed"])}
         self.connection.execute(insert(MEASURED).values(**row))
 
-    def _restore_wheelset(self, record: _Values, _recorded_ns: int | None) -> None:
+    def _restore_nothing(self, _record: _Values, _recorded_ns: int | None) -> None:
         """Nothing is to be put back: the decision itself ends that it is voided."""
 
     def _restore_section(self, record: _Values, recorded_ns: int | None) -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from estimation.errors import ConflictError
-from estimation.failures import after_failure
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import SubjectKind, after_failure
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.stores.chunks import ChosenChunks, ChunkStore
 from fleet_db.stores.quarantine import QuarantineStore

@@ -14,14 +14,14 @@ from estimation.values.track import AlignmentSource, TrackAlignment
 from estimation.values.windows import PassedOver
 from estimation.vehicle.vehicle_class import ClassOnFile, same_motion
 from fleet_db import alignment_due
-from fleet_db.due import list_to_estimate
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.rows import table_of
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
-from fleet_db.stores.window_marks import pass_over
+from fleet_db.stores.window_marks import wait_again
 from fleet_db.subjects import Subjects
-from fleet_db.tables import TrackAlignmentRow, TrackVersionRow, WindowPositionRow, WindowRow
+from fleet_db.tables.track import TrackAlignmentRow, TrackVersionRow, WindowPositionRow
+from fleet_db.tables.windows import WindowRow
 
 WINDOWS, POSITIONS = table_of(WindowRow), table_of(WindowPositionRow)
 ALIGNMENTS, VERSIONS = table_of(TrackAlignmentRow), table_of(TrackVersionRow)
@@ -79,9 +79,8 @@ class Again:
         return EstimatedAgain(names, int(windows), from_ns, tuple(sections))
 
     def geometries(self, codes: Sequence[str]) -> EstimatedAgain:
-        """Let only the geometries of the wheelsets of some vehicles be estimated again."""
+        """Return that only the geometries of the wheelsets of some vehicles are estimated again."""
         of_vehicles = WINDOWS.c.vehicle.in_(codes)
-        self._note(of_vehicles)
         from_ns = self.connection.scalar(select(func.min(WINDOWS.c.start_ns)).where(of_vehicles))
         return EstimatedAgain(tuple(codes), 0, from_ns, ())
 
@@ -113,19 +112,10 @@ class Again:
 
     def _wait(self, chosen: ColumnElement[bool], what: PassedOver) -> None:
         """Let windows wait again, and forget where they were; those without samples stay as they are."""
-        self._note(chosen)
         with_samples = WINDOWS.c.samples_purged_ns.is_(None)
         alignment_due.unplaced_where(self.subjects, and_(chosen, with_samples))
         self.connection.execute(delete(POSITIONS).where(exists().where(OF_WINDOW, chosen, with_samples)))
-        list_to_estimate(self.connection, chosen)
-        pass_over(self.connection, and_(chosen, ~with_samples), what)
-
-    def _note(self, chosen: ColumnElement[bool]) -> None:
-        of = select(WINDOWS.c.wheelset, WINDOWS.c.track_section).where(chosen).distinct()
-        for wheelset, section in self.connection.execute(of):
-            self.subjects.tables(wheelset)
-            self.subjects.windows(wheelset)
-            self.subjects.places(section)
+        wait_again(self.subjects, chosen, what)
 
 
 def _unknown(alignment: TrackAlignment) -> TrackAlignment:

@@ -27,7 +27,8 @@ from estimation.values.results import Result
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultStore
-from fleet_db.tables import WheelsetBinRow, WheelsetRow, WindowBinTableRow
+from fleet_db.tables.registry import WheelsetRow
+from fleet_db.tables.windows import WheelsetBinRow, WindowBinTableRow
 
 V = TypeVar("V")
 BINS = table_of(WheelsetBinRow)
@@ -39,7 +40,7 @@ INTERVALS: Parts = ("0000", "9999.9999999")
 
 @dataclass(frozen=True, slots=True)
 class GeometryStore:
-    """Implements ``estimation.storage.Geometries``."""
+    """Geometry estimates, append-only; reads give the state recorded at ``as_of_ns``."""
 
     connection: Connection
     results: ResultStore
@@ -57,6 +58,10 @@ class GeometryStore:
 
         Where no baseline has windows any more it is the empty one of the newest.
         """
+        if as_of_ns is None:
+            records = self.baselines(wheelset)
+            filled = [record for record in records if record.geometry.windows]
+            return next(reversed(filled or records), None)
         found = self._current(wheelset, as_of_ns)
         return None if found is None else _record(found)
 
@@ -87,11 +92,19 @@ class GeometryStore:
 
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]:
         """Return the current geometry of each baseline that there has been, by its number."""
+        return self.once.of_wheelset("current geometries", wheelset, self._baselines) or ()
 
-        def read(some: Collection[str]) -> Mapping[str, Sequence[GeometryRecord]]:
-            return _by_subject(self.results.in_force(GEOMETRY, some, None, CURRENT), _record)
+    def _baselines(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[GeometryRecord]]:
+        return _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), _record)
 
-        return self.once.of_wheelset("current geometries", wheelset, read) or ()
+    def read_ahead(self, wheelsets: Collection[str]) -> None:
+        """Read together what :meth:`baselines` and :meth:`conicities` are asked for one wheelset after the other.
+
+        Raises:
+            DamagedError: Something of one of them is damaged.
+        """
+        self.once.of("current geometries", wheelsets, self._baselines)
+        self.once.of("conicities", wheelsets, self._conicities)
 
     def interval_digests(self, wheelset: str) -> Mapping[tuple[int, int], IntervalDigest]:
         """Return by baseline and interval what the newest geometry was made from, and why it holds no number."""
@@ -127,7 +140,10 @@ class GeometryStore:
 
     def conicities(self, wheelset: str, baseline: int) -> Sequence[IntervalConicities]:
         """Return the conicities of the newest geometry of each mileage interval of a baseline, in order of mileage."""
-        return self.conicities_of({wheelset: baseline})[wheelset]
+        ahead = self.once.known("conicities", wheelset)
+        if ahead is None:
+            return self.conicities_of({wheelset: baseline})[wheelset]
+        return [found for number, found in ahead if number == baseline]
 
     def conicities_of(self, baselines: Mapping[str, int]) -> Mapping[str, Sequence[IntervalConicities]]:
         """Return the conicities of the intervals of some wheelsets, of one baseline of each.
@@ -140,6 +156,10 @@ class GeometryStore:
             if key_of_part(result.part)[0] == baselines[result.subject]:
                 found[result.subject].append(_conicities(result))
         return found
+
+    def _conicities(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[tuple[int, IntervalConicities]]]:
+        heads = self.results.heads(GEOMETRY, wheelsets, INTERVALS)
+        return _by_subject(heads, lambda result: (key_of_part(result.part)[0], _conicities(result)))
 
     def _current(self, wheelset: str, as_of_ns: int | None = None) -> Result[WheelsetGeometry] | None:
         found = self.results.in_force(GEOMETRY, [wheelset], as_of_ns, CURRENT)

@@ -2,17 +2,216 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, insert, or_, select, update
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Connection,
+    Row,
+    Select,
+    cast,
+    delete,
+    func,
+    insert,
+    literal,
+    not_,
+    or_,
+    select,
+    tuple_,
+    update,
+)
+from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.errors import ConflictError, NotFoundError
-from estimation.values.runs import JobOutcome, JobRun, JobTrigger
-from fleet_db.rows import table_of
-from fleet_db.stores.work_claims import LEASES, WorkClaimStore, living
-from fleet_db.tables import JobRunRow
+from estimation.errors import AlreadyRunningError, ConflictError, LeaseLostError, NotFoundError
+from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger
+from fleet_db.locks import UnendedLease
+from fleet_db.rows import columns_of, table_of, value_of_row
+from fleet_db.tables.operation import JobRunRow, WorkClaimRow, WorkLeaseRow
+
+LEASES, CLAIMS = table_of(WorkLeaseRow), table_of(WorkClaimRow)
+PLACE = "schedule", ("scheduler",)
+"""Stage and key of the claim of the one scheduler."""
+KEPT_NS = 86_400_000_000_000
+"""So long it counts that a worker has ended at a thing."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorkClaimStore:
+    """Leases of processes, and what is claimed under them."""
+
+    connection: Connection
+
+    def lease(self, holder: str, length_ns: int, owner: int | None = None, unit: str | None = None) -> int:
+        """Begin a lease and return its number; those that have ended are removed, what was claimed is free again.
+
+        Args:
+            length_ns: How long it lasts from now, ns.
+            owner: Lease of the process that runs the job, with which this one ends; None where it does not.
+            unit: Number of a unit of work. It was begun before where a worker is gone: that lease ends.
+
+        Raises:
+            LeaseLostError: That of the owner has ended.
+        """
+        self.end_outdated()
+        if owner is not None:
+            self.check(owner, holder)
+        if unit is not None:
+            self.connection.execute(delete(LEASES).where(LEASES.c.unit == unit))
+        until = _now(self.connection) + length_ns
+        values = {"holder": holder, "owner": owner, "unit": unit, "length_ns": length_ns, "until_ns": until}
+        return int(self.connection.execute(insert(LEASES).values(values).returning(LEASES.c.lease_id)).scalar_one())
+
+    def take_place(self, lease: int) -> None:
+        """Claim the place of the one scheduler of this database; AlreadyRunningError names who holds it."""
+        if not self.take(lease, *PLACE, alone=True).keys:
+            held = select(LEASES.c.holder).join(CLAIMS, CLAIMS.c.lease_id == LEASES.c.lease_id)
+            raise AlreadyRunningError(self.connection.scalar(held.where(CLAIMS.c.stage == PLACE[0])) or "just ended")
+
+    def take(self, lease: int, stage: str, keys: Sequence[str], *, alone: bool = False) -> Claimed:
+        """Claim what is free for a stage; raises IntegrityError where the lease has ended."""
+        taken = self._insert(lease, stage, sorted(keys), alone=alone)
+        if len(taken) < len(set(keys)) and self.end_outdated():
+            taken |= self._insert(lease, stage, sorted(set(keys) - set(taken)), alone=alone)
+        ours = tuple(key for key in keys if key in taken)
+        rest = set(keys) - set(taken)
+        if not rest:
+            return Claimed(ours, begun_ns=taken)
+        columns = (CLAIMS.c.key, CLAIMS.c.lease_id, CLAIMS.c.attempts)
+        held = {
+            row.key: row
+            for row in self.connection.execute(select(*columns).where(CLAIMS.c.stage == stage, CLAIMS.c.key.in_(rest)))
+        }
+        free = tuple((key, held[key].attempts) for key in keys if key in held and held[key].lease_id is None)
+        return Claimed(ours, free, len(rest) - len(free), taken)
+
+    def prolong(self, lease: int) -> bool:
+        """Let a lease last its length from now; return whether it is still there."""
+        until = _now(self.connection) + LEASES.c.length_ns
+        return (
+            self.connection.execute(update(LEASES).where(LEASES.c.lease_id == lease).values(until_ns=until)).rowcount
+            > 0
+        )
+
+    def bound(self, length_s: float) -> None:
+        """Let the server end this transaction where its process stands still in it for longer than its lease, s."""
+        if self.connection.dialect.name == "postgresql":
+            name, limit = literal("idle_in_transaction_session_timeout"), literal(str(round(1000 * length_s)))
+            self.connection.execute(select(func.set_config(name, limit, literal(True))))  # noqa: FBT003 - of this transaction
+
+    def check(self, lease: int, holder: str) -> None:
+        """Raise LeaseLostError unless a lease is still there; nobody ends it before this transaction does."""
+        if self.connection.dialect.name == "sqlite":
+            there = self.prolong(lease)  # a process that writes without a pause leaves no gap for its other thread
+        else:
+            there = self.connection.execute(_locked(lease)).first() is not None
+        if not there:
+            raise LeaseLostError(holder)
+
+    def holds(self, lease: int) -> bool:
+        """Return whether a lease is still there."""
+        return self.connection.scalar(select(LEASES.c.lease_id).where(LEASES.c.lease_id == lease)) is not None
+
+    def has_holder(self, holder: str) -> bool:
+        """Return whether anybody of this name holds a lease."""
+        return self.connection.scalar(select(LEASES.c.lease_id).where(LEASES.c.holder == holder)) is not None
+
+    def free(self, lease: int, holder: str, stage: str, keys: Collection[str]) -> None:
+        """Forget claims whose work is stored by this transaction; raises LeaseLostError."""
+        if self.forget(lease, stage, keys) < len(keys):
+            raise LeaseLostError(holder)
+
+    def forget(self, lease: int, stage: str, keys: Collection[str]) -> int:
+        """Forget claims that are still under a lease; return how many."""
+        own = (CLAIMS.c.lease_id == lease, CLAIMS.c.stage == stage, CLAIMS.c.key.in_(sorted(keys)))
+        return self.connection.execute(delete(CLAIMS).where(*own)).rowcount
+
+    def end(self, lease: int) -> None:
+        """End a lease in order, if it is still there: what was claimed under it is forgotten."""
+        if self.connection.execute(_locked(lease, ending=True)).first() is None:
+            return
+        self.connection.execute(delete(CLAIMS).where(CLAIMS.c.lease_id == lease))
+        self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease))
+
+    def end_late(self, lease: UnendedLease) -> None:
+        """End a lease whose process could not reach the database at the end of its work, but lives.
+
+        What it had claimed is free, and it does not count that it had begun, unless others have begun since.
+
+        Args:
+            lease: It may have ended by its time.
+        """
+        if lease.alone:
+            self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease.number))
+        begun = tuple_(CLAIMS.c.key, CLAIMS.c.begun_ns).in_(sorted(lease.begun_ns.items()))
+        of_nobody = or_(CLAIMS.c.lease_id.is_(None), CLAIMS.c.lease_id == lease.number)
+        own = (CLAIMS.c.stage == lease.stage, of_nobody, begun)
+        self.connection.execute(delete(CLAIMS).where(*own, CLAIMS.c.attempts == 1))
+        self.connection.execute(update(CLAIMS).where(*own).values(attempts=CLAIMS.c.attempts - 1, lease_id=None))
+
+    def forgive(self, holder: str) -> None:
+        """End the leases of a worker that was ended for no reason of its work: that does not count against it."""
+        of_holder = select(LEASES.c.lease_id).where(LEASES.c.holder == holder)
+        self.connection.execute(delete(CLAIMS).where(CLAIMS.c.lease_id.in_(of_holder)))
+        self.connection.execute(delete(LEASES).where(LEASES.c.holder == holder))
+
+    def end_outdated(self) -> int:
+        """Remove the leases that have ended, with those of the processes that they owned; return how many ended."""
+        # one that is being committed under is skipped
+        found = select(LEASES.c.lease_id).where(_outdated(self.connection)).with_for_update(skip_locked=True)
+        ended = self.connection.execute(delete(LEASES).where(LEASES.c.lease_id.in_(found))).rowcount
+        if ended:
+            forgotten = (CLAIMS.c.lease_id.is_(None), CLAIMS.c.begun_ns < _now(self.connection) - KEPT_NS)
+            self.connection.execute(delete(CLAIMS).where(*forgotten))
+        return ended
+
+    def _insert(self, lease: int, stage: str, keys: Sequence[str], *, alone: bool) -> dict[str, int]:
+        """Insert claims, in one order in all transactions; return when each was begun that is ours now."""
+        now = _now(self.connection)
+        values = [
+            {"stage": stage, "key": key, "lease_id": lease, "attempts": 1, "begun_ns": now}
+            for key in dict.fromkeys(keys)
+        ]
+        new = (postgresql if self.connection.dialect.name == "postgresql" else sqlite).insert(CLAIMS).values(values)
+        forgotten = CLAIMS.c.begun_ns < now - KEPT_NS
+        claimed = new.on_conflict_do_update(
+            index_elements=[CLAIMS.c.stage, CLAIMS.c.key],
+            set_={"lease_id": lease, "attempts": CLAIMS.c.attempts + 1 if alone else literal(1), "begun_ns": now},
+            where=CLAIMS.c.lease_id.is_(None) if alone else CLAIMS.c.lease_id.is_(None) & forgotten,
+        )
+        rows = self.connection.execute(claimed.returning(CLAIMS.c.key, CLAIMS.c.begun_ns))
+        return {row.key: row.begun_ns for row in rows}
+
+
+def living(connection: Connection, leases: Collection[int]) -> frozenset[int]:
+    """Return which of these leases last."""
+    chosen = select(LEASES.c.lease_id).where(LEASES.c.lease_id.in_(leases), not_(_outdated(connection)))
+    return frozenset(connection.scalars(chosen)) if leases else frozenset()
+
+
+def _outdated(connection: Connection) -> ColumnElement[bool]:
+    """Return the condition that a lease has ended by its time.
+
+    One that ends further ahead than its own length was given before the clock was set back: it has ended, too.
+    """
+    now = _now(connection)
+    return or_(LEASES.c.until_ns < now, LEASES.c.until_ns > now + 2 * LEASES.c.length_ns)
+
+
+def _now(connection: Connection) -> ColumnElement[int]:
+    if connection.dialect.name == "sqlite":
+        return literal(time.time_ns(), BigInteger)
+    return cast(func.extract("epoch", func.clock_timestamp()) * 1_000_000_000, BigInteger)
+
+
+def _locked(lease: int, *, ending: bool = False) -> Select[tuple[int]]:
+    """Return the statement that keeps a lease from being ended by others; unless it is ending it may be prolonged."""
+    found = select(LEASES.c.lease_id).where(LEASES.c.lease_id == lease)
+    return found.with_for_update() if ending else found.with_for_update(read=True, key_share=True)
+
 
 RUNS = table_of(JobRunRow)
 RUNNING = JobOutcome.RUNNING.value
@@ -21,35 +220,23 @@ GONE = "the process ended during the run"
 
 @dataclass(frozen=True, slots=True)
 class JobRunStore:
-    """Implements ``estimation.storage.JobRuns``."""
+    """The record of every run."""
 
     connection: Connection
     owner: int | None = None  # lease of the process that starts runs here
 
     def start(self, job: str, trigger: JobTrigger, started_ns: int) -> JobRun:
-        """Record that a run has begun."""
-        statement = insert(RUNS).values(
-            job=job,
-            trigger=trigger.value,
-            started_ns=started_ns,
-            finished_ns=None,
-            outcome=RUNNING,
-            counts={},
-            error=None,
-            owner=self.owner,
-        )
-        run_id = self.connection.execute(statement.returning(RUNS.c.run_id)).scalar_one()
-        return JobRun(run_id, job, trigger, started_ns, None, JobOutcome.RUNNING, {})
+        """Record that a run has begun; a process runs one job at a time, so that what it ran before has ended."""
+        if self.owner is not None:
+            self._abandon(started_ns, RUNS.c.owner == self.owner)
+        run = JobRun(0, job, trigger, started_ns, None, JobOutcome.RUNNING, {})
+        statement = insert(RUNS).values(columns_of(run, "run_id") | {"owner": self.owner})
+        return replace(run, run_id=self.connection.execute(statement.returning(RUNS.c.run_id)).scalar_one())
 
     def finish(
         self, run_id: int, outcome: JobOutcome, counts: Mapping[str, int], finished_ns: int, error: str | None = None
     ) -> JobRun:
-        """Record how a run ended; return its record.
-
-        Raises:
-            NotFoundError: There is no such run.
-            ConflictError: It has ended already (it may have been given up as abandoned).
-        """
+        """Record how a run ended and return it; raises NotFoundError, and ConflictError where it has ended already."""
         row = self.connection.execute(
             update(RUNS)
             .where(RUNS.c.run_id == run_id, RUNS.c.outcome == RUNNING)
@@ -61,23 +248,21 @@ class JobRunStore:
             raise ConflictError(
                 f"run {run_id} of {ended.job} has ended: {ended.outcome}", kind="job run", key=str(run_id)
             )
-        return _run(row)
+        return _run(row, ())
 
     def abandon_running(self, finished_ns: int) -> int:
         """Mark every run as abandoned whose process is gone; return how many."""
         WorkClaimStore(self.connection).end_outdated()
-        gone = or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(select(LEASES.c.lease_id)))
-        statement = update(RUNS).where(RUNS.c.outcome == RUNNING, gone)
+        return self._abandon(finished_ns, or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(select(LEASES.c.lease_id))))
+
+    def _abandon(self, finished_ns: int, which: ColumnElement[bool]) -> int:
+        statement = update(RUNS).where(RUNS.c.outcome == RUNNING, which)
         return self.connection.execute(
             statement.values(outcome=JobOutcome.ABANDONED.value, finished_ns=finished_ns, error=GONE)
         ).rowcount
 
     def get(self, run_id: int) -> JobRun:
-        """Return one run; abandoned where its process is gone, or has begun another one: it runs one job at a time.
-
-        Raises:
-            NotFoundError: There is no such run.
-        """
+        """Return one run, abandoned where its process is gone; raises NotFoundError."""
         row = self.connection.execute(select(RUNS).where(RUNS.c.run_id == run_id)).first()
         if row is None:
             raise NotFoundError("job run", str(run_id))
@@ -93,25 +278,12 @@ class JobRunStore:
         return self._runs(self.connection.execute(statement.order_by(RUNS.c.run_id.desc()).limit(limit)).all())
 
     def _runs(self, rows: Sequence[Row[Any]]) -> list[JobRun]:
-        running = {row.run_id: row.owner for row in rows if row.owner is not None and row.outcome == RUNNING}
-        if not running:
-            return [_run(row) for row in rows]
-        owners = living(self.connection, set(running.values()))
-        following = _LATER.where(RUNS.c.run_id.in_(running))
-        began = {row.run_id: row.started_ns for row in self.connection.execute(following)}
-        gone = {number for number, owner in running.items() if owner not in owners or began[number] is not None}
-        return [_run(row, gone=row.run_id in gone, finished_ns=began.get(row.run_id)) for row in rows]
+        tokens = {row.owner for row in rows if row.owner is not None and row.outcome == RUNNING}
+        return [_run(row, tokens - living(self.connection, tokens)) for row in rows]
 
 
-LATER = RUNS.alias("later")
-_OF_SAME = select(LATER.c.started_ns).where(LATER.c.owner == RUNS.c.owner, LATER.c.run_id > RUNS.c.run_id)
-_LATER = select(
-    RUNS.c.run_id, _OF_SAME.order_by(LATER.c.run_id).limit(1).correlate(RUNS).scalar_subquery().label("started_ns")
-)
-"""When the process of a run has begun its next one."""
-
-
-def _run(row: Row[Any], *, gone: bool = False, finished_ns: int | None = None) -> JobRun:
-    fields = {name: value for name, value in row._mapping.items() if name != "owner"}  # noqa: SLF001 - SQLAlchemy's public accessor
-    run = JobRun(**{**fields, "trigger": JobTrigger(row.trigger), "outcome": JobOutcome(row.outcome)})
-    return replace(run, outcome=JobOutcome.ABANDONED, finished_ns=finished_ns, error=GONE) if gone else run
+def _run(row: Row[Any], gone: Collection[int]) -> JobRun:
+    run = value_of_row(JobRun, row)
+    if run.outcome is JobOutcome.RUNNING and row.owner in gone:
+        return replace(run, outcome=JobOutcome.ABANDONED, error=GONE)
+    return run

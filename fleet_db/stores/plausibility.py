@@ -37,7 +37,9 @@ from fleet_db.receipts import ChunkState
 from fleet_db.rows import replace_all, table_of
 from fleet_db.stores.window_marks import BATCH, keys_given
 from fleet_db.stores.windows import WindowStore, implausible_reason
-from fleet_db.tables import ChunkRow, WheelsetRow, WindowRow
+from fleet_db.tables.recordings import ChunkRow
+from fleet_db.tables.registry import WheelsetRow
+from fleet_db.tables.windows import WindowRow
 
 WINDOWS, CHUNKS, WHEELSETS = table_of(WindowRow), table_of(ChunkRow), table_of(WheelsetRow)
 READING = (WINDOWS.c.start_ns, WINDOWS.c.mileage_km, WINDOWS.c.odometer_excess_m, WINDOWS.c.off_line_m)
@@ -47,7 +49,7 @@ SPANS = 100  # of readings, in a statement
 
 @dataclass(frozen=True, slots=True)
 class PlausibilityStore:
-    """Implements ``estimation.storage.Plausibility``."""
+    """Which windows have a mileage or a place that is not believed."""
 
     connection: Connection
     windows: WindowStore
@@ -82,11 +84,7 @@ class PlausibilityStore:
         return found
 
     def readings_around(self, spans: Sequence[ReadingSpan]) -> Mapping[ReadingSpan, Sequence[MileageReading]]:
-        """Return the mileages of windows in spans, with one before and one after each, oldest first.
-
-        Args:
-            spans: Wheelset, first start and last start.
-        """
+        """Return mileages in spans (wheelset, first, last start), one before and one after each, oldest first."""
         found: dict[ReadingSpan, list[MileageReading]] = {span: [] for span in spans}
         for first in range(0, len(spans), SPANS):
             for *span, start_ns, mileage_km, excess_m, off_line_m in self.connection.execute(

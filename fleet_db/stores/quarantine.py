@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, String, and_, cast, func, or_, select, tuple_, update
+from sqlalchemy import ColumnElement, Connection, String, and_, cast, func, or_, select, tuple_, update
 
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
-from fleet_db.rows import table_of, upsert
-from fleet_db.tables import ChunkRow, QuarantineRow, WindowRow
+from fleet_db.rows import columns_of, row_of, table_of, upsert, value_of_row
+from fleet_db.tables.recordings import ChunkRow, QuarantineRow
+from fleet_db.tables.windows import WindowRow
 
 ITEMS, CHUNKS, WINDOWS = table_of(QuarantineRow), table_of(ChunkRow), table_of(WindowRow)
 Place = tuple[str, str, str]
@@ -20,15 +21,14 @@ Place = tuple[str, str, str]
 
 @dataclass(frozen=True, slots=True)
 class QuarantineStore:
-    """Implements ``estimation.storage.Quarantine``."""
+    """What failed by itself and is kept apart."""
 
     connection: Connection
 
     def get(self, kind: SubjectKind, key: str, stage: str) -> Quarantined | None:
         """Return what is kept of one thing, held or resolved."""
-        statement = select(ITEMS).where(ITEMS.c.kind == kind.value, ITEMS.c.key == key, ITEMS.c.stage == stage)
-        row = self.connection.execute(statement).first()
-        return None if row is None else _item(row)
+        row = row_of(self.connection, ITEMS, kind.value, key, stage)
+        return None if row is None else value_of_row(Quarantined, row)
 
     def held(self, stage: str | None = None) -> Sequence[Quarantined]:
         """Return what is held, of one stage or of all, by last failure."""
@@ -56,12 +56,7 @@ class QuarantineStore:
         after: Place | None,
         limit: int,
     ) -> Sequence[Quarantined]:
-        """Return at most ``limit`` items behind a place, by kind, key and stage.
-
-        Args:
-            vehicle: Only recordings and windows of this vehicle, and itself.
-            after: Of the last item of the page before.
-        """
+        """Return items behind a place, by kind, key and stage; of a vehicle with its recordings and windows."""
         chosen = [
             column == value.value
             for column, value in ((ITEMS.c.kind, kind), (ITEMS.c.state, state), (ITEMS.c.code, code))
@@ -73,7 +68,7 @@ class QuarantineStore:
         if after is not None:
             chosen.append(tuple_(*place) > tuple_(*after))
         statement = select(ITEMS).where(*chosen).order_by(*place).limit(limit)
-        return [_item(row) for row in self.connection.execute(statement)]
+        return [value_of_row(Quarantined, row) for row in self.connection.execute(statement)]
 
     def counts(self) -> dict[tuple[SubjectKind, ReasonCode], int]:
         """Return how many are held, by kind and code."""
@@ -83,8 +78,7 @@ class QuarantineStore:
 
     def put(self, item: Quarantined) -> None:
         """Keep a failure, or its end."""
-        plain = {"kind": item.kind.value, "code": item.code.value, "state": item.state.value}
-        upsert(self.connection, ITEMS, asdict(item) | plain)
+        upsert(self.connection, ITEMS, columns_of(item))
 
     def retry(self, kind: SubjectKind | None = None, key: str | None = None) -> Sequence[Quarantined]:
         """Let what is held be tried at the next run: all, one kind, or one thing; return what that is."""
@@ -97,7 +91,7 @@ class QuarantineStore:
 
     def _items(self, statement: Any) -> Sequence[Quarantined]:  # noqa: ANN401 - a select of any shape
         ordered = statement.order_by(ITEMS.c.last_ns, ITEMS.c.kind, ITEMS.c.key, ITEMS.c.stage)
-        return [_item(row) for row in self.connection.execute(ordered)]
+        return [value_of_row(Quarantined, row) for row in self.connection.execute(ordered)]
 
 
 def _of_vehicle(vehicle: str) -> ColumnElement[bool]:
@@ -109,12 +103,3 @@ def _of_vehicle(vehicle: str) -> ColumnElement[bool]:
         and_(ITEMS.c.kind == SubjectKind.RECORDING.value, ITEMS.c.key.in_(recordings)),
         and_(ITEMS.c.kind == SubjectKind.WINDOW.value, ITEMS.c.key.in_(windows)),
     )
-
-
-def _item(row: Row[Any]) -> Quarantined:
-    enumerations = {
-        "kind": SubjectKind(row.kind),
-        "code": ReasonCode(row.code),
-        "state": QuarantineState(row.state),
-    }
-    return Quarantined(**{**row._mapping, **enumerations})  # noqa: SLF001 - SQLAlchemy's public accessor

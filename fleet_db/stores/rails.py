@@ -18,14 +18,14 @@ from estimation.values.runs import SubjectKind
 from fleet_db.fields import fields_of, from_json, to_json, value_of
 from fleet_db.rows import insert_all_new, key_given, key_of, replace_all, table_of
 from fleet_db.subjects import Subjects
-from fleet_db.tables import RailCellRow
+from fleet_db.tables.windows import RailCellRow
 
 CELLS = table_of(RailCellRow)
 
 
 @dataclass(frozen=True, slots=True)
 class RailsStore:
-    """Implements ``estimation.storage.Rails``."""
+    """Conicities of wheelsets by section."""
 
     connection: Connection
     subjects: Subjects

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, select
+from sqlalchemy import Connection, Select, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
@@ -19,53 +19,47 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.read_once import ReadOnce
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
-from fleet_db.rows import table_of, upsert
+from fleet_db.rows import columns_of, delete_row, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.decoded_again import decode_undecoded
 from fleet_db.stores.estimated_again import Again
-from fleet_db.stores.measured_profiles import (
+from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided, stands_voided
+from fleet_db.stores.stale_spans import StaleSpanStore
+from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class, taken_out
+from fleet_db.stores.wheelset_events import (
     MEASURED,
-    measured_profiles_of,
-    newest_measurement_of,
-    store_measured_profiles,
-    stored_measurement,
-)
-from fleet_db.stores.mountings import (
     MOUNTINGS,
+    REPROFILINGS,
     add_mounting,
     changed_spans,
-    delete_mounting,
+    measured_profiles_of,
     mounting_at,
     mounting_on_file,
     mountings_of,
     mountings_on,
-    to_mounting,
+    newest_measurement_of,
+    reprofilings_of,
+    store_measured_profiles,
+    stored_measurement,
 )
-from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided, stands_voided
-from fleet_db.stores.reprofilings import REPROFILINGS, reprofilings_of, stored_reprofiling
-from fleet_db.stores.stale_spans import StaleSpanStore
-from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class, taken_out
 from fleet_db.subjects import Subjects
-from fleet_db.tables import (
-    FleetRow,
-    VehicleRow,
-    WheelsetRow,
-    WindowRow,
-)
+from fleet_db.tables.registry import FleetRow, VehicleRow, WheelsetRow
+from fleet_db.tables.windows import WindowRow
 
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
 WINDOWS = table_of(WindowRow)
 _LASTING = select(MOUNTINGS).where(MOUNTINGS.c.to_ns.is_(None)).subquery()
-_WITH_MOUNTING = select(WHEELSETS, _LASTING).outerjoin(_LASTING, _LASTING.c.wheelset == WHEELSETS.c.serial)
+_TURNED = select(REPROFILINGS.c.wheelset).where(REPROFILINGS.c.wheelset == WHEELSETS.c.serial).exists().label("turned")
+_WITH_MOUNTING = select(WHEELSETS, _LASTING, _TURNED).outerjoin(_LASTING, _LASTING.c.wheelset == WHEELSETS.c.serial)
 """Wheelsets with the mounting that lasts; within itself, so that who may not see that sees the wheelset."""
-_OF_MOUNTING = [column.name for column in MOUNTINGS.columns]
 
+ASSEMBLED_WITH = ("vehicle_class", "axles", "axle_offsets_m")
 NOBODY = Decision()
 
 
 @dataclass(frozen=True, slots=True)
 class RegistryStore:
-    """Implements ``estimation.storage.Registry``."""
+    """Fleets, vehicles, wheelsets with what happened to them. Writes are upserts: a repeat changes nothing."""
 
     connection: Connection
     subjects: Subjects
@@ -82,11 +76,7 @@ class RegistryStore:
         return [FleetRecord(*row) for row in self.connection.execute(select(FLEETS).order_by(FLEETS.c.code))]
 
     def vehicle(self, code: str) -> VehicleRecord:
-        """Return one vehicle.
-
-        Raises:
-            NotFoundError: There is none of that code.
-        """
+        """Return one vehicle; raises NotFoundError."""
         found = self.vehicles_of([code])
         if not found:
             raise NotFoundError("vehicle", code)
@@ -125,11 +115,7 @@ class RegistryStore:
         return self._wheelsets(_in_fleet(_WITH_MOUNTING, WHEELSETS.c.fleet, fleet))
 
     def wheelsets_of(self, serials: Sequence[str], *, voided: bool = True) -> Sequence[WheelsetRecord]:
-        """Return the wheelsets of these serials, by serial; one that is not on file is left out.
-
-        Args:
-            voided: Whether those that are voided are returned, too.
-        """
+        """Return the wheelsets of these serials, by serial; one that is not on file is left out."""
 
         def read(some: Collection[str]) -> Mapping[str, WheelsetRecord]:
             chosen = _WITH_MOUNTING.where(WHEELSETS.c.serial.in_(some))
@@ -141,31 +127,11 @@ class RegistryStore:
         return [record for _, record in sorted(found.items())]
 
     def wheelset(self, serial: str) -> WheelsetRecord:
-        """Return one wheelset, with the mounting that lasts and its reprofilings.
-
-        Raises:
-            NotFoundError: There is none of that serial.
-        """
+        """Return one wheelset, with the mounting that lasts and its reprofilings; raises NotFoundError."""
         found = self.wheelsets_of([serial])
         if not found:
             raise NotFoundError("wheelset", serial)
         return found[0]
-
-    def wheelsets_page(
-        self, fleet: str | None, vehicle: str | None, after: str | None, limit: int
-    ) -> Sequence[WheelsetRecord]:
-        """Return at most ``limit`` wheelsets with a serial behind ``after`` that are not voided.
-
-        With ``vehicle`` those that are mounted on it now.
-        """
-        statement = _in_fleet(_WITH_MOUNTING, WHEELSETS.c.fleet, fleet)
-        statement = statement.where(~is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial))
-        if vehicle is not None:
-            mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.to_ns.is_(None))
-            statement = statement.where(WHEELSETS.c.serial.in_(mounted))
-        if after is not None:
-            statement = statement.where(WHEELSETS.c.serial > after)
-        return self._wheelsets(statement.limit(limit))
 
     def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
         """Return which wheelset ran at an axle at a time of the vehicle's clock."""
@@ -187,19 +153,19 @@ class RegistryStore:
         """Return the mountings on some vehicles that last, by vehicle and axle."""
         statement = select(MOUNTINGS).where(MOUNTINGS.c.vehicle.in_(vehicles), MOUNTINGS.c.to_ns.is_(None))
         rows = self.connection.execute(statement.order_by(MOUNTINGS.c.vehicle, MOUNTINGS.c.axle, MOUNTINGS.c.wheelset))
-        return [to_mounting(row) for row in rows]
+        return [value_of_row(Mounting, row) for row in rows]
 
     def measured_wheelsets(self) -> frozenset[str]:
         """Return the serials of the wheelsets whose profiles were measured."""
         return frozenset(self.connection.scalars(select(MEASURED.c.wheelset).distinct()))
 
     def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]:
-        """Return every measurement of the profiles of a wheelset, oldest first.
+        """Return every measurement of the profiles of a wheelset, oldest first; raises DamagedError."""
+        return self.measured_profiles_of([wheelset]).get(wheelset, [])
 
-        Raises:
-            DamagedError: What was stored of one is damaged.
-        """
-        return measured_profiles_of(self.connection, wheelset)
+    def measured_profiles_of(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[MeasuredProfiles]]:
+        """Return every measurement of some wheelsets by serial, oldest first; one without is left out."""
+        return self.once.of("measured profiles", wheelsets, partial(measured_profiles_of, self.connection))
 
     def newest_measurement_of(self, wheelsets: Collection[str]) -> Mapping[str, tuple[int, float]]:
         """Return time (ns UTC) and mileage (km) of the newest measurement of the profiles of wheelsets, by serial."""
@@ -215,12 +181,6 @@ class RegistryStore:
             return found
         of_package = self.shipped(code)
         return None if of_package is None else ClassOnFile(of_package)
-
-    def classes_in_use(self) -> Sequence[str]:
-        """Return the codes of the classes that vehicles on file are of, in their order."""
-        return list(
-            self.connection.scalars(select(VEHICLES.c.vehicle_class).distinct().order_by(VEHICLES.c.vehicle_class))
-        )
 
     def vehicle_classes(self) -> Sequence[ClassOnFile]:
         """Return the newest version of every registered class, by code."""
@@ -250,21 +210,18 @@ class RegistryStore:
         upsert(self.connection, FLEETS, asdict(record))
 
     def add_vehicle(self, record: VehicleRecord, recorded_ns: int | None = None) -> EstimatedAgain:
-        """Add a vehicle or change it; return what is estimated again because it is of another class now.
-
-        Raises:
-            NotFoundError: Its fleet is unknown.
-        """
+        """Add a vehicle or change it; return what is estimated again because it is of another class now."""
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
-        found = self._vehicles(select(VEHICLES).where(VEHICLES.c.code == record.code))
-        was = found[0] if found else None
-        values = _vehicle_values(record)
+        row = row_of(self.connection, VEHICLES, record.code)
+        was = None if row is None else value_of_row(VehicleRecord, row)
+        values = columns_of(record)
         key = RecordKey(RecordKind.VEHICLE, record.code)
         RegistryHistoryStore(self.connection, self.subjects).note_return(key, values, self.decision)
         if upsert(self.connection, VEHICLES, values):
-            self._note(key, None if was is None else _vehicle_values(was), values, recorded_ns)
-        if was is None or _assembled_with(was) != _assembled_with(record):
+            self._note(key, row, values, recorded_ns)
+        # what windows are assembled with; the class decides the bus
+        if was is None or any(getattr(was, name) != getattr(record, name) for name in ASSEMBLED_WITH):
             cause = f"vehicle {record.code} {'added' if was is None else 'changed'}"
             StaleSpanStore(self.connection).add(record.code, None, None, cause)
         again = NOTHING_AGAIN if was is None else self._of_class(was, record, recorded_ns)
@@ -282,18 +239,11 @@ class RegistryStore:
         return Again(self.connection, self.subjects, recorded_ns).class_changed([record.code], before, after)
 
     def add_wheelset(self, record: WheelsetRecord, recorded_ns: int | None = None) -> EstimatedAgain:
-        """Add a wheelset or change it; the mounting and the reprofilings that it carries are added too.
-
-        Return what is estimated again because its nominal radius is another now.
-
-        Raises:
-            NotFoundError: Its fleet, or the vehicle of its mounting, is unknown.
-            ConflictError: Its mounting overlaps another.
-        """
+        """Add a wheelset with what it carries, or change it; return what another nominal radius estimates again."""
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
-        values = {name: getattr(record, name) for name in ("serial", "fleet", "wheel_profile", "nominal_radius_m")}
-        row = self.connection.execute(select(WHEELSETS).where(WHEELSETS.c.serial == record.serial)).mappings().first()
+        values = columns_of(record, "mounting", "reprofilings")
+        row = row_of(self.connection, WHEELSETS, record.serial)
         was = None if row is None else row["nominal_radius_m"]
         key = RecordKey(RecordKind.WHEELSET, record.serial)
         if self.voided(record.serial):
@@ -311,11 +261,7 @@ class RegistryStore:
         return Again(self.connection, self.subjects, recorded_ns).wheelset(record.serial)
 
     def add_mountings(self, records: Sequence[Mounting], recorded_ns: int | None = None) -> None:
-        """Add or change mountings together: wheelsets may change places with each other.
-
-        Raises:
-            NotFoundError, ParameterError, ConflictError: As :meth:`add_mounting`.
-        """
+        """Add or change mountings together: wheelsets may change places. Raises as :meth:`add_mounting`."""
         before = self.take_out(records)
         for record in records:
             self.add_mounting(record, before.get((record.wheelset, record.from_ns)), recorded_ns)
@@ -327,7 +273,7 @@ class RegistryStore:
         for record in records:
             was = mounting_on_file(self.connection, record)
             if was is not None and was != record:
-                delete_mounting(self.connection, was)
+                delete_row(self.connection, MOUNTINGS, was.wheelset, was.from_ns)
                 found[record.wheelset, record.from_ns] = was
         return found
 
@@ -364,31 +310,20 @@ class RegistryStore:
 
     def voided(self, serial: str) -> bool:
         """Return whether a wheelset was voided and not restored since."""
-        key = RecordKey(RecordKind.WHEELSET, serial)
-        return stands_voided(self.connection, key) is not None
+        return stands_voided(self.connection, RecordKey(RecordKind.WHEELSET, serial)) is not None
 
     def add_reprofiling(self, record: Reprofiling, recorded_ns: int | None = None) -> bool:
-        """Add a visit to the lathe, or change the one of the same wheelset and time; return whether anything changed.
-
-        Raises:
-            NotFoundError: The wheelset is unknown.
-        """
+        """Add a visit to the lathe, or change the one of that wheelset and time; return whether anything changed."""
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
-        was = stored_reprofiling(self.connection, record.wheelset, record.at_ns)
+        was = row_of(self.connection, REPROFILINGS, record.wheelset, record.at_ns)
         if not upsert(self.connection, REPROFILINGS, asdict(record)):
             return False
         self._note(RecordKey(RecordKind.REPROFILING, record.wheelset, record.at_ns), was, asdict(record), recorded_ns)
         return True
 
     def add_measured_profiles(self, record: MeasuredProfiles, recorded_ns: int | None = None) -> bool:
-        """Add a measurement of the profiles of a wheelset, or change the one of the same wheelset and time.
-
-        Return whether anything changed.
-
-        Raises:
-            NotFoundError: The wheelset is unknown.
-        """
+        """Add measured profiles, or change those of that wheelset and time; return whether anything changed."""
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
         was = stored_measurement(self.connection, record.wheelset, record.at_ns)
@@ -403,39 +338,34 @@ class RegistryStore:
         RegistryHistoryStore(self.connection, self.subjects).note_change(key, was, now, decision)
 
     def _vehicles(self, statement: Select[Any]) -> Sequence[VehicleRecord]:
-        rows = self.connection.execute(statement.order_by(VEHICLES.c.code)).mappings()
-        return [VehicleRecord(**(dict(row) | {"axle_offsets_m": tuple(row["axle_offsets_m"])})) for row in rows]
+        rows = self.connection.execute(statement.order_by(VEHICLES.c.code))
+        return [value_of_row(VehicleRecord, row) for row in rows]
 
     def _wheelsets(self, statement: Select[Any]) -> Sequence[WheelsetRecord]:
         rows = self.connection.execute(statement.order_by(WHEELSETS.c.serial)).all()
-        turned = reprofilings_of(self.connection, [row.serial for row in rows])
-        return [_wheelset(row, turned.get(row.serial, ())) for row in rows]
+        serials = [row.serial for row in rows if row.turned]
+        turned = reprofilings_of(self.connection, serials) if serials else {}
+        return [
+            value_of_row(
+                WheelsetRecord,
+                row,
+                mounting=None if row.wheelset is None else value_of_row(Mounting, row),
+                reprofilings=tuple(turned.get(row.serial, ())),
+            )
+            for row in rows
+        ]
 
     def _known_fleet(self, code: str) -> None:
-        if self.connection.scalar(select(FLEETS.c.code).where(FLEETS.c.code == code)) is None:
+        if row_of(self.connection, FLEETS, code) is None:
             raise NotFoundError("fleet", code)
 
     def _known_wheelset(self, serial: str) -> None:
-        if self.connection.scalar(select(WHEELSETS.c.serial).where(WHEELSETS.c.serial == serial)) is None:
+        if row_of(self.connection, WHEELSETS, serial) is None:
             raise NotFoundError("wheelset", serial)
-
-
-def _vehicle_values(record: VehicleRecord) -> dict[str, Any]:
-    return asdict(record) | {"axle_offsets_m": list(record.axle_offsets_m)}
-
-
-def _assembled_with(record: VehicleRecord) -> tuple[object, ...]:
-    """Return what the windows of a vehicle are assembled with; its class decides its bus."""
-    return record.vehicle_class, record.axles, record.axle_offsets_m
 
 
 def _in_fleet(statement: Select[Any], column: Any, fleet: str | None) -> Select[Any]:  # noqa: ANN401 - any column
     return statement if fleet is None else statement.where(column == fleet)
-
-
-def _wheelset(row: Row[Any], reprofilings: tuple[Reprofiling, ...]) -> WheelsetRecord:
-    mounting = None if row.wheelset is None else Mounting(**{name: getattr(row, name) for name in _OF_MOUNTING})
-    return WheelsetRecord(row.serial, row.fleet, row.wheel_profile, row.nominal_radius_m, mounting, reprofilings)
 
 
 def _still_there(was: Mounting | None, now: Mounting | None, from_ns: int, to_ns: int | None) -> bool:

@@ -9,7 +9,6 @@ from typing import Any
 from sqlalchemy import (
     ColumnElement,
     Connection,
-    Row,
     RowMapping,
     ScalarSelect,
     Subquery,
@@ -21,11 +20,11 @@ from sqlalchemy import (
     select,
 )
 
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
-from fleet_db.rows import table_of
+from fleet_db.rows import table_of, value_of_row
 from fleet_db.subjects import Subjects
-from fleet_db.tables import RegistryEventRow, VehicleRow
+from fleet_db.tables.registry import RegistryEventRow, VehicleRow
 
 EVENTS, VEHICLES = table_of(RegistryEventRow), table_of(VehicleRow)
 Record = Mapping[str, Any] | RowMapping
@@ -87,7 +86,7 @@ class RegistryHistoryStore:
         if action is not None:
             chosen.append(EVENTS.c.action == action.value)
         row = self.connection.execute(select(EVENTS).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1)).first()
-        return None if row is None else _event(row)
+        return None if row is None else value_of_row(RegistryEvent, row)
 
     def note_return(self, key: RecordKey, record: Mapping[str, JsonValue], decision: Decision) -> None:
         """Keep that a voided record is entered again; nothing where it is not voided."""
@@ -129,23 +128,19 @@ class RegistryHistoryStore:
             statement = statement.where(EVENTS.c.subject == subject)
         if after is not None:
             statement = statement.where(EVENTS.c.id > after)
-        return [_event(row) for row in self.connection.execute(statement)]
+        return [value_of_row(RegistryEvent, row) for row in self.connection.execute(statement)]
 
 
 def stands_voided(connection: Connection, key: RecordKey) -> RegistryEvent | None:
     """Return the decision by which an undated record was voided and that none has restored since."""
     chosen = (EVENTS.c.kind == key.kind.value, EVENTS.c.subject == key.subject, EVENTS.c.action.in_(_VOID_OR_NOT))
     row = connection.execute(select(EVENTS).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1)).first()
-    found = None if row is None else _event(row)
+    found = None if row is None else value_of_row(RegistryEvent, row)
     return found if found is not None and found.action is RecordAction.VOIDED else None
 
 
 def last_voided(kind: RecordKind, subject: ColumnElement[str]) -> ScalarSelect[Mapping[str, JsonValue]]:
-    """Return the record that the last decision on an undated one has voided; null where it has restored one.
-
-    Args:
-        subject: Column with its class, wheelset or section.
-    """
+    """Return the record that the last decision on an undated one has voided; null where it has restored one."""
     record = case((EVENTS.c.action == RecordAction.VOIDED.value, EVENTS.c.record), else_=null())
     chosen = (EVENTS.c.kind == kind.value, EVENTS.c.subject == subject, EVENTS.c.action.in_(_VOID_OR_NOT))
     return select(record).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1).scalar_subquery()
@@ -156,11 +151,7 @@ def _json(record: Mapping[str, JsonValue] | None) -> object:
 
 
 def is_voided(kind: RecordKind, subject: ColumnElement[str]) -> ColumnElement[bool]:
-    """Return whether the last decision on an undated record voided it.
-
-    Args:
-        subject: Column with its wheelset or section.
-    """
+    """Return whether the last decision on an undated record voided it."""
     last = _last_of(kind)
     voided = select(EVENTS.c.subject).join(last, EVENTS.c.id == last.c.id)
     return subject.in_(voided.where(EVENTS.c.action == RecordAction.VOIDED.value))
@@ -169,8 +160,3 @@ def is_voided(kind: RecordKind, subject: ColumnElement[str]) -> ColumnElement[bo
 def _last_of(kind: RecordKind) -> Subquery:
     chosen = and_(EVENTS.c.kind == kind.value, EVENTS.c.action.in_(_VOID_OR_NOT))
     return select(func.max(EVENTS.c.id).label("id")).where(chosen).group_by(EVENTS.c.subject).subquery()
-
-
-def _event(row: Row[Any]) -> RegistryEvent:
-    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
-    return RegistryEvent(**(fields | {"kind": RecordKind(row.kind), "action": RecordAction(row.action)}))

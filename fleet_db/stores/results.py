@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from sqlalchemy import Connection, Row, Select, bindparam, case, delete, insert, select, update
 
 from estimation.errors import DamagedError
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.results import AnyResult, History, Result, ResultKind
 from fleet_db.locks import Subject, serialise
@@ -19,11 +19,11 @@ from fleet_db.read_once import ReadOnce
 from fleet_db.rows import reason_columns, stored_reason, table_of
 from fleet_db.session import to_json
 from fleet_db.subjects import Subjects
-from fleet_db.tables import ResultRow
+from fleet_db.tables.results import ResultRow
 
 V = TypeVar("V")
 RESULTS = table_of(ResultRow)
-WITHOUT_VALUE = [column for column in RESULTS.columns if column.name != "value"]
+OF_HEAD = [column for column in RESULTS.columns if column.name not in {"value", "parameters"}]
 Parts = tuple[str, str]
 NEWEST_FIRST = (RESULTS.c.recorded_ns.desc(), RESULTS.c.result_id.desc())
 """None of a part was recorded before the one that it follows, whatever the clock says."""
@@ -64,10 +64,10 @@ class ResultStore:
     def heads(
         self, kind: ResultKind[V], subjects: Collection[str] | None, parts: Parts | None = None
     ) -> Sequence[Result[V]]:
-        """Return what :meth:`in_force` does now, without the values."""
-        statement = _chosen(kind, subjects, None, parts).with_only_columns(*WITHOUT_VALUE)
+        """Return what :meth:`in_force` does now, without values and parameters."""
+        statement = _chosen(kind, subjects, None, parts).with_only_columns(*OF_HEAD)
         rows = self.connection.execute(statement.order_by(RESULTS.c.subject, RESULTS.c.part))
-        return [_result(kind, row) for row in rows]
+        return [_result(kind, row, whole=False) for row in rows]
 
     def latest(self, kind: ResultKind[V], subject: str, as_of_ns: int | None = None) -> Result[V] | None:
         """Return the result of a subject that was put last, as it was recorded at ``as_of_ns``."""
@@ -76,11 +76,11 @@ class ResultStore:
         return None if row is None else _result(kind, row)
 
     def latest_head(self, kind: ResultKind[V], subject: str) -> Result[V] | None:
-        """Return what :meth:`latest` does now, without the value."""
+        """Return what :meth:`latest` does now, without value and parameters."""
 
         def read(some: Collection[str]) -> Mapping[str, Result[V]]:
-            found = _in_force(kind, some).with_only_columns(*WITHOUT_VALUE).order_by(RESULTS.c.result_id)
-            return {row.subject: _result(kind, row) for row in self.connection.execute(found)}
+            found = _in_force(kind, some).with_only_columns(*OF_HEAD).order_by(RESULTS.c.result_id)
+            return {row.subject: _result(kind, row, whole=False) for row in self.connection.execute(found)}
 
         return self.once.of_wheelsets(f"head {kind.stage}", [subject], read).get(subject)
 
@@ -219,8 +219,8 @@ def _values(kind: ResultKind[Any], result: AnyResult) -> dict[str, Any]:
     }
 
 
-def _result(kind: ResultKind[V], row: Row[Any]) -> Result[V]:
-    where, blob = f"{kind.stage} {row.result_id}", getattr(row, "value", None)
+def _result(kind: ResultKind[V], row: Row[Any], *, whole: bool = True) -> Result[V]:
+    where, blob = f"{kind.stage} {row.result_id}", row.value if whole else None
     return Result(
         subject=row.subject,
         part=row.part,
@@ -231,7 +231,7 @@ def _result(kind: ResultKind[V], row: Row[Any]) -> Result[V]:
         status=Status(row.status),
         reason=stored_reason(row),
         head=_head(row.head, where),
-        parameters=row.parameters,
+        parameters=row.parameters if whole else {},
         number=row.result_id,
     )
 

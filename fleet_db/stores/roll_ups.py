@@ -17,7 +17,7 @@ from fleet_db.packed_values import pack_bin_table, pack_rolling_sums, unpack_bin
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import by_wheelset, insert_all_new, replace_all, table_of
 from fleet_db.stores.window_marks import keys_given
-from fleet_db.tables import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
+from fleet_db.tables.windows import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 
 ROLL_UPS, STATES, ROLLING = table_of(RollUpRow), table_of(RollUpStateRow), table_of(RollingSumsRow)
 TABLES, WINDOWS = table_of(WindowBinTableRow), table_of(WindowRow)
@@ -28,7 +28,7 @@ KNOWN = (*OWN, "baseline", "baseline_interval", "side", "table_key", "vehicle_cl
 
 @dataclass(frozen=True, slots=True)
 class RollUpStore:
-    """Implements ``estimation.storage.RollUps``."""
+    """Sums of bin tables by mileage interval."""
 
     connection: Connection
     once: ReadOnce = field(default_factory=ReadOnce)
@@ -54,11 +54,7 @@ class RollUpStore:
         return self.once.of_wheelset("roll-ups", wheelset, read) or ()
 
     def sums(self, number: int) -> tuple[BinTable, BinTable]:
-        """Return the sums of a roll-up, plain and with forgetting; what has been forgotten is nothing.
-
-        Raises:
-            DamagedError: They are damaged.
-        """
+        """Return the sums of a roll-up, plain and with forgetting (zero where forgotten); raises DamagedError."""
         found = self.once.known("sums", number) or self._sums([number])[number]
         where = f"roll-up {number}"
         plain = unpack_bin_table(found[0], where=where)
@@ -74,11 +70,7 @@ class RollUpStore:
         return {row.number: (row.plain, row.forgetting) for row in rows}
 
     def earlier(self, wheelset: str, digest: str) -> BinTable | None:
-        """Return the forgetting sum of the intervals that are over; None where it is not of this digest.
-
-        Args:
-            digest: Of all that goes into it.
-        """
+        """Return the forgetting sum of the intervals that are over; None where it is not of this digest."""
 
         def read(some: Collection[str]) -> Mapping[str, tuple[str, bytes]]:
             kept = select(STATES).where(STATES.c.wheelset.in_(some), STATES.c.earlier.is_not(None))
@@ -96,16 +88,7 @@ class RollUpStore:
         replace_all(self.connection, STATES, rows)
 
     def put(self, parts: Mapping[str, Sequence[RolledPart]], now_ns: int) -> None:
-        """Store roll-ups of wheelsets with their sums.
-
-        What has been added to one that is sealed cannot be taken away again: the tables are purged with it.
-
-        Args:
-            now_ns: Our time, ns UTC.
-
-        Raises:
-            ConflictError: A roll-up is another by now.
-        """
+        """Store roll-ups of wheelsets with their sums; raises ConflictError where one is another by now."""
         new = []
         for wheelset, part in ((wheelset, part) for wheelset, own in parts.items() for part in own):
             values = _with_sums(wheelset, part)
@@ -150,23 +133,14 @@ class RollUpStore:
             self.connection.execute(delete(ROLL_UPS).where(*gone))
 
     def forget(self, wheelset: str, roll_ups: Sequence[int]) -> None:
-        """Delete the sums with forgetting of those of some roll-ups that are sealed.
-
-        Args:
-            roll_ups: Their numbers; what is added to them has no weight any more.
-        """
+        """Delete the sums with forgetting of those of some roll-ups that are sealed: what is added has no weight."""
         for first in range(0, len(roll_ups), BATCH):
             some = ROLL_UPS.c.number.in_(roll_ups[first : first + BATCH])
             kept = (ROLL_UPS.c.wheelset == wheelset, ROLL_UPS.c.sealed, ROLL_UPS.c.forgetting.is_not(None))
             self.connection.execute(update(ROLL_UPS).where(some, *kept).values(forgetting=None))
 
     def rolling(self, wheelset: str, windows: Mapping[int, str], assumed: str) -> Mapping[int, tuple[RollingSums, ...]]:
-        """Return by start what windows say of their rolling radius, where that is kept.
-
-        Args:
-            windows: Digest of their content by start; what was made of other content does not count.
-            assumed: Digest of the class and parameters that it must have been made with.
-        """
+        """Return by start what windows (digest by start) say of their rolling radius, where that was so assumed."""
 
         def read(some: Collection[str]) -> Mapping[str, Sequence[Row[Any]]]:
             rows = self.connection.execute(select(ROLLING).where(ROLLING.c.wheelset.in_(some)))

@@ -8,7 +8,7 @@ from sqlalchemy import Connection, or_, select
 
 from fleet_db.rows import table_of
 from fleet_db.stores.stale_spans import StaleSpanStore
-from fleet_db.tables import WindowRow
+from fleet_db.tables.windows import WindowRow
 
 WINDOWS = table_of(WindowRow)
 APART_NS = 86_400_000_000_000

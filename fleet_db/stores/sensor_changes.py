@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import Connection, delete, func, select
 
 from estimation.errors import ConflictError, ParameterError
+from estimation.values.reasons import utc_text
 from estimation.values.registry import SensorChange, SensorWork
-from estimation.values.utc_text import utc_text
 from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordKind
-from fleet_db.rows import table_of, upsert
+from fleet_db.rows import columns_of, table_of, upsert
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.subjects import Subjects
-from fleet_db.tables import SensorChangeRow
+from fleet_db.tables.registry import SensorChangeRow
 
 CHANGES = table_of(SensorChangeRow)
 
 
 @dataclass(frozen=True, slots=True)
 class SensorChangeStore:
-    """Implements ``estimation.storage.SensorChanges``."""
+    """When the sensors of an axle were exchanged or calibrated."""
 
     connection: Connection
     subjects: Subjects
@@ -40,12 +40,7 @@ class SensorChangeStore:
         return {(vehicle, axle): at_ns for vehicle, axle, at_ns in self.connection.execute(statement)}
 
     def add(self, record: SensorChange, axles: int, decision: Decision) -> bool:
-        """Add a record, or change the one of the same vehicle, axle and time; return whether anything changed.
-
-        Raises:
-            ParameterError: The vehicle has no such axle.
-            ConflictError: Another axle of it has a record of that time.
-        """
+        """Add a record, or change the one of that vehicle, axle and time; ConflictError: another axle has one then."""
         serialise(self.connection, Subject.REGISTRY)
         if not 1 <= record.axle <= axles:
             raise ParameterError(f"vehicle {record.vehicle!r} has axles 1 to {axles}, not {record.axle}", field="axle")
@@ -54,7 +49,7 @@ class SensorChangeStore:
             place = f"axle {was['axle']} of vehicle {record.vehicle!r}"
             reason = f"{place} has one of {utc_text(record.at_ns)}; give another time"
             raise ConflictError(reason, kind="sensor change", key=record.vehicle)
-        values = asdict(record) | {"work": record.work.value}
+        values = columns_of(record)
         if not upsert(self.connection, CHANGES, values):
             return False
         key = RecordKey(RecordKind.SENSOR_CHANGE, record.vehicle, record.at_ns)

@@ -27,12 +27,13 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
+from estimation.values.results import EVERYTHING, Due, Look, Mark, StageInputs
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import EVERYTHING, Due, Look, Mark, StageInputs
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.rows import table_of
+from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.subjects import VERSIONS, Subjects
-from fleet_db.tables import StageMarkRow
+from fleet_db.tables.operation import StageMarkRow
 
 MARKS = table_of(StageMarkRow)
 SUM = func.sum(VERSIONS.c.version)
@@ -40,7 +41,11 @@ SUM = func.sum(VERSIONS.c.version)
 
 @dataclass(frozen=True, slots=True)
 class StageMarkStore:
-    """Implements ``estimation.storage.Marks``."""
+    """What each stage has seen of its subjects.
+
+    `due` reads versions in the snapshot in which the inputs are read. `note` is of the transaction that stores what was
+    made of them: what was raised meanwhile leaves the subject due.
+    """
 
     connection: Connection
     subjects: Subjects
@@ -58,6 +63,8 @@ class StageMarkStore:
         if inputs.kind is SubjectKind.WINDOW:
             return self.windows.due(inputs, subjects)
         if not inputs.facets:
+            if inputs.kind is SubjectKind.VEHICLE:
+                return StaleSpanStore(self.connection).due(subjects)
             return self.windows.wheelsets(inputs, subjects)
         rows = self.connection.execute(_due(inputs, now_ns, subjects))
         return {

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, delete, insert, select, update
+from sqlalchemy import Connection, delete, func, insert, select, update
 
+from estimation.values.results import Due
 from fleet_db.rows import table_of
-from fleet_db.tables import StaleSpanRow
+from fleet_db.tables.recordings import StaleSpanRow
 
 SPANS = table_of(StaleSpanRow)
 
@@ -49,6 +50,14 @@ class StaleSpanStore:
         if vehicle is not None:
             statement = statement.where(SPANS.c.vehicle == vehicle)
         return [StaleSpan(**row._mapping) for row in self.connection.execute(statement)]  # noqa: SLF001 - public accessor of SQLAlchemy
+
+    def due(self, vehicles: Collection[str] | None = None) -> Mapping[str, Due]:
+        """Return the vehicles of which something is stale, by code; of some or of all."""
+        statement = select(SPANS.c.vehicle, func.max(SPANS.c.id).label("newest"))
+        if vehicles is not None:
+            statement = statement.where(SPANS.c.vehicle.in_(vehicles))
+        rows = self.connection.execute(statement.group_by(SPANS.c.vehicle).order_by(SPANS.c.vehicle))
+        return {row.vehicle: Due(row.newest) for row in rows}
 
     def advance(self, spans: Sequence[StaleSpan], to_ns: int) -> None:
         """Remove the part of spans before ``to_ns``, in the transaction that stores the windows of that part."""

@@ -2,53 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, delete, func, select
+from sqlalchemy import Connection, Select, and_, delete, func, select
 from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
+from estimation.values.opinions import GEAR, GEAR_DAMPERS, GearDamper, WindowDamper
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.trend import SuspensionFinding
-from fleet_db.rows import table_of, upsert
+from fleet_db.packed_values import pack_window_damper, unpack_window_damper
+from fleet_db.rows import columns_of, insert_all_new, replace_all, table_of, upsert, value_of_row
+from fleet_db.stores.results import ResultStore
 from fleet_db.subjects import Subjects
 from fleet_db.tables.track import SuspensionFindingRow
+from fleet_db.tables.windows import WindowDamperRow, WindowRow
 
 FINDINGS = table_of(SuspensionFindingRow)
 
 
 @dataclass(frozen=True, slots=True)
 class SuspensionStore:
-    """Implements ``estimation.storage.Suspensions``."""
+    """What the passes of sections show of the suspension of vehicles."""
 
     connection: Connection
     subjects: Subjects
 
     def put(self, finding: SuspensionFinding, epoch: int | None = None) -> None:
         """Store a finding of an epoch; one of the same vehicle, section and time is replaced."""
-        values = {
-            "vehicle": finding.vehicle,
-            "section": finding.section,
-            "to_ns": finding.to_ns,
-            "from_ns": finding.from_ns,
-            "ratio": finding.ratio,
-            "ratio_std": finding.ratio_std,
-            "assumed_m": finding.assumed,
-            "code_version": finding.code_version,
-            "epoch": epoch,
-            "recorded_ns": finding.recorded_ns,
-        }
+        values = columns_of(finding, "assumed") | {"assumed_m": finding.assumed, "epoch": epoch}
         upsert(self.connection, FINDINGS, values)
         self.subjects.raised(SubjectKind.VEHICLE, finding.vehicle, Facet.STIFFNESS)
 
     def forget(self, section: str, epoch: int, *, behind: bool) -> None:
-        """Remove what an epoch of a section has shown, before it is stored again.
-
-        Args:
-            behind: What the epochs behind it have shown goes too.
-        """
+        """Remove what an epoch of a section, with ``behind`` later ones too, has shown, before it is stored again."""
         chosen = FINDINGS.c.epoch >= epoch if behind else FINDINGS.c.epoch == epoch
         gone = delete(FINDINGS).where(FINDINGS.c.section == section, chosen).returning(FINDINGS.c.vehicle)
         for vehicle in self.connection.scalars(gone):
@@ -62,11 +51,7 @@ class SuspensionStore:
         return self._read(statement, FINDINGS.c)
 
     def newest(self, count: int) -> Sequence[SuspensionFinding]:
-        """Return the newest findings of every vehicle, in order of vehicle, time and section.
-
-        Args:
-            count: At most so many of each.
-        """
+        """Return at most ``count`` newest findings of every vehicle, in order of vehicle, time and section."""
         order = (FINDINGS.c.to_ns.desc(), FINDINGS.c.section.desc())
         rank = func.row_number().over(partition_by=FINDINGS.c.vehicle, order_by=order)
         ranked = select(FINDINGS, rank.label("rank")).subquery()
@@ -74,18 +59,71 @@ class SuspensionStore:
 
     def _read(self, statement: Select[Any], columns: ReadOnlyColumnCollection[str, Any]) -> Sequence[SuspensionFinding]:
         ordered = statement.order_by(columns.vehicle, columns.to_ns, columns.section)
-        return [_finding(row) for row in self.connection.execute(ordered)]
+        return [value_of_row(SuspensionFinding, row, assumed=row.assumed_m) for row in self.connection.execute(ordered)]
 
 
-def _finding(row: Row[Any]) -> SuspensionFinding:
-    return SuspensionFinding(
-        vehicle=row.vehicle,
-        section=row.section,
-        from_ns=row.from_ns,
-        to_ns=row.to_ns,
-        ratio=row.ratio,
-        ratio_std=row.ratio_std,
-        assumed=row.assumed_m,
-        code_version=row.code_version,
-        recorded_ns=row.recorded_ns,
-    )
+OF_WINDOWS, WINDOWS = table_of(WindowDamperRow), table_of(WindowRow)
+SAME = and_(
+    WINDOWS.c.wheelset == OF_WINDOWS.c.wheelset,
+    WINDOWS.c.start_ns == OF_WINDOWS.c.start_ns,
+    WINDOWS.c.content_digest == OF_WINDOWS.c.content_digest,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class DamperStore:
+    """What windows say of the lateral dampers of running gears, and what they say together."""
+
+    connection: Connection
+    results: ResultStore
+
+    def put_all(self, found: Sequence[WindowDamper]) -> None:
+        """Store what windows say of dampers; what they said before is replaced."""
+        rows = [_values(one) for one in found]
+        if insert_all_new(self.connection, OF_WINDOWS, rows) < len(rows):
+            replace_all(self.connection, OF_WINDOWS, rows)
+
+    def gears(self, vehicles: Sequence[str]) -> Sequence[GEAR]:
+        """Return the running gears of some vehicles of which windows say something."""
+        columns = (OF_WINDOWS.c.vehicle, OF_WINDOWS.c.first_axle)
+        rows = self.connection.execute(select(*columns).where(columns[0].in_(vehicles)).distinct().order_by(*columns))
+        return [(row.vehicle, row.first_axle) for row in rows]
+
+    def newest(self, vehicle: str, first_axle: int, limit: int) -> Sequence[WindowDamper]:
+        """Return what the newest windows of a running gear say, newest first.
+
+        Windows that are not there any more, or have other samples now, say nothing.
+
+        Args:
+            limit: How many at most.
+        """
+        own = (OF_WINDOWS.c.vehicle == vehicle, OF_WINDOWS.c.first_axle == first_axle)
+        statement = select(OF_WINDOWS).select_from(OF_WINDOWS.join(WINDOWS, SAME)).where(*own)
+        rows = self.connection.execute(statement.order_by(OF_WINDOWS.c.start_ns.desc()).limit(limit))
+        return [unpack_window_damper(row.packed, where=f"damper of {vehicle} axle {first_axle}") for row in rows]
+
+    def forget(self, vehicle: str, first_axle: int, before_ns: int) -> int:
+        """Remove what windows of a running gear say that began before a time; return of how many."""
+        own = (OF_WINDOWS.c.vehicle == vehicle, OF_WINDOWS.c.first_axle == first_axle)
+        return self.connection.execute(delete(OF_WINDOWS).where(*own, OF_WINDOWS.c.start_ns < before_ns)).rowcount
+
+    def of_vehicle(self, vehicle: str) -> Sequence[GearDamper]:
+        """Return the dampers of a vehicle by axle."""
+        return self.of_vehicles([vehicle])
+
+    def of_vehicles(self, vehicles: Collection[str]) -> Sequence[GearDamper]:
+        """Return the dampers of some vehicles, by vehicle and axle."""
+        found = self.results.in_force(GEAR_DAMPERS, vehicles)
+        dampers = (one.value for one in found if one.value is not None)
+        return sorted(dampers, key=lambda one: (one.vehicle, one.first_axle))
+
+
+def _values(found: WindowDamper) -> dict[str, object]:
+    return {
+        "vehicle": found.vehicle,
+        "first_axle": found.first_axle,
+        "start_ns": found.start_ns,
+        "wheelset": found.wheelset,
+        "content_digest": found.content_digest,
+        "packed": pack_window_damper(found),
+    }

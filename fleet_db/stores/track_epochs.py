@@ -26,8 +26,8 @@ from sqlalchemy import (
 )
 
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.track import EpochMember, FoldState, FoundOfVehicles, HeldWindow, ListedWindow, TrackEpoch
 from estimation.values.windows import DueStage, WindowKey, WindowRecord, WindowState
 from fleet_db import alignment_due
@@ -37,13 +37,8 @@ from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
 from fleet_db.stores.window_marks import BATCH, keys_given
 from fleet_db.stores.windows import to_window_record
 from fleet_db.subjects import Subjects
-from fleet_db.tables import (
-    TrackEpochRow,
-    TrackEpochVehicleRow,
-    TrackEpochWindowRow,
-    WindowBinTableRow,
-    WindowRow,
-)
+from fleet_db.tables.track import TrackEpochRow, TrackEpochVehicleRow, TrackEpochWindowRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 EPOCHS, MEMBERS, WINDOWS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow), table_of(WindowRow)
 VEHICLES = table_of(TrackEpochVehicleRow)
@@ -105,7 +100,7 @@ def _refused() -> Update:
 
 @dataclass(frozen=True, slots=True)
 class EpochStore:
-    """Implements ``estimation.storage.Epochs``."""
+    """Epochs of sections in vehicle time, each as it was computed last, and what has changed under them since."""
 
     connection: Connection
     subjects: Subjects

@@ -12,9 +12,8 @@ import numpy as np
 from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.values.quantities import Status
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.track import (
     AlignmentRecord,
     AlignmentSource,
@@ -28,14 +27,14 @@ from estimation.values.windows import WindowKey, WindowPosition
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
 from fleet_db.read_once import ReadOnce
-from fleet_db.registry_events import Decision, RecordKind
-from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, upsert
+from fleet_db.registry_events import Decision, RecordAction, RecordKind
+from fleet_db.rows import columns_of, null_if_nan, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.window_positions import forget_positions, positions_of, put_positions
 from fleet_db.subjects import Subjects
-from fleet_db.tables import (
+from fleet_db.tables.track import (
     TrackAlignmentRow,
     TrackEpochRow,
     TrackLayoutRow,
@@ -43,8 +42,8 @@ from fleet_db.tables import (
     TrackSectionRow,
     TrackVersionRow,
     WindowPositionRow,
-    WindowRow,
 )
+from fleet_db.tables.windows import WindowRow
 
 LAYOUTS = table_of(TrackLayoutRow)
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
@@ -61,8 +60,8 @@ RECORDS = select(
     SOURCE.label("source"),
     func.coalesce(VERSIONS.c.same_since, ALIGNMENTS.c.version).label("same_since"),
     VERSIONS.c.cut_off_m,
-    VERSIONS.c.scale_std,
-    VERSIONS.c.gauge_known,
+    func.coalesce(VERSIONS.c.scale_std, 0.0).label("scale_std"),
+    func.coalesce(VERSIONS.c.gauge_known, True).label("gauge_known"),
     VERSIONS.c.alignment_std_m,
     VERSIONS.c.recorded_ns,
     VERSIONS.c.superseded_ns,
@@ -71,7 +70,7 @@ RECORDS = select(
 
 @dataclass(frozen=True, slots=True)
 class TrackStore:
-    """Implements ``estimation.storage.Tracks``."""
+    """Track sections and versions of their alignment."""
 
     connection: Connection
     subjects: Subjects
@@ -83,11 +82,7 @@ class TrackStore:
         return self.once.one("sections", None, partial(self._sections, statement))
 
     def section(self, code: str) -> TrackSectionRecord:
-        """Return one section.
-
-        Raises:
-            NotFoundError: There is none of that code.
-        """
+        """Return one section; raises NotFoundError."""
         found = self._sections(select(SECTIONS).where(SECTIONS.c.code == code, SECTIONS.c.number > 0))
         if not found:
             raise NotFoundError("track section", code)
@@ -99,11 +94,7 @@ class TrackStore:
         return found[0] if found else None
 
     def add_section(self, record: TrackSectionRecord, recorded_ns: int | None = None) -> None:
-        """Add a section or change it; windows that its number or line changes are assembled again.
-
-        Raises:
-            ConflictError: Another section has its number.
-        """
+        """Add or change a section and assemble windows again; ConflictError: another section has its number."""
         serialise(self.connection, Subject.TRACKS)
         other = self.section_by_number(record.number)
         if other is not None and other.code != record.code:
@@ -112,7 +103,7 @@ class TrackStore:
                 kind="track section",
                 key=record.code,
             )
-        was = self.connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
+        was = row_of(self.connection, SECTIONS, record.code)
         line = None if record.line is None else [list(point) for point in record.line]  # as JSON has it
         if upsert(self.connection, SECTIONS, asdict(record) | {"line": line}):
             history = RegistryHistoryStore(self.connection, self.subjects)
@@ -181,10 +172,7 @@ class TrackStore:
         return version
 
     def in_force(self, section: str) -> AlignmentRecord | None:
-        """Return which version of the alignment of a section is in force, without its arrays.
-
-        It is the newest that has not been superseded.
-        """
+        """Return which version of a section's alignment is in force: the newest not superseded; without arrays."""
         statement = (
             RECORDS.where(ALIGNMENTS.c.section == section, STANDS).order_by(ALIGNMENTS.c.version.desc()).limit(1)
         )
@@ -257,21 +245,13 @@ class TrackStore:
             number = self.connection.scalar(last)
             statement = statement if number is None else statement.where(REPORTS.c.report_id == number)
         row = self.connection.execute(statement.order_by(REPORTS.c.report_id.desc()).limit(1)).first()
-        if row is None:
-            return None
-        fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
-        del fields["reason_code"]
-        return TrackReport(**(fields | {"status": Status(row.status), "reason": stored_reason(row)}))
+        return None if row is None else value_of_row(TrackReport, row)
 
     def add_report(self, report: TrackReport) -> int:
         """Append what a run found of a section; return its number."""
         serialise(self.connection, Subject.TRACKS)
-        values = asdict(report) | {"status": str(report.status), "report": dict(report.report)}
-        values |= reason_columns(report.reason)
-        values.pop("report_id")
-        return int(
-            self.connection.execute(insert(REPORTS).values(**values).returning(REPORTS.c.report_id)).scalar_one()
-        )
+        statement = insert(REPORTS).values(columns_of(report, "report_id")).returning(REPORTS.c.report_id)
+        return int(self.connection.execute(statement).scalar_one())
 
     def position(self, wheelset: str, start_ns: int) -> WindowPosition | None:
         """Return where a window was, if that has been looked at."""
@@ -281,12 +261,8 @@ class TrackStore:
         """Return by wheelset and start where those of some windows were that have been looked at."""
         return positions_of(self.connection, keys)
 
-    def put_position(self, position: WindowPosition) -> bool:
-        """Store where a window was, in the place of what was known; return whether that has changed."""
-        return bool(self.put_positions([position]))
-
     def put_positions(self, positions: Sequence[WindowPosition]) -> frozenset[WindowKey]:
-        """Store where windows were as :meth:`put_position` does; return those of which that has changed."""
+        """Store where windows were, in the place of what was known; return those of which that has changed."""
         return put_positions(self.connection, positions)
 
     def forget_positions_of(self, keys: Sequence[WindowKey]) -> None:
@@ -319,13 +295,7 @@ class TrackStore:
         return found
 
     def add_layout(self, layout: TrackLayout) -> int:
-        """Store a layout as the next version of its section and return that; ``layout.version`` is not read.
-
-        The content of the newest version again changes nothing and returns its version.
-
-        Raises:
-            NotFoundError: The section is unknown.
-        """
+        """Store a layout as the next version and return that; the content of the newest again changes nothing."""
         serialise(self.connection, Subject.TRACKS)
         self.section(layout.section)
         before, version = self.layout_version(layout.section), store_layout(self.connection, layout)
@@ -351,28 +321,11 @@ def _version_values(alignment: TrackAlignment, same_since: int, recorded_ns: int
 
 
 def _alignment_record(row: Any) -> AlignmentRecord:  # noqa: ANN401 - a row of RECORDS
-    return AlignmentRecord(
-        section=row.section,
-        version=row.version,
-        status=Status(row.status),
-        source=AlignmentSource(row.source),
-        same_since=row.same_since,
-        cut_off_m=np.inf if row.cut_off_m is None else row.cut_off_m,
-        scale_std=0.0 if row.scale_std is None else row.scale_std,
-        gauge_known=True if row.gauge_known is None else row.gauge_known,
-        alignment_std_m=row.alignment_std_m,
-        points=row.points,
-        recorded_ns=row.recorded_ns,
-        superseded_ns=row.superseded_ns,
-    )
+    return value_of_row(AlignmentRecord, row, cut_off_m=np.inf if row.cut_off_m is None else row.cut_off_m)
 
 
 def find_layout(connection: Connection, section: str, version: int | None) -> TrackLayout | None:
-    """Return one version of the layout of a section, or the newest; None where there is none.
-
-    Args:
-        version: None is the newest.
-    """
+    """Return one version of the layout of a section, None for the newest; None where there is none."""
     statement = select(LAYOUTS.c.version, LAYOUTS.c.packed).where(LAYOUTS.c.section == section)
     if version is not None:
         statement = statement.where(LAYOUTS.c.version == version)
@@ -383,10 +336,7 @@ def find_layout(connection: Connection, section: str, version: int | None) -> Tr
 
 
 def store_layout(connection: Connection, layout: TrackLayout) -> int:
-    """Store a layout as the next version of its section, which exists, and return that.
-
-    The content of the newest version again changes nothing and returns its version.
-    """
+    """Store a layout as the next version and return that; the content of the newest again changes nothing."""
     packed = pack_layout(layout)
     digest = hashlib.sha256(packed).hexdigest()
     newest = connection.execute(
@@ -401,3 +351,22 @@ def store_layout(connection: Connection, layout: TrackLayout) -> int:
     row = {"section": layout.section, "version": version, "points": len(layout.s)}
     connection.execute(insert(LAYOUTS).values(**row, content_digest=digest, packed=packed))
     return version
+
+
+def free_numbers(history: RegistryHistoryStore, records: Sequence[TrackSectionRecord], recorded_ns: int | None) -> None:
+    """Give up the numbers of sections that will get another one: sections may exchange theirs."""
+    connection = history.connection
+    serialise(connection, Subject.TRACKS)
+    for record in records:
+        was = connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
+        if was is not None and was["number"] > 0 and was["number"] != record.number:
+            key = RecordKey(RecordKind.SECTION, record.code)
+            decision = Decision(recorded_ns=recorded_ns)
+            history.note(key, RecordAction.CHANGED, dict(was), decision)
+            give_up_number(connection, record.code)
+
+
+def give_up_number(connection: Connection, code: str) -> None:
+    """Give a section a number that is on no bus."""
+    lowest = connection.scalar(select(func.min(SECTIONS.c.number))) or 0
+    connection.execute(update(SECTIONS).where(SECTIONS.c.code == code).values(number=min(lowest, 0) - 1))

@@ -13,7 +13,7 @@ from fleet_db.stores.results import ResultStore
 
 @dataclass(frozen=True, slots=True)
 class TrendStore:
-    """Implements ``estimation.storage.Trends``."""
+    """Trends, append-only."""
 
     results: ResultStore
     geometries: GeometryStore

@@ -8,12 +8,12 @@ from typing import Any
 from sqlalchemy import Connection, Row, func, insert, select
 
 from estimation.errors import DamagedError, ParameterError
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass, class_digest, class_document, class_of_document
 from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of
 from fleet_db.stores.registry_history import RecordKey, last_voided, stands_voided
-from fleet_db.tables import VehicleClassRow
+from fleet_db.tables.registry import VehicleClassRow
 
 CLASSES = table_of(VehicleClassRow)
 Shipped = Callable[[str], VehicleClass | None]  # the class of the package by code
@@ -25,14 +25,7 @@ def no_class(_code: str) -> VehicleClass | None:
 
 
 def find_class(connection: Connection, code: str, version: int | None) -> ClassOnFile | None:
-    """Return a version of a registered class, or the newest; None where there is none.
-
-    Args:
-        version: None is the newest.
-
-    Raises:
-        DamagedError: What was stored of it is no class.
-    """
+    """Return a version of a registered class, None for the newest; None where there is none. Raises DamagedError."""
     statement = select(CLASSES).where(CLASSES.c.code == code)
     if version is not None:
         statement = statement.where(CLASSES.c.version == version)
@@ -41,11 +34,7 @@ def find_class(connection: Connection, code: str, version: int | None) -> ClassO
 
 
 def newest_classes(connection: Connection, codes: Collection[str] | None = None) -> dict[str, ClassOnFile]:
-    """Return the newest version of classes by code, of some or of all; one that was voided is left out.
-
-    Raises:
-        DamagedError: What was stored of one is no class.
-    """
+    """Return the newest version of classes by code, of some or of all, without voided ones. Raises DamagedError."""
     newest = select(CLASSES.c.code, func.max(CLASSES.c.version).label("version")).group_by(CLASSES.c.code)
     if codes is not None:
         newest = newest.where(CLASSES.c.code.in_(codes))
@@ -58,11 +47,7 @@ def newest_classes(connection: Connection, codes: Collection[str] | None = None)
 
 
 def taken_out(connection: Connection, newest: ClassOnFile) -> bool:
-    """Return whether a class was voided and nothing else is in force since.
-
-    Args:
-        newest: Its newest version.
-    """
+    """Return whether a class with this newest version was voided and nothing else is in force since."""
     key = RecordKey(RecordKind.VEHICLE_CLASS, newest.vehicle_class.code)
     voided = stands_voided(connection, key)
     return _is(newest, None if voided is None else voided.record)
@@ -73,11 +58,7 @@ def _is(on_file: ClassOnFile, record: Mapping[str, JsonValue] | None) -> bool:
 
 
 def store_class(connection: Connection, vehicle_class: VehicleClass, recorded_ns: int) -> ClassOnFile:
-    """Store a class as the next version of its code and return that; the content of the newest changes nothing.
-
-    Args:
-        recorded_ns: Our time, ns UTC.
-    """
+    """Store a class as the next version of its code and return that; the content of the newest changes nothing."""
     newest = find_class(connection, vehicle_class.code, None)
     if newest is not None and newest.digest == class_digest(vehicle_class):
         return newest

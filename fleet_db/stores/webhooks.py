@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, delete, func, insert, select, update
+from sqlalchemy import Connection, Select, delete, func, insert, select, update
 
 from estimation.errors import NotFoundError
-from fleet_db.rows import table_of
-from fleet_db.tables import AlertEventRow, WebhookDeliveryRow, WebhookFleetRow, WebhookRow, WebhookSecretRow
-from fleet_db.webhook_records import (
-    Delivery,
-    DeliveryState,
-    DisabledReason,
-    Failure,
-    Webhook,
-    WebhookCount,
-    WebhookState,
-)
+from fleet_db.rows import columns_of, table_of, value_of_row
+from fleet_db.tables.alerts import AlertEventRow, WebhookDeliveryRow, WebhookFleetRow, WebhookRow, WebhookSecretRow
+from fleet_db.webhook_records import Delivery, DeliveryState, DisabledReason, Webhook, WebhookCount, WebhookState
 
 WEBHOOKS, FLEETS = table_of(WebhookRow), table_of(WebhookFleetRow)
 SECRETS, DELIVERIES = table_of(WebhookSecretRow), table_of(WebhookDeliveryRow)
@@ -33,19 +25,11 @@ class WebhookStore:
     connection: Connection
 
     def get(self, webhook_id: int) -> Webhook:
-        """Return one webhook.
-
-        Raises:
-            NotFoundError: There is none of that number.
-        """
+        """Return one webhook; raises NotFoundError."""
         return self._one(webhook_id, select(WEBHOOKS))
 
     def locked(self, webhook_id: int) -> Webhook:
-        """Return one webhook, which nobody else changes until the end of the transaction.
-
-        Raises:
-            NotFoundError: There is none of that number.
-        """
+        """Return one webhook, which nobody else changes until the end of the transaction; raises NotFoundError."""
         return self._one(webhook_id, select(WEBHOOKS).with_for_update())
 
     def page(self, after_id: int | None, limit: int | None) -> Sequence[Webhook]:
@@ -62,15 +46,12 @@ class WebhookStore:
     def counts(self) -> Sequence[WebhookCount]:
         """Return every webhook with how often it was sent to, by number."""
         numbers = select(WEBHOOKS.c.webhook_id, WEBHOOKS.c.delivered, WEBHOOKS.c.failed)
-        counted = {row.webhook_id: row for row in self.connection.execute(numbers)}
-        return [
-            WebhookCount(one, counted[one.webhook_id].delivered, counted[one.webhook_id].failed)
-            for one in self.page(None, None)
-        ]
+        counted = {number: sent for number, *sent in self.connection.execute(numbers)}
+        return [WebhookCount(one, *counted[one.webhook_id]) for one in self.page(None, None)]
 
     def add(self, webhook: Webhook, secret: str) -> Webhook:
         """Add a webhook with its secret and return it with its number."""
-        values = _fields(webhook) | {"delivered": 0, "failed": 0}
+        values = columns_of(webhook, "webhook_id", "bound") | {"delivered": 0, "failed": 0}
         statement = insert(WEBHOOKS).values(values).returning(WEBHOOKS.c.webhook_id)
         stored = replace(webhook, webhook_id=int(self.connection.execute(statement).scalar_one()))
         for fleet in sorted(webhook.bound or ()):
@@ -82,7 +63,7 @@ class WebhookStore:
         """Store what has changed of a webhook, as its next revision; what waits for a time is withdrawn."""
         changed = replace(webhook, revision=webhook.revision + 1)
         mine = WEBHOOKS.c.webhook_id == webhook.webhook_id
-        self.connection.execute(update(WEBHOOKS).where(mine).values(_fields(changed)))
+        self.connection.execute(update(WEBHOOKS).where(mine).values(columns_of(changed, "webhook_id", "bound")))
         self.connection.execute(
             update(DELIVERIES)
             .where(DELIVERIES.c.webhook_id == webhook.webhook_id, DELIVERIES.c.state == DeliveryState.WAITING.value)
@@ -91,11 +72,7 @@ class WebhookStore:
         return changed
 
     def delete(self, webhook_id: int) -> None:
-        """Delete a webhook with its secrets and the records of its deliveries.
-
-        Raises:
-            NotFoundError: There is none of that number.
-        """
+        """Delete a webhook with its secrets and the records of its deliveries; raises NotFoundError."""
         self.get(webhook_id)
         for table in (DELIVERIES, SECRETS, FLEETS, WEBHOOKS):
             self.connection.execute(delete(table).where(table.c.webhook_id == webhook_id))
@@ -107,11 +84,7 @@ class WebhookStore:
         return list(self.connection.scalars(statement.order_by(SECRETS.c.secret_id.desc())))
 
     def rotate(self, webhook_id: int, secret: str, now_ns: int, until_ns: int) -> None:
-        """Let another secret sign, and those before it beside it until a time at most; delete those that have ended.
-
-        Args:
-            now_ns, until_ns: Our time, and until when those before it still sign, ns UTC.
-        """
+        """Let another secret sign, and those before it beside it until a time at most; delete those that have ended."""
         mine = SECRETS.c.webhook_id == webhook_id
         later = SECRETS.c.until_ns.is_(None) | (SECRETS.c.until_ns > until_ns)
         self.connection.execute(update(SECRETS).where(mine, later).values(until_ns=until_ns))
@@ -121,7 +94,7 @@ class WebhookStore:
     def waiting(self) -> Mapping[int, Delivery]:
         """Return the deliveries that are tried again at a time, by the number of their webhook: one of each at most."""
         waits = select(DELIVERIES).where(DELIVERIES.c.state == DeliveryState.WAITING.value)
-        return {row.webhook_id: _delivery(row) for row in self.connection.execute(waits)}
+        return {row.webhook_id: value_of_row(Delivery, row) for row in self.connection.execute(waits)}
 
     def deliveries(
         self, webhook_id: int, before_id: int | None, limit: int, state: DeliveryState | None = None
@@ -133,7 +106,7 @@ class WebhookStore:
         if state is not None:
             statement = statement.where(DELIVERIES.c.state == state.value)
         found = self.connection.execute(statement.order_by(DELIVERIES.c.delivery_id.desc()).limit(limit))
-        return [_delivery(row) for row in found]
+        return [value_of_row(Delivery, row) for row in found]
 
     def attempted(self, webhook: Webhook, delivery: Delivery, disabled: DisabledReason | None) -> bool:
         """Store the outcome of an attempt; return whether it counted.
@@ -157,21 +130,13 @@ class WebhookStore:
             values |= {"since_ns": delivery.last_ns, "revision": webhook.revision + 1}
         if self.connection.execute(statement.values(values)).rowcount == 0:
             return False
-        failure = None if delivery.failure is None else delivery.failure.value
-        fields = asdict(delivery) | {"state": delivery.state.value, "failure": failure}
-        number = fields.pop("delivery_id")
-        if number:
-            self.connection.execute(update(DELIVERIES).where(DELIVERIES.c.delivery_id == number).values(fields))
-        else:
-            self.connection.execute(insert(DELIVERIES).values(fields))
+        fields, number = columns_of(delivery, "delivery_id"), delivery.delivery_id
+        stored = update(DELIVERIES).where(DELIVERIES.c.delivery_id == number) if number else insert(DELIVERIES)
+        self.connection.execute(stored.values(fields))
         return True
 
     def passed(self, webhook: Webhook, sequence: int) -> None:
-        """Move the position of a webhook over events that are none of its own, unless it has been changed meanwhile.
-
-        Args:
-            webhook: As it was read when the feed was looked through.
-        """
+        """Move the position of a webhook over events that are none of its own, unless it has been changed meanwhile."""
         same = (WEBHOOKS.c.webhook_id == webhook.webhook_id, WEBHOOKS.c.position == webhook.position)
         unchanged = WEBHOOKS.c.revision == webhook.revision
         self.connection.execute(update(WEBHOOKS).where(*same, unchanged).values(position=sequence))
@@ -196,32 +161,8 @@ class WebhookStore:
 
     def _webhooks(self, statement: Select[Any]) -> Sequence[Webhook]:
         rows = self.connection.execute(statement.order_by(WEBHOOKS.c.webhook_id)).all()
-        bound: dict[int, set[str]] = {}
+        bound: dict[int, frozenset[str]] = {}
         numbers = [row.webhook_id for row in rows]
         for row in self.connection.execute(select(FLEETS).where(FLEETS.c.webhook_id.in_(numbers))):
-            bound.setdefault(row.webhook_id, set()).add(row.fleet)
-        return [_webhook(row, bound.get(row.webhook_id)) for row in rows]
-
-
-def _fields(webhook: Webhook) -> dict[str, Any]:
-    """Return the columns of a webhook, but for its number and what is counted."""
-    fields = asdict(webhook)
-    del fields["webhook_id"], fields["bound"]
-    listed = {name: sorted(fields[name]) for name in ("fleets", "kinds", "severities")}
-    reason = None if webhook.disabled_reason is None else webhook.disabled_reason.value
-    return fields | listed | {"state": webhook.state.value, "disabled_reason": reason}
-
-
-def _webhook(row: Row[Any], bound: set[str] | None) -> Webhook:
-    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
-    del fields["delivered"], fields["failed"]
-    listed = {name: frozenset(fields[name]) for name in ("fleets", "kinds", "severities")}
-    reason = None if row.disabled_reason is None else DisabledReason(row.disabled_reason)
-    known = {"state": WebhookState(row.state), "disabled_reason": reason}
-    return Webhook(**fields | listed | known, bound=None if bound is None else frozenset(bound))
-
-
-def _delivery(row: Row[Any]) -> Delivery:
-    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
-    failure = None if row.failure is None else Failure(row.failure)
-    return Delivery(**fields | {"state": DeliveryState(row.state), "failure": failure})
+            bound[row.webhook_id] = bound.get(row.webhook_id, frozenset()) | {row.fleet}
+        return [value_of_row(Webhook, row, bound=bound.get(row.webhook_id)) for row in rows]

@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
-from sqlalchemy import Connection, func, select
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Select,
+    Subquery,
+    bindparam,
+    case,
+    false,
+    func,
+    select,
+    true,
+    union_all,
+)
 
-from estimation.values.reasons import ReasonCode
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowState
-from fleet_db.rows import table_of
-from fleet_db.tables import WindowRow
+from fleet_db.due import IS_PENDING, PLACED
+from fleet_db.receipts import ChunkState
+from fleet_db.rows import stored_reason, table_of, value_of_row
+from fleet_db.tables.recordings import ChunkRow
+from fleet_db.tables.results import WorklistEntryRow
+from fleet_db.tables.windows import WindowRow
 
 WINDOWS = table_of(WindowRow)
 DAY_NS = 86_400 * 10**9
@@ -34,11 +53,7 @@ class WindowCounts:
 
 
 def window_counts(connection: Connection, wheelset: str, most: int) -> WindowCounts:
-    """Return the windows of a wheelset by state and reason, in whole days or as many days as needed.
-
-    Args:
-        most: How many stretches of time at most.
-    """
+    """Return windows by state and reason in at most ``most`` stretches of whole days."""
     of_wheelset = WINDOWS.c.wheelset == wheelset
     first, last = connection.execute(
         select(func.min(WINDOWS.c.start_ns), func.max(WINDOWS.c.start_ns)).where(of_wheelset)
@@ -65,3 +80,174 @@ def window_counts(connection: Connection, wheelset: str, most: int) -> WindowCou
 
 def _order(one: WindowCount) -> tuple[int, str, str]:
     return one.from_ns, one.state.value, "" if one.code is None else one.code.value
+
+
+COUNTED = 1000
+"""Windows that are counted, the newest: 17 hours of running."""
+
+EVER_NS = -(2**63)
+SERIALS_AT_ONCE = 50
+
+
+@dataclass(frozen=True, slots=True)
+class CountedWindows:
+    """Windows of one wheelset that have the same state, reason code, section and vehicle.
+
+    Attributes:
+        placed: Whether their place on the section is found; False of those that do not wait.
+        reason: As it is stored of the newest; None where none is.
+        first_ns, newest_start_ns, newest_end_ns: Begin of the oldest, begin and end of the newest, ns UTC on the
+            vehicle's clock.
+    """
+
+    state: WindowState
+    reason: Reason | None
+    section: str | None
+    vehicle: str
+    placed: bool
+    windows: int
+    first_ns: int
+    newest_start_ns: int
+    newest_end_ns: int
+
+
+def newest_by_reason(
+    connection: Connection, wheelset: str, since_ns: int | None = None, most: int = COUNTED
+) -> Sequence[CountedWindows]:
+    """Return windows by state and reason code of the ``most`` newest since a time, the most frequent first."""
+    given = {"serial": wheelset, "since_ns": EVER_NS if since_ns is None else since_ns, "most": most}
+    rows = connection.execute(_grouped(), given).all()
+    starts = [row.newest_start_ns for row in rows if row.reason_code is not None]
+    stored = {}
+    if starts:
+        found = connection.execute(_reasons(), {"serial": wheelset, "starts": starts})
+        stored = {row.start_ns: stored_reason(row) for row in found}
+    counted = [
+        value_of_row(
+            CountedWindows,
+            row,
+            reason=stored.get(row.newest_start_ns),
+            section=row.track_section,
+            placed=bool(row.placed),
+        )
+        for row in rows
+    ]
+    return sorted(counted, key=lambda one: (-one.windows, -one.newest_end_ns, one.state.value))
+
+
+def pending_by_place(
+    connection: Connection, *, vehicles: Sequence[str] | None = None, wheelset: str | None = None
+) -> Sequence[CountedWindows]:
+    """Return the windows that wait, however many, by vehicle, section, and whether their place is found."""
+    chosen = [IS_PENDING]
+    if vehicles is not None:
+        chosen.append(WINDOWS.c.vehicle.in_(vehicles))
+    if wheelset is not None:
+        chosen.append(WINDOWS.c.wheelset == wheelset)
+    placed = case((PLACED, true()), else_=false()).label("placed")
+    names = ("vehicle", "track_section", "start_ns")
+    end = (WINDOWS.c.start_ns + WINDOWS.c.length_ns).label("end_ns")
+    waiting = select(*(WINDOWS.c[name] for name in names), end, placed)
+    one = waiting.where(*chosen).subquery()
+    key = (one.c.vehicle, one.c.track_section, one.c.placed)
+    rows = connection.execute(select(*key, *_sums(one)).group_by(*key))
+    common = {"state": WindowState.PENDING, "reason": None}
+    return [
+        value_of_row(CountedWindows, row, section=row.track_section, placed=bool(row.placed), **common) for row in rows
+    ]
+
+
+def refused_by_code(connection: Connection, since_ns: Mapping[str, int | None]) -> dict[str, dict[ReasonCode, int]]:
+    """Return how many of the newest windows of wheelsets are refused, by serial and code, the most frequent first.
+
+    Args:
+        since_ns: By serial; None is ever.
+    """
+    found: dict[str, dict[ReasonCode, int]] = {serial: {} for serial in since_ns}
+    given = list(since_ns.items())
+    for first in range(0, len(given), SERIALS_AT_ONCE):
+        newest = union_all(*(_newest_refused(*one) for one in given[first : first + SERIALS_AT_ONCE])).subquery()
+        counted = select(newest.c.wheelset, newest.c.reason_code, func.count().label("windows"))
+        refused = counted.where(newest.c.state == WindowState.REFUSED.value, newest.c.reason_code.is_not(None))
+        for row in connection.execute(refused.group_by(newest.c.wheelset, newest.c.reason_code)):
+            found[row.wheelset][ReasonCode(row.reason_code)] = row.windows
+    return {
+        serial: dict(sorted(counts.items(), key=lambda item: (-item[1], item[0].value)))
+        for serial, counts in found.items()
+    }
+
+
+def _newest_refused(serial: str, since_ns: int | None) -> Select[Any]:
+    of_key = (WINDOWS.c.wheelset == serial, WINDOWS.c.start_ns >= (EVER_NS if since_ns is None else since_ns))
+    newest = select(WINDOWS.c.wheelset, WINDOWS.c.state, WINDOWS.c.reason_code).where(*of_key)
+    limited = newest.order_by(WINDOWS.c.start_ns.desc()).limit(COUNTED).subquery()
+    return select(limited)
+
+
+@cache
+def _grouped() -> Select[Any]:
+    of_key = (WINDOWS.c.wheelset == bindparam("serial"), WINDOWS.c.start_ns >= bindparam("since_ns"))
+    waits = WINDOWS.c.state == WindowState.PENDING.value
+    names = ("state", "reason_code", "track_section", "vehicle", "start_ns")
+    end = (WINDOWS.c.start_ns + WINDOWS.c.length_ns).label("end_ns")
+    placed = case((waits, PLACED), else_=false()).label("placed")
+    newest = select(*(WINDOWS.c[name] for name in names), end, placed).where(*of_key)
+    one = newest.order_by(WINDOWS.c.start_ns.desc()).limit(bindparam("most")).subquery()
+    key = (one.c.state, one.c.reason_code, one.c.track_section, one.c.vehicle, one.c.placed)
+    return select(*key, *_sums(one)).group_by(*key)
+
+
+def _sums(one: Subquery) -> tuple[ColumnElement[Any], ...]:
+    """Return what is counted of the windows of a group."""
+    return (
+        func.count().label("windows"),
+        func.min(one.c.start_ns).label("first_ns"),
+        func.max(one.c.start_ns).label("newest_start_ns"),
+        func.max(one.c.end_ns).label("newest_end_ns"),
+    )
+
+
+@cache
+def _reasons() -> Select[Any]:
+    starts = WINDOWS.c.start_ns.in_(bindparam("starts", expanding=True))
+    columns = (WINDOWS.c.start_ns, WINDOWS.c.reason, WINDOWS.c.reason_code)
+    return select(*columns).where(WINDOWS.c.wheelset == bindparam("serial"), starts)
+
+
+CHUNKS, ENTRIES = table_of(ChunkRow), table_of(WorklistEntryRow)
+
+
+@dataclass(frozen=True, slots=True)
+class Backlog:
+    """What waits.
+
+    Attributes:
+        recordings: How many there are, by state.
+        oldest_recording_ns, oldest_window_ns: Since when, ns of our clock, the oldest recording waits to be decoded and
+            the oldest window to be estimated; None where none does.
+        last_data: Fleet, and newest data on the vehicle's clock, of each vehicle with a mounted wheelset; None without
+            data.
+    """
+
+    recordings: Mapping[ChunkState, int]
+    oldest_recording_ns: int | None
+    oldest_window_ns: int | None
+    last_data: tuple[tuple[str, int | None], ...]
+
+
+def backlog_of(connection: Connection) -> Backlog:
+    """Return what waits now."""
+    states = connection.execute(select(CHUNKS.c.state, func.count()).group_by(CHUNKS.c.state))
+    stored = select(func.min(CHUNKS.c.received_ns)).where(CHUNKS.c.state == ChunkState.STORED.value)
+    pending = select(func.min(WINDOWS.c.recorded_ns)).where(WINDOWS.c.state == WindowState.PENDING.value)
+    newest = (
+        select(ENTRIES.c.fleet, func.max(ENTRIES.c.last_data_ns))
+        .where(ENTRIES.c.vehicle.is_not(None))
+        .group_by(ENTRIES.c.fleet, ENTRIES.c.vehicle)
+    )
+    return Backlog(
+        recordings={ChunkState(state): int(count) for state, count in states},
+        oldest_recording_ns=connection.scalar(stored),
+        oldest_window_ns=connection.scalar(pending),
+        last_data=tuple((fleet, at_ns) for fleet, at_ns in connection.execute(newest)),
+    )

@@ -23,10 +23,10 @@ from sqlalchemy import (
 
 from estimation.errors import NotFoundError
 from estimation.values.windows import DueStage, PassedOver, WindowKey, WindowMark, WindowState
-from fleet_db.due import estimated, list_due, list_waiting
+from fleet_db.due import estimated, list_due, list_to_estimate, list_waiting
 from fleet_db.rows import reason_columns, replace_all, table_of
 from fleet_db.subjects import Subjects
-from fleet_db.tables import WindowBinTableRow, WindowRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 BATCH = 500  # keys in a statement
@@ -77,6 +77,22 @@ def mark_all(connection: Connection, subjects: Subjects, marks: Sequence[WindowM
     estimated(connection, [mark.key for mark in held if mark.state is WindowState.ESTIMATED])
     remove_tables(connection, subjects, gone)
     return held
+
+
+def wait_again(subjects: Subjects, chosen: ColumnElement[bool], what: PassedOver) -> None:
+    """Let windows wait to be estimated again; those without samples stay as they are, and that is noted.
+
+    Args:
+        chosen: Condition on the table of windows, but for their states.
+        what: Would have changed those that stay.
+    """
+    of = select(WINDOWS.c.wheelset, WINDOWS.c.track_section).where(chosen).distinct()
+    for wheelset, section in subjects.connection.execute(of):
+        subjects.tables(wheelset)
+        subjects.windows(wheelset)
+        subjects.places(section)
+    list_to_estimate(subjects.connection, chosen)
+    pass_over(subjects.connection, and_(chosen, WINDOWS.c.samples_purged_ns.is_not(None)), what)
 
 
 def remove_tables(connection: Connection, subjects: Subjects, keys: Sequence[WindowKey]) -> None:

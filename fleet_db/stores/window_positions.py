@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, delete, select
+from sqlalchemy import Connection, Select, delete, select
 
 from estimation.values.windows import WindowKey, WindowPosition
-from fleet_db.rows import insert_all_new, reason_columns, replace_all, stored_reason, table_of
+from fleet_db.rows import columns_of, insert_all_new, replace_all, table_of, value_of_row
 from fleet_db.stores.window_marks import BATCH, keys_given
-from fleet_db.tables import WindowPositionRow, WindowRow
+from fleet_db.tables.track import WindowPositionRow
+from fleet_db.tables.windows import WindowRow
 
 POSITIONS, WINDOWS = table_of(WindowPositionRow), table_of(WindowRow)
 
@@ -22,7 +22,7 @@ def positions_of(connection: Connection, keys: Sequence[WindowKey]) -> Mapping[W
     found = {}
     for first in range(0, len(keys), BATCH):
         for row in connection.execute(_positions(), {"keys": keys[first : first + BATCH]}):
-            found[row.wheelset, row.start_ns] = _position(row)
+            found[row.wheelset, row.start_ns] = value_of_row(WindowPosition, row)
     return found
 
 
@@ -30,7 +30,7 @@ def put_positions(connection: Connection, positions: Sequence[WindowPosition]) -
     """Store where windows were, in the place of what was known; return those of which that has changed."""
     before = positions_of(connection, [(one.wheelset, one.start_ns) for one in positions])
     changed = {
-        (one.wheelset, one.start_ns): asdict(one) | reason_columns(one.reason)
+        (one.wheelset, one.start_ns): columns_of(one)
         for one in positions
         if before.get((one.wheelset, one.start_ns)) != one
     }
@@ -53,9 +53,3 @@ def forget_positions(connection: Connection, keys: Sequence[WindowKey]) -> set[s
 @cache
 def _positions() -> Select[Any]:
     return select(POSITIONS).where(keys_given(POSITIONS))
-
-
-def _position(row: Row[Any]) -> WindowPosition:
-    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
-    del fields["reason_code"]
-    return WindowPosition(**(fields | {"reason": stored_reason(row)}))

@@ -56,9 +56,19 @@ from fleet_db.rows import (
     stored_reason,
     table_of,
 )
-from fleet_db.stores.window_marks import BATCH, keys_given, list_for_sums, mark_all, pass_over, remove_tables
+from fleet_db.stores.window_marks import (
+    BATCH,
+    keys_given,
+    list_for_sums,
+    mark_all,
+    pass_over,
+    remove_tables,
+    wait_again,
+)
 from fleet_db.subjects import Subjects
-from fleet_db.tables import MountingRow, WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
+from fleet_db.tables.registry import MountingRow, WheelsetRow
+from fleet_db.tables.track import WindowPositionRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 from fleet_db.telemetry import WindowFiles, window_digest
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
@@ -86,7 +96,7 @@ REALS = (
 
 @dataclass(frozen=True, slots=True)
 class WindowStore:
-    """Implements ``estimation.storage.Windows``."""
+    """Windows of samples and their state."""
 
     connection: Connection
     subjects: Subjects
@@ -159,35 +169,16 @@ class WindowStore:
         found = self._records(select(WINDOWS).where(*key))
         return found[0] if found else None
 
-    def requeue(self, track_section: str, code: ReasonCode) -> int:
-        """Let the windows of a section that were refused for a reason of this code wait again; return how many."""
-        refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code == code.value)
-        found = self._records(select(WINDOWS).where(WINDOWS.c.track_section == track_section, *refused))
-        return sum(self.mark(record.wheelset, record.start_ns, WindowState.PENDING) for record in found)
+    def refused_on(self, section: str, codes: Sequence[ReasonCode]) -> Sequence[WindowRecord]:
+        """Return the windows on a section that were refused for some reasons, and whose state is not passed over.
 
-    def refused_sections(self, code: ReasonCode, sections: Collection[str]) -> Sequence[str]:
-        """Return those of some sections with windows that were refused for a reason of this code, by code."""
-        refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code == code.value)
-        of_sections = on_sections(WINDOWS.c.track_section, sections)
-        statement = select(WINDOWS.c.track_section).where(*refused, of_sections, NOT_PASSED_OVER)
-        return list(self.connection.scalars(statement.distinct().order_by(WINDOWS.c.track_section)))
-
-    def refused_vehicles(self, code: ReasonCode, sections: Collection[str]) -> Sequence[str]:
-        """Return the vehicles of windows on some sections that were refused for a reason of this code, by code."""
-        refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code == code.value)
-        of_sections = on_sections(WINDOWS.c.track_section, sections)
-        statement = select(WINDOWS.c.vehicle).where(*refused, of_sections, NOT_PASSED_OVER)
-        statement = statement.distinct().order_by(WINDOWS.c.vehicle)
-        return list(self.connection.scalars(statement))
-
-    def requeue_vehicle(self, vehicle: str, code: ReasonCode) -> int:
-        """Let the windows of a vehicle that were refused for a reason of this code wait again; return how many.
-
-        Where they were is looked for again too.
+        Args:
+            section: Its code; the empty text stands for windows on none.
         """
-        refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code == code.value)
-        found = self._records(select(WINDOWS).where(WINDOWS.c.vehicle == vehicle, *refused))
-        return len(self.look_again([record.key for record in found]))
+        refused = WINDOWS.c.reason_code.in_([code.value for code in codes])
+        on_it = on_sections(WINDOWS.c.track_section, [section])
+        statement = select(WINDOWS).where(WINDOWS.c.state == WindowState.REFUSED.value, refused, on_it, NOT_PASSED_OVER)
+        return self._records(statement.order_by(*WINDOWS.primary_key))
 
     def look_again(self, keys: Sequence[WindowKey]) -> Sequence[WindowKey]:
         """Let windows wait again, their positions too; return those that do."""
@@ -205,11 +196,9 @@ class WindowStore:
         self.look_again([key for key in keys if key not in estimated])
         windows_changed(self.connection, keys, (SIGNATURES, DueStage.TABLES))
 
-    def requeue_section(self, track_section: str) -> int:
-        """Set every window of a section to pending; return how many were not."""
-        not_pending = (WINDOWS.c.track_section == track_section, WINDOWS.c.state != WindowState.PENDING.value)
-        found = self._records(select(WINDOWS).where(*not_pending))
-        return sum(self.mark(record.wheelset, record.start_ns, WindowState.PENDING) for record in found)
+    def estimate_again(self, section: str) -> None:
+        """Let every window on a section wait to be estimated again."""
+        wait_again(self.subjects, WINDOWS.c.track_section == section, PassedOver.SUPERSEDED)
 
     def load(self, wheelset: str, start_ns: int) -> Window:
         """Return a window with its samples.

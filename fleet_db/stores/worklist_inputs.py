@@ -9,13 +9,12 @@ from typing import TypeVar
 from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, select
 
 from estimation.errors import DamagedError
-from estimation.failures import code_of_error, first_line
-from estimation.values.alerts import Condition, Severity
+from estimation.values.alerts import Condition, MileageNow, OpenAlert, Severity
 from estimation.values.geometry import GeometryRecord
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
+from estimation.values.runs import code_of_error, first_line
 from estimation.values.windows import WindowState
-from estimation.values.worklist import MileageNow, OpenAlert
 from estimation.vehicle.vehicle_class import VehicleClass
 from estimation.worklist.row import WorklistInputs
 from fleet_db.registry_events import RecordKind
@@ -24,8 +23,10 @@ from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import is_voided
 from fleet_db.stores.trends import TrendStore
-from fleet_db.stores.window_reasons import refused_by_code
-from fleet_db.tables import AlertRow, WheelsetRow, WindowRow
+from fleet_db.stores.window_counts import refused_by_code
+from fleet_db.tables.alerts import AlertRow
+from fleet_db.tables.registry import WheelsetRow
+from fleet_db.tables.windows import WindowRow
 
 Stored = TypeVar("Stored")
 ALERTS, WINDOWS, WHEELSETS = table_of(AlertRow), table_of(WindowRow), table_of(WheelsetRow)
@@ -57,6 +58,8 @@ class WorklistReader:
         found = []
         vehicles = {record.mounting.vehicle for record in records if record.mounting is not None}
         self.vehicles.update(self.registry.vehicles_of(vehicles - self.vehicles.keys()))
+        damaged = [serial for serial in serials if isinstance(trends.get(serial), Reason)]
+        refused = self._refused(records, {**geometries, **{serial: trends[serial] for serial in damaged}})
         for record in records:
             serial, mounting = record.serial, record.mounting
             vehicle = None if mounting is None else self.vehicles[mounting.vehicle]
@@ -77,18 +80,22 @@ class WorklistReader:
                     mileage=mileage,
                     alerts=alerts.get(serial, ()),
                     failure=failure,
-                    refused=self._refused(record, geometry),
+                    refused=refused.get(serial, {}),
                 )
             )
         return found
 
-    def _refused(self, wheelset: WheelsetRecord, geometry: GeometryRecord | None) -> Mapping[ReasonCode, int]:
-        """Return what the newest windows of a wheelset are refused for, where it has no geometry of its profile."""
-        has_windows = geometry is not None and geometry.geometry.windows > 0
-        if has_windows and geometry is not None and geometry.baseline == len(wheelset.reprofilings):
-            return {}
-        since_ns = max((one.at_ns for one in wheelset.reprofilings), default=None)
-        return refused_by_code(self.connection, wheelset.serial, since_ns)
+    def _refused(
+        self, wheelsets: Sequence[WheelsetRecord], geometries: Mapping[str, object]
+    ) -> Mapping[str, Mapping[ReasonCode, int]]:
+        """Return what the newest windows of wheelsets are refused for that have no geometry of their profile."""
+        without = {}
+        for wheelset in wheelsets:
+            found = geometries.get(wheelset.serial)
+            of_profile = isinstance(found, GeometryRecord) and found.baseline == len(wheelset.reprofilings)
+            if not isinstance(found, GeometryRecord) or not found.geometry.windows or not of_profile:
+                without[wheelset.serial] = max((one.at_ns for one in wheelset.reprofilings), default=None)
+        return refused_by_code(self.connection, without)
 
     def _class(self, code: str) -> VehicleClass | None:
         """Return a class; None where it is not on file or damaged, which stops nobody from storing."""

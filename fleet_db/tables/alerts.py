@@ -6,12 +6,12 @@ from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.alerts import AlertEventKind, Condition, Severity
-from fleet_db.tables.base import Base, Count, Json, Name, Nanoseconds, Real, ReasonCodeColumn, Serial, one_of
+from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Real, Serial, one_of, partial_index
 from fleet_db.webhook_records import DeliveryState, DisabledReason, WebhookState
 
 OPEN = text("closed_ns IS NULL")
-OPEN_OF_FLEET = text("wheelset IS NULL AND track_section IS NULL AND closed_ns IS NULL")
-OPEN_OF_SECTION = text("track_section IS NOT NULL AND closed_ns IS NULL")
+OF_FLEET = text("wheelset IS NULL AND track_section IS NULL AND closed_ns IS NULL")
+OF_SECTION = text("track_section IS NOT NULL AND closed_ns IS NULL")
 
 
 class AlertRow(Base):
@@ -27,32 +27,9 @@ class AlertRow(Base):
         one_of("condition", Condition),
         CheckConstraint("version > 0", name="version_positive"),
         CheckConstraint("occurrence_count > 0", name="occurrences_counted"),
-        Index(
-            "uq_alerts_one_open",
-            "fleet",
-            "wheelset",
-            "kind",
-            unique=True,
-            sqlite_where=OPEN,
-            postgresql_where=OPEN,
-        ),
-        Index(
-            "uq_alerts_one_open_of_fleet",
-            "fleet",
-            "kind",
-            unique=True,
-            sqlite_where=OPEN_OF_FLEET,
-            postgresql_where=OPEN_OF_FLEET,
-        ),
-        Index(
-            "uq_alerts_one_open_of_section",
-            "fleet",
-            "track_section",
-            "kind",
-            unique=True,
-            sqlite_where=OPEN_OF_SECTION,
-            postgresql_where=OPEN_OF_SECTION,
-        ),
+        partial_index("uq_alerts_one_open", "fleet", "wheelset", "kind", where=OPEN, unique=True),
+        partial_index("uq_alerts_one_open_of_fleet", "fleet", "kind", where=OF_FLEET, unique=True),
+        partial_index("uq_alerts_one_open_of_section", "fleet", "track_section", "kind", where=OF_SECTION, unique=True),
         CheckConstraint("wheelset IS NOT NULL OR fleet_alert_id IS NULL", name="members_have_wheelset"),
         Index(None, "wheelset"),
         Index(None, "severity", "alert_id"),
@@ -77,7 +54,7 @@ class AlertRow(Base):
     cleared_ns: Mapped[Nanoseconds | None]
     closed_ns: Mapped[Nanoseconds | None]
     close_reason: Mapped[Name | None]
-    close_code: Mapped[ReasonCodeColumn | None]
+    close_code: Mapped[Code | None]
     acknowledged_by: Mapped[Name | None]
     acknowledged_ns: Mapped[Nanoseconds | None]
     shelved_until_ns: Mapped[Nanoseconds | None]

@@ -5,7 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar
 
-from sqlalchemy import JSON, BigInteger, CheckConstraint, Double, Integer, LargeBinary, MetaData, String, Text
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    CheckConstraint,
+    Double,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Text,
+    TextClause,
+)
 from sqlalchemy.orm import DeclarativeBase, mapped_column
 
 NAMING = {
@@ -18,10 +30,8 @@ NAMING = {
 
 # SQLite numbers rows by itself only in a column declared INTEGER, which there is 64 bits wide as well.
 Serial = Annotated[int, mapped_column(BigInteger().with_variant(Integer(), "sqlite"), primary_key=True)]
-Code = Annotated[str, mapped_column(String(64))]
+Code = Annotated[str, mapped_column(String(64))]  # also a digest
 Name = Annotated[str, mapped_column(Text)]
-ReasonCodeColumn = Annotated[str, mapped_column(String(64))]
-Digest = Annotated[str, mapped_column(String(64))]
 Count = Annotated[int, mapped_column(BigInteger)]
 Nanoseconds = Annotated[int, mapped_column(BigInteger)]
 Real = Annotated[float, mapped_column(Double)]
@@ -40,3 +50,8 @@ def one_of(column: str, values: Iterable[str]) -> CheckConstraint:
     """Return the constraint that ``column`` holds one of ``values``."""
     listed = ", ".join("'" + value.replace("'", "''") + "'" for value in values)
     return CheckConstraint(f"{column} IN ({listed})", name=f"{column}_known")
+
+
+def partial_index(name: str, *columns: str, where: TextClause, unique: bool = False) -> Index:
+    """Return an index of the rows that meet a condition."""
+    return Index(name, *columns, unique=unique, sqlite_where=where, postgresql_where=where)

@@ -9,7 +9,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.runs import QuarantineState, SubjectKind
 from fleet_db.receipts import ChunkState, RecordingAction
-from fleet_db.tables.base import Base, Code, Count, Digest, Json, Name, Nanoseconds, ReasonCodeColumn, Serial, one_of
+from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Serial, one_of, partial_index
 
 UNDECODED = text("reason_code = 'waits_for_decoding'")
 MINUTE_NS, HOUR_NS = 60_000_000_000, 3_600_000_000_000
@@ -34,7 +34,7 @@ def _by_length() -> Iterator[Index]:
     for clock in CLOCKS:
         for name, condition, _ in LENGTHS:
             where = of_length(condition, clock)
-            yield Index(f"ix_chunks_{name}_{clock[0]}", "vehicle", clock[0], sqlite_where=where, postgresql_where=where)
+            yield partial_index(f"ix_chunks_{name}_{clock[0]}", "vehicle", clock[0], where=where)
 
 
 OF_UNDECODED = ("recorded_ns", "digest", "size_bytes")
@@ -53,7 +53,7 @@ class ChunkRow(Base):
         *_by_length(),
         Index(None, "state", "recorded_ns"),
         Index(None, "received_ns", "digest"),
-        Index("ix_chunks_undecoded", *OF_UNDECODED, sqlite_where=UNDECODED, postgresql_where=UNDECODED),
+        partial_index("ix_chunks_undecoded", *OF_UNDECODED, where=UNDECODED),
     )
 
     digest: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -62,7 +62,7 @@ class ChunkRow(Base):
     size_bytes: Mapped[Count]
     state: Mapped[str] = mapped_column(String(16))
     reason: Mapped[Name]
-    reason_code: Mapped[ReasonCodeColumn | None]
+    reason_code: Mapped[Code | None]
     first_ns: Mapped[Nanoseconds | None]
     last_ns: Mapped[Nanoseconds | None]
     frames: Mapped[Count]
@@ -92,7 +92,7 @@ class QuarantineRow(Base):
     kind: Mapped[str] = mapped_column(String(16), primary_key=True)
     key: Mapped[str] = mapped_column(String(128), primary_key=True)
     stage: Mapped[str] = mapped_column(String(64), primary_key=True)
-    code: Mapped[ReasonCodeColumn]
+    code: Mapped[Code]
     error: Mapped[Name]
     inputs: Mapped[Name]
     first_ns: Mapped[Nanoseconds]
@@ -115,7 +115,7 @@ class RecordingChangeRow(Base):
     )
 
     id: Mapped[Serial]
-    digest: Mapped[Digest]
+    digest: Mapped[Code]
     action: Mapped[str] = mapped_column(String(16))
     recorded_ns: Mapped[Nanoseconds]
     actor: Mapped[Name]

@@ -5,24 +5,22 @@ from __future__ import annotations
 from sqlalchemy import ForeignKey, Index, String, Text, text
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.values.alerts import Severity
+from estimation.values.alerts import Severity, Urgency
 from estimation.values.quantities import Status
-from estimation.values.worklist import Urgency
 from fleet_db.tables.base import (
     Base,
     Code,
-    Digest,
     Json,
     Name,
     Nanoseconds,
     Packed,
     Real,
-    ReasonCodeColumn,
     Serial,
     one_of,
+    partial_index,
 )
 
-IN_FORCE, SUPERSEDED = text("superseded_ns IS NULL"), text("superseded_ns IS NOT NULL")
+IN_FORCE, PAST = text("superseded_ns IS NULL"), text("superseded_ns IS NOT NULL")
 
 
 class ResultRow(Base):
@@ -34,25 +32,9 @@ class ResultRow(Base):
     __tablename__ = "results"
     __table_args__ = (
         one_of("status", Status),
-        Index(
-            "ix_results_in_force",
-            *("stage", "subject", "part"),
-            unique=True,
-            sqlite_where=IN_FORCE,
-            postgresql_where=IN_FORCE,
-        ),
-        Index(
-            "ix_results_put_last",
-            *("stage", "subject", "result_id"),
-            sqlite_where=IN_FORCE,
-            postgresql_where=IN_FORCE,
-        ),
-        Index(
-            "ix_results_superseded",
-            *("stage", "subject", "part", "recorded_ns", "result_id"),
-            sqlite_where=SUPERSEDED,
-            postgresql_where=SUPERSEDED,
-        ),
+        partial_index("ix_results_in_force", "stage", "subject", "part", where=IN_FORCE, unique=True),
+        partial_index("ix_results_put_last", "stage", "subject", "result_id", where=IN_FORCE),
+        partial_index("ix_results_superseded", "stage", "subject", "part", "recorded_ns", "result_id", where=PAST),
         Index(None, "recorded_ns"),
         Index(None, "superseded_ns"),
         {"sqlite_autoincrement": True},
@@ -63,11 +45,11 @@ class ResultRow(Base):
     kind: Mapped[str] = mapped_column(String(16))
     subject: Mapped[Code]
     part: Mapped[Code]
-    made_from: Mapped[Digest]
+    made_from: Mapped[Code]
     numerics: Mapped[Name]
     status: Mapped[str] = mapped_column(String(16))
     reason: Mapped[Name]
-    reason_code: Mapped[ReasonCodeColumn | None]
+    reason_code: Mapped[Code | None]
     head: Mapped[str | None] = mapped_column(Text)
     value: Mapped[Packed | None]
     parameters: Mapped[Json]

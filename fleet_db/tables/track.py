@@ -7,19 +7,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource
-from fleet_db.tables.base import (
-    Base,
-    Count,
-    Digest,
-    Json,
-    Name,
-    Nanoseconds,
-    Packed,
-    Real,
-    ReasonCodeColumn,
-    Serial,
-    one_of,
-)
+from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
 
 
 class TrackSectionRow(Base):
@@ -49,7 +37,7 @@ class TrackAlignmentRow(Base):
     version: Mapped[int] = mapped_column(primary_key=True)
     status: Mapped[str] = mapped_column(String(16))
     points: Mapped[Count]
-    content_digest: Mapped[Digest]
+    content_digest: Mapped[Code]
     packed: Mapped[Packed]
 
 
@@ -92,9 +80,9 @@ class TrackReportRow(Base):
     made: Mapped[bool]
     status: Mapped[str] = mapped_column(String(16))
     reason: Mapped[Name]
-    reason_code: Mapped[ReasonCodeColumn | None]
+    reason_code: Mapped[Code | None]
     windows: Mapped[Count]
-    input_digest: Mapped[Digest]
+    input_digest: Mapped[Code]
     code_version: Mapped[Name]
     report: Mapped[Json]
     recorded_ns: Mapped[Nanoseconds]
@@ -113,13 +101,13 @@ class WindowPositionRow(Base):
 
     wheelset: Mapped[str] = mapped_column(String(64), primary_key=True)
     start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
-    content_digest: Mapped[Digest]
+    content_digest: Mapped[Code]
     version: Mapped[int | None]
     offset_m: Mapped[Real]
     scale: Mapped[Real]
     middle_m: Mapped[Real]
     reason: Mapped[Name]
-    reason_code: Mapped[ReasonCodeColumn | None]
+    reason_code: Mapped[Code | None]
 
 
 class TrackLayoutRow(Base):
@@ -131,7 +119,7 @@ class TrackLayoutRow(Base):
     section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
     version: Mapped[int] = mapped_column(primary_key=True)
     points: Mapped[Count]
-    content_digest: Mapped[Digest]
+    content_digest: Mapped[Code]
     packed: Mapped[Packed]
 
 
@@ -147,7 +135,7 @@ class TrackEpochRow(Base):
     section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
     number: Mapped[int] = mapped_column(primary_key=True)
     before: Mapped[Name]
-    input_digest: Mapped[Digest]
+    input_digest: Mapped[Code]
     horizon_ns: Mapped[Nanoseconds]
     windows: Mapped[Count]
     waits: Mapped[bool]
@@ -156,7 +144,7 @@ class TrackEpochRow(Base):
     same_since: Mapped[int | None]
     estimated_on: Mapped[int | None]
     survey: Mapped[Name]
-    survey_code: Mapped[ReasonCodeColumn | None]
+    survey_code: Mapped[Code | None]
     report: Mapped[Count]
     recorded_ns: Mapped[Nanoseconds]
 
@@ -178,10 +166,10 @@ class TrackEpochWindowRow(Base):
     section: Mapped[str] = mapped_column(String(64))
     epoch: Mapped[int]
     vehicle: Mapped[str] = mapped_column(String(64))
-    content_digest: Mapped[Digest]
+    content_digest: Mapped[Code]
     mileage_km: Mapped[Real]
-    context: Mapped[Digest]
-    assumed: Mapped[Digest]
+    context: Mapped[Code]
+    assumed: Mapped[Code]
     estimated_version: Mapped[int | None]
 
 

@@ -7,6 +7,7 @@ from sqlalchemy import (
     ForeignKey,
     ForeignKeyConstraint,
     Index,
+    Integer,
     String,
     UniqueConstraint,
     false,
@@ -16,20 +17,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.geometry import BinStatus
 from estimation.values.windows import WindowState
-from fleet_db.tables.base import (
-    Base,
-    Code,
-    Count,
-    Digest,
-    Json,
-    Name,
-    Nanoseconds,
-    Packed,
-    Real,
-    ReasonCodeColumn,
-    Serial,
-    one_of,
-)
+from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Packed, Real, Serial, one_of, partial_index
 
 PENDING = text("state = 'pending'")
 REFUSED, DOUBTED = text("reason_code IS NOT NULL"), text("implausible_code IS NOT NULL")
@@ -49,11 +37,11 @@ class WindowRow(Base):
         CheckConstraint("length_ns > 0", name="length_positive"),
         Index(None, "track_section", "start_ns"),
         Index(None, "vehicle", "start_ns"),
-        Index("ix_windows_pending", "wheelset", "start_ns", sqlite_where=PENDING, postgresql_where=PENDING),
-        Index("ix_windows_refused", "wheelset", "reason_code", sqlite_where=REFUSED, postgresql_where=REFUSED),
-        Index("ix_windows_implausible", "wheelset", "start_ns", sqlite_where=DOUBTED, postgresql_where=DOUBTED),
-        Index("ix_windows_with_samples", "start_ns", sqlite_where=WITH_SAMPLES, postgresql_where=WITH_SAMPLES),
-        Index("ix_windows_passed_over", "wheelset", "start_ns", sqlite_where=PASSED_OVER, postgresql_where=PASSED_OVER),
+        partial_index("ix_windows_pending", "wheelset", "start_ns", where=PENDING),
+        partial_index("ix_windows_refused", "wheelset", "reason_code", where=REFUSED),
+        partial_index("ix_windows_implausible", "wheelset", "start_ns", where=DOUBTED),
+        partial_index("ix_windows_with_samples", "start_ns", where=WITH_SAMPLES),
+        partial_index("ix_windows_passed_over", "wheelset", "start_ns", where=PASSED_OVER),
     )
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
@@ -81,14 +69,14 @@ class WindowRow(Base):
     blows_side: Mapped[int | None]
     state: Mapped[str] = mapped_column(String(16))
     reason: Mapped[Name]
-    reason_code: Mapped[ReasonCodeColumn | None]
-    content_digest: Mapped[Digest]
+    reason_code: Mapped[Code | None]
+    content_digest: Mapped[Code]
     sample_bytes: Mapped[Count]
     recorded_ns: Mapped[Nanoseconds]
     odometer_excess_m: Mapped[Real] = mapped_column(server_default=text("0"))
     off_line_m: Mapped[Real] = mapped_column(server_default=text("0"))
     implausible: Mapped[Name | None]
-    implausible_code: Mapped[ReasonCodeColumn | None]
+    implausible_code: Mapped[Code | None]
     samples_purged_ns: Mapped[Nanoseconds | None]
     table_purged_ns: Mapped[Nanoseconds | None]
     passed_over: Mapped[str | None] = mapped_column(String(16))
@@ -108,10 +96,10 @@ class WindowBinTableRow(Base):
     wheelset: Mapped[str] = mapped_column(String(64), primary_key=True)
     start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
     track_version: Mapped[int | None]
-    window_digest: Mapped[Digest]
+    window_digest: Mapped[Code]
     parameter_key: Mapped[str] = mapped_column(String(128))
     samples: Mapped[Count]
-    content_digest: Mapped[Digest | None]
+    content_digest: Mapped[Code | None]
     running_km: Mapped[Real | None]
     packed: Mapped[Packed]
 
@@ -183,7 +171,7 @@ class RollUpRow(Base):
     table_key: Mapped[str] = mapped_column(String(128))
     vehicle_class: Mapped[Code]
     windows: Mapped[Count]
-    content: Mapped[Digest]
+    content: Mapped[Code]
     first_ns: Mapped[Nanoseconds]
     last_ns: Mapped[Nanoseconds]
     sealed: Mapped[bool] = mapped_column(server_default=false())
@@ -198,9 +186,9 @@ class RollUpStateRow(Base):
     __tablename__ = "roll_up_states"
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
-    rules: Mapped[Digest]
+    rules: Mapped[Code]
     classes: Mapped[Json]
-    earlier_digest: Mapped[Digest | None]
+    earlier_digest: Mapped[Code | None]
     earlier: Mapped[Packed | None]
 
 
@@ -211,6 +199,89 @@ class RollingSumsRow(Base):
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
-    window_digest: Mapped[Digest]
+    window_digest: Mapped[Code]
     assumed: Mapped[str] = mapped_column(String(192))
+    packed: Mapped[Packed]
+
+
+class RailCellRow(Base):
+    """What the windows of a wheelset in one mileage interval, on one section in one period, give.
+
+    ``document`` holds the conicities by amplitude, or why there are none.
+    """
+
+    __tablename__ = "rail_cells"
+    __table_args__ = (
+        CheckConstraint("baseline >= 0", name="baseline_counted"),
+        CheckConstraint("period >= 0", name="period_counted"),
+    )
+
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
+    baseline: Mapped[int] = mapped_column(Integer, primary_key=True)
+    mileage_interval: Mapped[int] = mapped_column(Integer, primary_key=True)
+    section: Mapped[str] = mapped_column(String(64), ForeignKey("track_sections.code"), primary_key=True)
+    period: Mapped[int] = mapped_column(Integer, primary_key=True)
+    digest: Mapped[Code]
+    interval_digest: Mapped[Code]
+    document: Mapped[Json]
+
+
+class WindowAdhesionRow(Base):
+    """The creep of one window; ``packed`` holds forces and sums of friction by place."""
+
+    __tablename__ = "window_adhesion"
+    __table_args__ = (Index(None, "track_section", "start_ns"),)
+
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
+    start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    track_section: Mapped[str | None] = mapped_column(ForeignKey("track_sections.code"))
+    content_digest: Mapped[Code]
+    with_sums: Mapped[bool]
+    packed: Mapped[Packed]
+
+
+class SectionAdhesionRow(Base):
+    """The friction along a section over some hours, which end with the window that began at ``to_ns``."""
+
+    __tablename__ = "section_adhesion"
+    __table_args__ = (CheckConstraint("from_ns <= to_ns", name="from_before_to"),)
+
+    track_section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
+    to_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    from_ns: Mapped[Nanoseconds]
+    code_version: Mapped[Name]
+    made_with: Mapped[Code]
+    packed: Mapped[Packed]
+
+
+class WindowDamperRow(Base):
+    """What one window says of the damper of a running gear; ``packed`` holds its sums."""
+
+    __tablename__ = "window_dampers"
+    __table_args__ = (CheckConstraint("first_axle > 0", name="first_axle_positive"),)
+
+    vehicle: Mapped[str] = mapped_column(ForeignKey("vehicles.code"), primary_key=True)
+    first_axle: Mapped[int] = mapped_column(primary_key=True)
+    start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"))
+    content_digest: Mapped[Code]
+    packed: Mapped[Packed]
+
+
+class WearSignatureRow(Base):
+    """The signatures of one window, packed, or why it has none. ``speed_band_m_s`` is the lower end of 5 m/s."""
+
+    __tablename__ = "wear_signatures"
+    __table_args__ = (CheckConstraint("places >= 0", name="places_counted"),)
+
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
+    start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    vehicle: Mapped[str] = mapped_column(ForeignKey("vehicles.code"))
+    section: Mapped[str | None] = mapped_column(ForeignKey("track_sections.code"))
+    speed_band_m_s: Mapped[int | None]
+    window_digest: Mapped[Code]
+    assumed: Mapped[Code]
+    places: Mapped[Count]
+    reason: Mapped[Name]
+    reason_code: Mapped[Code | None]
     packed: Mapped[Packed]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from operator import add, attrgetter
 from types import MappingProxyType
 
 import numpy as np
@@ -17,11 +16,20 @@ import numpy as np
 from estimation.errors import LogFileError
 from estimation.values.arrays import BoolArray, IntArray, frozen_array
 from ingest.align.cycles import UNPLACED, SyncClock, place_frames, sync_clock_of
-from ingest.canopen import SYNC_ID, SYNC_PERIOD, TIME_ID, vehicle_time_ns
-from ingest.catalogue import ACCELERATION, EMERGENCY, HEARTBEAT, Catalogue, MessagePlan
-from ingest.codec import Decoded, FrameCounts, RawArray, decode
-from ingest.frames import FrameBatch
-from ingest.plausibility.vehicle_clock import believed, possible, without_odd_ones
+from ingest.catalogue import (
+    ACCELERATION,
+    EMERGENCY,
+    HEARTBEAT,
+    SYNC_ID,
+    SYNC_PERIOD,
+    TIME_ID,
+    Catalogue,
+    MessagePlan,
+    vehicle_time_ns,
+)
+from ingest.codec import Counts, Decoded, FrameCounts, RawArray, decode
+from ingest.frames import FrameBatch, between
+from ingest.plausibility import believed, possible, without_odd_ones
 
 TIME_REACH_NS = 3_000_000_000
 """How far from a TIME frame a SYNC may be: two lost TIME frames are bridged."""
@@ -39,7 +47,7 @@ RATE_SYNCS = 250
 
 
 @dataclass(frozen=True, slots=True)
-class AlignCounts:
+class AlignCounts(Counts):
     """Counts over one recording. Frames that are left out of windows are in exactly one of the reasons."""
 
     time_frames: int = 0
@@ -60,12 +68,6 @@ class AlignCounts:
     counter_mismatches: int = 0  # more frames than the node counted as sent: invalid
     emergencies: int = 0
     self_test_failures: int = 0
-
-    def __add__(self, other: AlignCounts) -> AlignCounts:
-        return AlignCounts(*map(add, _values_of(self), _values_of(other)))
-
-
-_values_of = attrgetter(*AlignCounts.__slots__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +127,7 @@ def time_frames(decoded: Decoded, batch: FrameBatch) -> TimeFrames:
 
 
 def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[SyncClock, AlignCounts]:
-    """Return the SYNCs of a batch with their numbers.
-
-    Args:
-        decoded, batch: The batch, in the order of time, and what it contains.
-    """
+    """Return the SYNCs of a batch with their numbers."""
     syncs = decoded.messages.get(SYNC_ID)
     times = time_frames(decoded, batch)
     sent = decoded.messages.get(TIME_ID)
@@ -147,10 +145,12 @@ def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[S
     placed = valid & agreed & in_phase
     steps = np.diff(tick[placed])
     near = np.diff(t_ns[placed]) <= TIME_REACH_NS
+    recorder, vehicle = np.diff(times.t_ns), np.diff(times.vehicle_ns)
+    jumps = (recorder <= TIME_REACH_NS) & (np.abs(recorder - vehicle) > TIME_TOLERANCE_NS)
     counts = AlignCounts(
         time_frames=len(times.t_ns),
         time_frames_implausible=left_out,
-        clock_jumps=_jumps(times),
+        clock_jumps=int(np.count_nonzero(jumps)),
         syncs=len(t_ns),
         syncs_missing=int(np.clip(steps[near] - 1, 0, None).sum()),
         syncs_unplaced=int(np.count_nonzero(~placed)),
@@ -173,17 +173,8 @@ def _vehicle_times(times: TimeFrames, t_ns: IntArray) -> tuple[IntArray, BoolArr
     return np.where(has_before, from_before, from_after), (has_before | has_after) & ~jump
 
 
-def _jumps(times: TimeFrames) -> int:
-    recorder, vehicle = np.diff(times.t_ns), np.diff(times.vehicle_ns)
-    return int(np.count_nonzero((recorder <= TIME_REACH_NS) & (np.abs(recorder - vehicle) > TIME_TOLERANCE_NS)))
-
-
 def check_sync_rate(batch: FrameBatch, interval_ns: int) -> None:
-    """Check that the SYNCs of a time-ordered recording come at the sampling rate.
-
-    Raises:
-        LogFileError: They come at another rate: the recording does not belong to this catalogue.
-    """
+    """Check that the SYNCs of a time-ordered recording come at the sampling rate."""
     syncs = np.flatnonzero((batch.arbitration_id == SYNC_ID) & (batch.dlc == 1))
     t_ns, counter = batch.t_ns[syncs], batch.data[syncs, 0].astype(np.int64)
     following = np.diff(counter) % SYNC_PERIOD == 1
@@ -242,11 +233,7 @@ def align_to_clock(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
 
 
 def align_decoded(decoded: Decoded, batch: FrameBatch, clock: SyncClock, times: TimeFrames) -> AlignedFrames:
-    """Put decoded frames on the vehicle's clock; counts of SYNCs and samples are the caller's.
-
-    Args:
-        decoded, batch: The batch, in the order of time, and what it contains.
-    """
+    """Put decoded frames on the vehicle's clock; counts of SYNCs and samples are the caller's."""
     counts = AlignCounts()
     messages = {}
     without_sync = 0
@@ -277,11 +264,7 @@ def _cycles(plan: MessagePlan, interval_ns: int) -> int:
 
 
 def merge_aligned(parts: Sequence[AlignedFrames]) -> Mapping[int, TickedValues]:
-    """Return the messages of several recorders by arbitration id; where two differ at an instant, they conflict.
-
-    Args:
-        parts: Aligned frames of one vehicle, at least one.
-    """
+    """Return the messages of several recorders by arbitration id; where two differ at an instant, they conflict."""
     if len(parts) == 1:
         return parts[0].messages
     merged = {}
@@ -318,3 +301,47 @@ def by_tick(plan: MessagePlan, tick: IntArray, raw: RawArray) -> tuple[TickedVal
         duplicate_frames=int(np.count_nonzero(repeated & ~other)), conflicting_frames=int(np.count_nonzero(other))
     )
     return kept, counts
+
+
+def frames_near(
+    batches: Sequence[FrameBatch], alone: Sequence[AlignedFrames], span: tuple[int, int]
+) -> Sequence[FrameBatch]:
+    """Return the frames of one recorder's clock that can matter to windows of a span; all, where that is not clear.
+
+    It is clear where every TIME frame agrees with the one before: others are judged by those far from them.
+
+    Args:
+        batches, alone: Of recordings that are merged: their frames, and what they are when each is aligned alone.
+    """
+    offsets = _steady_offsets(alone)
+    if offsets is None:
+        return batches
+    first, behind = span[0] - CONTEXT_NS - offsets[1], span[1] + CONTEXT_NS - offsets[0]
+    return [between(batch, first, behind) for batch in batches]
+
+
+def _steady_offsets(parts: Sequence[AlignedFrames]) -> tuple[int, int] | None:
+    """Return the smallest and largest vehicle time minus recorder time; None where they jump, or TIME was left out."""
+    if any(part.align_counts.time_frames_implausible for part in parts):
+        return None
+    t_ns = np.concatenate([part.times.t_ns for part in parts])
+    offset = np.concatenate([part.times.vehicle_ns for part in parts]) - t_ns
+    offset = offset[np.argsort(t_ns, kind="stable")]
+    if len(offset) == 0 or np.any(np.abs(np.diff(offset)) > TIME_TOLERANCE_NS):
+        return None
+    return int(offset.min()), int(offset.max())
+
+
+def values_near(
+    messages: Mapping[int, TickedValues], span: tuple[int, int], interval_ns: int
+) -> Mapping[int, TickedValues]:
+    """Return the messages that have values near a span, with those values."""
+    ends = [(span[0] - CONTEXT_NS) // interval_ns, -(-(span[1] + CONTEXT_NS) // interval_ns)]
+    near = {}
+    for arbitration_id, values in messages.items():
+        first, behind = np.searchsorted(values.tick, ends).tolist()
+        if first < behind:
+            near[arbitration_id] = TickedValues(
+                values.plan, values.tick[first:behind], values.raw[first:behind], values.conflict[first:behind]
+            )
+    return MappingProxyType(near)

@@ -13,12 +13,12 @@ Most recordings leave none; only where they do it matters when frames of a messa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 
 REACH_NS = 2_000_000_000
 """Frames of a message this near decide its usual delay and its rhythm; less than the reach of TIME, which joins
@@ -44,17 +44,13 @@ _COUNTS = 1 << 20  # of a unit vector: sums of whole numbers do not depend on wh
 
 
 @dataclass(frozen=True, slots=True)
-class SyncClock:
+class SyncClock(FrozenArrays):
     """The SYNCs whose numbers are known, by the recorder's time."""
 
-    t_ns: IntArray  # (k,) recorder
-    tick: IntArray  # (k,) sampling intervals since the Unix epoch, vehicle
-    sent_ns: IntArray  # (k,) recorder, with less jitter than the stamps
+    t_ns: Annotated[IntArray, "n"]  # (k,) recorder
+    tick: Annotated[IntArray, "n"]  # (k,) sampling intervals since the Unix epoch, vehicle
+    sent_ns: Annotated[IntArray, "n"]  # (k,) recorder, with less jitter than the stamps
     interval_ns: int
-
-    def __post_init__(self) -> None:
-        for name in ("t_ns", "tick", "sent_ns"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (len(self.t_ns),), np.int64, name=name))
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,11 +178,7 @@ def _usual_delay(t_ns: IntArray, elapsed: IntArray, counted: BoolArray, interval
 
 @compiled(nogil=True)
 def within_reach(t_ns: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the first frame (n,) within ``REACH_NS`` of each, and the one behind the last.
-
-    Args:
-        t_ns: (n,) stamps, ascending, ns.
-    """
+    """Return the first frame (n,) within ``REACH_NS`` of each, and the one behind the last."""
     low, high = np.empty(len(t_ns), np.int64), np.empty(len(t_ns), np.int64)
     first = behind = 0
     for i in range(len(t_ns)):
@@ -266,12 +258,7 @@ class ByOrder(NamedTuple):
 def by_stamps(
     sync_ns: IntArray, number: IntArray, sent_ns: IntArray, interval_ns: int, t_ns: IntArray
 ) -> tuple[IntArray, ByOrder]:
-    """Return the SYNC number (n,) of frames by the order of stamps, and whether their delays agree with that.
-
-    Args:
-        sync_ns, number, sent_ns, interval_ns: As in ``SyncClock``, at least one.
-        t_ns: (n,) stamps of frames, ascending, ns.
-    """
+    """Return the SYNC number (n,) of frames by the order of stamps, and whether their delays agree with that."""
     slack = interval_ns // IN_TIME
     tick = np.full(len(t_ns), UNPLACED)
     lowest, highest, beside = interval_ns, 0, 0

@@ -7,35 +7,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.windows import ACCELERATIONS
 from ingest.align.clock import TIME_REACH_NS, AlignCounts, TickedValues
 from ingest.align.window_samples import between_frames
 from ingest.catalogue import ACCELERATION, EMERGENCY, MOTION, PLACE, POSITION, STATUS, VEHICLE_NODE, Catalogue
 from ingest.codec import MessageValues
-from ingest.plausibility.repeated_positions import without_repeats
-from ingest.plausibility.vehicle_motion import odometer_excess, possible_motion
+from ingest.plausibility import odometer_excess, possible_motion, without_repeats
 
 
 @dataclass(frozen=True, slots=True)
-class SampleBlock:
+class SampleBlock(FrozenArrays):
     """Samples of one node of one vehicle on one time base; where ``valid`` is False the value is NaN."""
 
     vehicle: str
     node: int
-    signals: tuple[str, ...]  # m names
-    t_ns: IntArray  # (n,), strictly increasing
-    values: FloatArray  # (n, m)
-    valid: BoolArray  # (n, m)
-
-    def __post_init__(self) -> None:
-        n, m = len(self.t_ns), len(self.signals)
-        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, (n,), np.int64, name="t_ns"))
-        object.__setattr__(self, "values", frozen_array(self.values, (n, m), name="values"))
-        object.__setattr__(self, "valid", frozen_array(self.valid, (n, m), np.bool_, name="valid"))
+    signals: Annotated[tuple[str, ...], "m"]
+    t_ns: Annotated[IntArray, "n"]  # strictly increasing
+    values: Annotated[FloatArray, "n", "m"]
+    valid: Annotated[BoolArray, "n", "m"]
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -46,35 +40,24 @@ COUNTER_VALUES = 1 << 32
 
 
 @dataclass(frozen=True, slots=True)
-class NodeSamples:
+class NodeSamples(FrozenArrays):
     """Samples of one node; ``clipped`` and ``invalid`` mark samples as their sensor reported them.
 
     ``saturated`` has what ``block`` has, and values at the ends of their ranges, which are not valid there.
     """
 
     block: SampleBlock
-    saturated: FloatArray  # (n, 4)
-    clipped: BoolArray  # (n,) a raw value on its limit, or the clipping bit of the mass in its second
-    invalid: BoolArray  # (n,) a raw value "not available" or outside its limits
-    fault_ns: IntArray  # (f,) when the self-test was reported failed or an emergency was sent
+    saturated: Annotated[FloatArray, "n", None]
+    clipped: Annotated[BoolArray, "n"]  # a raw value on its limit, or the clipping bit of the mass in its second
+    invalid: Annotated[BoolArray, "n"]  # a raw value "not available" or outside its limits
+    fault_ns: Annotated[IntArray, None]  # (f,) when the self-test was reported failed or an emergency was sent
     clipped_seconds: BoolArray | None = None  # (n,) samples of the seconds in which the axle box clipped somewhere
-
-    def __post_init__(self) -> None:
-        n = len(self.block)
-        object.__setattr__(self, "saturated", frozen_array(self.saturated, (n, None), name="saturated"))
-        object.__setattr__(self, "clipped", frozen_array(self.clipped, (n,), np.bool_, name="clipped"))
-        object.__setattr__(self, "invalid", frozen_array(self.invalid, (n,), np.bool_, name="invalid"))
-        object.__setattr__(self, "fault_ns", frozen_array(self.fault_ns, (None,), np.int64, name="fault_ns"))
 
 
 def node_samples(
     vehicle: str, node: int, catalogue: Catalogue, messages: Mapping[int, TickedValues]
 ) -> tuple[NodeSamples, AlignCounts] | None:
-    """Return the samples of a wheelset node; None when it sent none.
-
-    Args:
-        messages: Frames on the vehicle's clock, by arbitration id.
-    """
+    """Return the samples of a wheelset node; None when it sent none."""
     ticked = _of_node(messages, ACCELERATION, node)
     if ticked is None:
         return None
@@ -97,8 +80,11 @@ def node_samples(
     if not valid.all():
         invalid = np.asarray(values.invalid().any(axis=1))
         clipped = np.asarray(of_mass | values.clipped().any(axis=1))
-    emergency_ns = _emergencies(messages, node) * interval_ns
-    failed_ns = _failed_self_tests(status) * interval_ns
+    emergency, none = _of_node(messages, EMERGENCY, node), np.empty(0, np.int64)
+    over = 0  # error code of an emergency that is over
+    raised = none if emergency is None else emergency.tick[emergency.column("error_code") != over]
+    failed = none if status is None else status.tick[(status.column("self_test_failed") != 0) & ~status.conflict]
+    emergency_ns, failed_ns = raised * interval_ns, failed * interval_ns
     counts += AlignCounts(emergencies=len(emergency_ns), self_test_failures=len(failed_ns))
     block = SampleBlock(vehicle, node, ACCELERATIONS, t_ns, si, valid)
     return NodeSamples(block, saturated, clipped, invalid, np.union1d(emergency_ns, failed_ns), of_box), counts
@@ -106,22 +92,6 @@ def node_samples(
 
 def _of_node(messages: Mapping[int, TickedValues], kind: str, node: int) -> TickedValues | None:
     return next((m for m in messages.values() if m.plan.kind == kind and m.plan.node == node), None)
-
-
-def _emergencies(messages: Mapping[int, TickedValues], node: int) -> IntArray:
-    """Return the ticks of emergencies; error code 0 means that an error is over."""
-    emergency = _of_node(messages, EMERGENCY, node)
-    if emergency is None:
-        return np.empty(0, np.int64)
-    raised: IntArray = emergency.tick[emergency.column("error_code") != 0]
-    return raised
-
-
-def _failed_self_tests(status: TickedValues | None) -> IntArray:
-    if status is None:
-        return np.empty(0, np.int64)
-    failed: IntArray = status.tick[(status.column("self_test_failed") != 0) & ~status.conflict]
-    return failed
 
 
 def _from_status(
@@ -174,16 +144,11 @@ NO_SECTION = -1
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class Track(FrozenArrays):
     """A quantity of the vehicle node at the instants of its frames; NaN where the node sent "not available"."""
 
-    tick: IntArray  # (n,) strictly increasing
-    values: FloatArray  # (n, m)
-
-    def __post_init__(self) -> None:
-        n = len(self.tick)
-        object.__setattr__(self, "tick", frozen_array(self.tick, (n,), np.int64, name="tick"))
-        object.__setattr__(self, "values", frozen_array(self.values, (n, None), name="values"))
+    tick: Annotated[IntArray, "n"]  # strictly increasing
+    values: Annotated[FloatArray, "n", None]
 
 
 NO_FIXES = Track(np.empty(0, np.int64), np.empty((0, 2)))
@@ -234,16 +199,13 @@ class VehicleMotion:
         inside = (moved.tick >= 0) & (moved.tick < count)
         excess = odometer_excess(moved.tick[inside], moved.values[inside], self.interval_ns * 1e-9, reach)
         fixes = _near(self.place, first_tick, count, 0)
-        return GridMotion(speed, distance, forward, section, quality, self._odometer(moved), excess, fixes)
-
-    def _odometer(self, moved: Track) -> float:
-        """Return the odometer at tick 0 of ``moved``, from the frame with both values nearest to it; NaN without."""
+        odometer = float("nan")  # at the first grid point, from the frame with both values nearest to it
         usable = np.flatnonzero(~np.isnan(moved.values).any(axis=1))
-        if len(usable) == 0:
-            return float("nan")
-        nearest = usable[np.argmin(np.abs(moved.tick[usable]))]
-        speed, odometer = moved.values[nearest]
-        return float(odometer - speed * moved.tick[nearest] * self.interval_ns * 1e-9)
+        if len(usable):
+            nearest = usable[np.argmin(np.abs(moved.tick[usable]))]
+            own_speed, shown = moved.values[nearest]
+            odometer = float(shown - own_speed * moved.tick[nearest] * self.interval_ns * 1e-9)
+        return GridMotion(speed, distance, forward, section, quality, odometer, excess, fixes)
 
 
 def _run_at(moved: Track, tick: IntArray, interval_s: float) -> FloatArray:
@@ -258,11 +220,7 @@ def _run_at(moved: Track, tick: IntArray, interval_s: float) -> FloatArray:
 
 
 def vehicle_motion(messages: Mapping[int, TickedValues], interval_ns: int) -> VehicleMotion:
-    """Return place and speed of a vehicle; without frames of its vehicle node everything is unknown.
-
-    Args:
-        messages: Its frames on its clock, by arbitration id.
-    """
+    """Return place and speed of a vehicle; without frames of its vehicle node everything is unknown."""
     motion = _track(messages, MOTION, ("speed", "odometer"))
     position = _track(messages, POSITION, ("track_section", "distance", "position_quality"))
     return VehicleMotion(interval_ns, motion, position, _track(messages, PLACE, ("latitude", "longitude")))

@@ -15,25 +15,18 @@ from typing import Any
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.motion.blows import struck
 from estimation.motion.hunting import find_hunting
-from estimation.motion.without_blows import blows_unless_hunting
+from estimation.motion.without_blows import blows_unless_hunting, struck
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, runs
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine
 from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality
 from ingest.align.clock import AlignCounts, TickedValues
-from ingest.align.samples import (
-    NO_SECTION,
-    GridMotion,
-    NodeSamples,
-    VehicleMotion,
-    node_samples,
-    vehicle_motion,
-)
+from ingest.align.samples import NO_SECTION, GridMotion, NodeSamples, VehicleMotion, node_samples, vehicle_motion
 from ingest.align.window_samples import gaps_of, good_samples, gridded, on_section, range_of
 from ingest.catalogue import ACCELERATION, Catalogue, resolution
-from ingest.plausibility.vehicle_place import off_line_m
+from ingest.codec import Counts
+from ingest.plausibility import off_line_m
 
 OF_BOX = [ACCELERATIONS.index(name) for name in ("lateral_acceleration", "yaw_acceleration", "roll_acceleration")]
 LATERAL, _, ROLL = OF_BOX
@@ -46,7 +39,6 @@ def narrowed(marked: BoolArray, values: FloatArray, interval_s: float) -> BoolAr
 
     Args:
         marked: (n,) samples of the seconds in which the axle box clipped.
-        values: (n, 4) in the order of ``ACCELERATIONS``, at the ends of their ranges too; NaN where not known.
     """
     if not marked.any():
         return marked
@@ -88,7 +80,7 @@ class VehicleSamples:
 
 
 @dataclass(frozen=True, slots=True)
-class WindowCounts:
+class WindowCounts(Counts):
     """What became of the windows that a recording touches."""
 
     windows: int = 0
@@ -129,11 +121,7 @@ class RegistryLookup:
 def vehicle_samples(
     vehicle: str, catalogue: Catalogue, messages: Mapping[int, TickedValues]
 ) -> tuple[VehicleSamples, AlignCounts]:
-    """Return the samples of all wheelset nodes of a vehicle with its motion, and counts of what was left out.
-
-    Args:
-        messages: Its frames on its clock, by arbitration id.
-    """
+    """Return the samples of all wheelset nodes of a vehicle with its motion, and counts of what was left out."""
     nodes: dict[int, NodeSamples] = {}
     counts = AlignCounts()
     for node in catalogue.wheelset_nodes:
@@ -150,9 +138,6 @@ def windows_of(
     samples: VehicleSamples, starts: Iterable[int], length_ns: int, lookup: RegistryLookup
 ) -> Iterator[MountedWindow | WindowCounts]:
     """Yield the windows, and counts of those that are not made.
-
-    Args:
-        lookup: The registry, over all of the windows.
 
     Raises:
         ParameterError: The window length is no whole number of sampling intervals.
@@ -196,7 +181,10 @@ def _window(
     slot = (t_ns - extent[0]) // samples.interval_ns
     hunting, blows = _found(node, span, motion, slot, samples.interval_ns * 1e-9)
     guard = round((BLOW_GUARD_S if blows.sustained else CLIPPING_GUARD_S) * 1e9 / samples.interval_ns)
-    clipped = _clipped(node, span, samples.interval_ns * 1e-9)
+    clipped = node.clipped[span]
+    if node.clipped_seconds is not None:
+        struck_out = narrowed(node.clipped_seconds[span], node.saturated[span], samples.interval_ns * 1e-9)
+        clipped = np.asarray(clipped | struck_out)
     good, many = good_samples(slot, node.block.valid[span], clipped, motion.speed, guard)
     section, number = _section(motion, slot, good, lookup) if many else (None, NO_SECTION)
     distance = np.full(len(motion.distance), np.nan)
@@ -230,13 +218,11 @@ def _window(
 
 
 def _mounting(lookup: RegistryLookup, axle: int, times_ns: tuple[int, ...]) -> Mounting | None:
-    """Return the mounting of an axle that holds at all of some times; None where there is none."""
     mountings = {lookup.mounting_at(axle, t_ns) for t_ns in times_ns}
     return mountings.pop() if len(mountings) == 1 else None
 
 
 def _off_line(motion: GridMotion, section: str | None, lookup: RegistryLookup) -> float:
-    """Return how far from the line of its section GNSS puts the vehicle, m; 0 on it, and where that is not known."""
     line = None if section is None else lookup.lines.get(section)
     if line is None:
         return 0.0
@@ -257,12 +243,6 @@ def _section(motion: GridMotion, slot: IntArray, good: BoolArray, lookup: Regist
         on_one = numbers != NO_SECTION
         number = int(numbers[on_one][np.argmax(times[on_one])])
     return (None if number == NO_SECTION else lookup.section_codes.get(number)), number
-
-
-def _clipped(node: NodeSamples, span: slice, interval_s: float) -> BoolArray:
-    if node.clipped_seconds is None:
-        return node.clipped[span]
-    return np.asarray(node.clipped[span] | narrowed(node.clipped_seconds[span], node.saturated[span], interval_s))
 
 
 def _quality(
@@ -292,16 +272,7 @@ def _quality(
 def _found(
     node: NodeSamples, span: slice, motion: GridMotion, slot: IntArray, interval_s: float
 ) -> tuple[Hunting, TurnBlows]:
-    """Return what all samples of the node show of hunting and of blows, those that clip too."""
     every = np.ones(len(slot), np.bool_)
     lateral, yaw, roll = gridded(node.saturated[span], slot, every, len(motion.speed), len(OF_WHEELSET))
     hunting = find_hunting(lateral, yaw, motion.speed, interval_s)
     return hunting, blows_unless_hunting(hunting, lateral, roll, motion.speed, interval_s)
-
-
-def add_counts(first: WindowCounts, second: WindowCounts) -> WindowCounts:
-    """Return the sums."""
-    return replace(
-        first,
-        **{name: getattr(first, name) + getattr(second, name) for name in WindowCounts.__slots__},
-    )

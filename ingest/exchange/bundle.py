@@ -32,11 +32,7 @@ class _Facts(InputTable):
 
 
 def read_run(file: ExchangeFile, table: Path, facts: RegistryFacts) -> ExchangeRun:
-    """Return the run of an exchange.
-
-    Raises:
-        ExchangeError: The table cannot be used; names file, line and column.
-    """
+    """Return the run of an exchange."""
     names = [column.column for _, column in file.columns]
     read = read_table_apart if table.suffix.lower() == PARQUET else read_table
     return exchange_run(file, read(table, file.csv, names), facts)
@@ -56,11 +52,7 @@ def _add(bundle: zipfile.ZipFile, name: str, path: Path) -> None:
 
 
 def read_bundle(path: Path) -> tuple[ExchangeFile, ExchangeRun, RegistryFacts]:
-    """Return description, run and facts of a stored exchange.
-
-    Raises:
-        ExchangeError: The file is damaged.
-    """
+    """Return description, run and facts of a stored exchange."""
     with tempfile.TemporaryDirectory(prefix="treadwatch-exchange-") as name:
         folder = Path(name)
         table = _unpack(path, folder)
@@ -71,7 +63,6 @@ def read_bundle(path: Path) -> tuple[ExchangeFile, ExchangeRun, RegistryFacts]:
 
 
 def _unpack(path: Path, folder: Path) -> Path:
-    """Write the members of a bundle to a folder; return the path of the table."""
     try:
         with zipfile.ZipFile(path) as bundle:
             names = {item.filename: item for item in bundle.infolist()}

@@ -192,20 +192,12 @@ class ExchangeFile(InputTable):
 
 
 def unit(name: str, column: Column) -> Unit:
-    """Return the unit of a column.
-
-    Args:
-        name: What it is, one of ``QUANTITIES``.
-    """
+    """Return the unit of a column."""
     return unit_of(column.unit, QUANTITIES[name])
 
 
 def read_description(path: Path) -> tuple[ExchangeFile, InputFile]:
-    """Return the content of the TOML file, and where in the file each key stands.
-
-    Raises:
-        ExchangeError: It cannot be read, or a key is missing, unknown or impossible.
-    """
+    """Return the content of the TOML file, and where in the file each key stands."""
     file = read_toml(path, ExchangeError)
     return file.parse(ExchangeFile), file
 

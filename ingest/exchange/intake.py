@@ -2,31 +2,237 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
 
-from estimation.errors import ConflictError, NotFoundError
+from estimation.errors import ConflictError, InputError, NotFoundError
+from estimation.motion.checks import BACKWARDS, LOOK_S, high_pass_running_mean, lateral_yaw_correlation
+from estimation.motion.integration import IntegratedSegment, IntegratedWindow, integrate
+from estimation.motion.parameters import SignalParameters
+from estimation.values.arrays import FloatArray
 from estimation.values.registry import VehicleRecord
 from estimation.values.track import TrackSectionRecord
+from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
+from estimation.vehicle.equations_of_motion import GRAVITY
 from fleet_db.storage import SqlUnitOfWork
 from ingest.exchange.bundle import SUFFIX, read_run
-from ingest.exchange.description import ExchangeFile, read_description
-from ingest.exchange.run import INTERVAL_NS, ExchangeRun, RegistryFacts
-from ingest.exchange.signs import check_signs
+from ingest.exchange.description import AxesTable, ExchangeFile, read_description
+from ingest.exchange.run import COUNT, INTERVAL_NS, ExchangeRun, RegistryFacts
 from ingest.input_file import InputFile, Location
+
+INTERVAL_S = INTERVAL_NS * 1e-9
+MOST_GAIN = 4.0
+"""Of the lateral velocity over V psi, or less than its inverse: creep leaves 0.6 to 1.6, g for m/s2 makes 10."""
+
+OTHER_WAY = {"left": "right", "right": "left"}
+_GOOD = WindowQuality(1.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, 1.0, sensor_fault=False)
+
+
+class Turned(StrEnum):
+    """Which signal of an axle has the wrong sign."""
+
+    LATERAL = "lateral"
+    YAW = "yaw"
+    ROLL = "roll"
+    MASS_LATERAL = "mass_lateral"
+    LATERAL_OR_YAW = "lateral or yaw"  # roll is too small to part them
+
+
+@dataclass(frozen=True, slots=True)
+class SignEvidence:
+    """How the signals of an axle go with each other, -1 to 1; None where nothing moves.
+
+    ``roll_low`` and ``roll_high`` bound the correlation of roll with the lateral displacement without gravity.
+    """
+
+    lateral_yaw: float | None
+    roll_low: float
+    roll_high: float
+    mass: float  # acceleration of the mass, velocity of a bogie frame, with the lateral velocity of the axle
+    gain: float | None = None  # rms of the lateral velocity over that of V psi
+
+    @property
+    def other_unit(self) -> bool:
+        """Whether lateral and yaw go with each other, but not in magnitude: the unit of one of them is another."""
+        goes = self.lateral_yaw is not None and self.lateral_yaw >= -BACKWARDS
+        return goes and self.gain is not None and not 1.0 / MOST_GAIN <= self.gain <= MOST_GAIN
+
+    @property
+    def turned(self) -> Turned | None:
+        """The signal whose sign the others contradict."""
+        roll_is_against = self.roll_high < BACKWARDS
+        if self.lateral_yaw is None or self.lateral_yaw >= BACKWARDS:
+            if roll_is_against and (self.lateral_yaw or 0.0) > -BACKWARDS:
+                return Turned.ROLL
+            return Turned.MASS_LATERAL if self.mass < BACKWARDS else None
+        if roll_is_against:
+            return Turned.LATERAL
+        return Turned.YAW if self.roll_low > -BACKWARDS else Turned.LATERAL_OR_YAW
+
+
+def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidence:
+    """Return how lateral, yaw and roll of an axle go with each other over a run."""
+    integrated = integrate(_window(run, axle), np.ones(len(run.tick), np.bool_), SignalParameters())
+    low, high = _roll_bounds(integrated)
+    return SignEvidence(
+        lateral_yaw_correlation(integrated),
+        low,
+        high,
+        _mass_correlation(integrated, in_bogie=in_bogie),
+        _lateral_yaw_gain(integrated),
+    )
+
+
+def check_signs(run: ExchangeRun, file: ExchangeFile, toml: InputFile, *, in_bogie: bool) -> None:
+    """Raise where the signals of a run contradict its axes.
+
+    Raises:
+        ExchangeError: A signal has the wrong sign: on all axles its axis, on some of them its sensor; names what must
+            be turned. Or lateral and yaw of an axle differ in magnitude.
+    """
+    found = {axle: sign_evidence(run, axle, in_bogie=in_bogie) for axle in run.accelerations}
+    for at, axle in enumerate(file.axles):
+        evidence = found[axle.axle]
+        if evidence.other_unit:
+            reason = f"the lateral velocity is {evidence.gain:.3g} times what yaw and speed give (y' = V psi)"
+            raise toml.error(f"{reason}: is the unit of lateral or of yaw another?", ("axles", at, "lateral"))
+    turned = {axle: evidence.turned for axle, evidence in found.items()}
+    kinds = set(turned.values())
+    if kinds == {None}:
+        return
+    if len(kinds) == 1:
+        raise _axis_error(next(kind for kind in turned.values() if kind), found, file.axes, toml)
+    at = next(at for at, axle in enumerate(file.axles) if turned[axle.axle])
+    raise _sensor_error(file, at, turned, found, toml)
+
+
+def _axis_error(kind: Turned, found: Mapping[int, SignEvidence], axes: AxesTable, toml: InputFile) -> InputError:
+    yaw = "front_left" if axes.signs["yaw"] > 0.0 else "front_right"
+    roll = "left_up" if axes.signs["roll"] > 0.0 else "left_down"
+    if kind is Turned.YAW:
+        field, yaw = "yaw", "front_right" if yaw == "front_left" else "front_left"
+        what = f'the axis of yaw, z, must be turned: yaw = "{yaw}"'
+    elif kind is Turned.ROLL:
+        field, roll = "roll", "left_down" if roll == "left_up" else "left_up"
+        what = f'the axis of roll, x, must be turned: roll = "{roll}"'
+    elif kind is Turned.MASS_LATERAL:
+        field, what = "y", "it must be turned on each axle (turned = true)"
+    else:
+        field = "y"
+        what = f'y must be turned: y = "{OTHER_WAY[axes.y]}", with yaw = "{yaw}" and roll = "{roll}"'
+        if kind is Turned.LATERAL_OR_YAW:
+            what += "; or yaw, the roll is too small to part them"
+    location: Location = ("axes", field) if getattr(axes, field) is not None else ("axes",)
+    return toml.error(f"{_contradiction(kind, found.values())}: {what}", location)
+
+
+def _sensor_error(
+    file: ExchangeFile,
+    at: int,
+    turned: Mapping[int, Turned | None],
+    found: Mapping[int, SignEvidence],
+    toml: InputFile,
+) -> InputError:
+    axle = file.axles[at]
+    kind = turned[axle.axle] or Turned.LATERAL
+    signal = "lateral" if kind is Turned.LATERAL_OR_YAW else str(kind)
+    good = [str(number) for number, other in turned.items() if other is None]
+    others = f"axles {', '.join(good)} do not" if good else "other signals of other axles do too"
+    reason = f"{_contradiction(kind, [found[axle.axle]])} on axle {axle.axle}, {others}: turn that sensor (turned = "
+    return toml.error(f"{reason}{str(not getattr(axle, signal).turned).lower()})", ("axles", at, signal))
+
+
+def _contradiction(kind: Turned, items: Collection[SignEvidence]) -> str:
+    yaw = float(np.mean([item.lateral_yaw or 0.0 for item in items]))
+    roll = float(np.mean([0.5 * (item.roll_low + item.roll_high) for item in items]))
+    mass = float(np.mean([item.mass for item in items]))
+    sentence = {
+        Turned.LATERAL: "the lateral acceleration contradicts yaw and roll",
+        Turned.YAW: "yaw contradicts the lateral acceleration, which agrees with roll",
+        Turned.ROLL: "roll contradicts the lateral acceleration, which agrees with yaw",
+        Turned.MASS_LATERAL: "the lateral acceleration of the mass contradicts that of the axle",
+        Turned.LATERAL_OR_YAW: "lateral acceleration and yaw contradict each other",
+    }[kind]
+    return (
+        f"{sentence} (correlation of lateral velocity with yaw {yaw:.2f}, of displacement with roll {roll:.2f},"
+        f" of velocity with the mass {mass:.2f})"
+    )
+
+
+def _lateral_yaw_gain(integrated: IntegratedWindow) -> float | None:
+    seconds = round(LOOK_S / INTERVAL_S)
+    lateral, yaw = 0.0, 0.0
+    for segment in integrated.segments:
+        a = high_pass_running_mean(segment.rates[0], seconds)
+        b = high_pass_running_mean(segment.speed * segment.displacements[1], seconds)
+        lateral, yaw = lateral + float(a @ a), yaw + float(b @ b)
+    return float(np.sqrt(lateral / yaw)) if yaw > 0.0 else None
+
+
+def _roll_bounds(integrated: IntegratedWindow) -> tuple[float, float]:
+    """Return the least and the largest correlation of roll with the displacement that gravity leaves possible.
+
+    The lateral accelerometer of a node that rolls by phi measures y'' + g phi, so the displacement from it has a part
+    whose second derivative is g phi: taken out with the measured sign and with the other one.
+    """
+    product, gravity, displacement, roll = 0.0, 0.0, 0.0, 0.0
+    for segment in integrated.segments:
+        y, phi, falling = _rolling(segment)
+        product, gravity = product + float(y @ phi), gravity + abs(float(falling @ phi))
+        displacement, roll = displacement + float(y @ y), roll + float(phi @ phi)
+    scale = np.sqrt(displacement * roll)
+    if scale == 0.0:
+        return 0.0, 0.0
+    return float((product - gravity) / scale), float((product + gravity) / scale)
+
+
+def _mass_correlation(integrated: IntegratedWindow, *, in_bogie: bool) -> float:
+    seconds = round(LOOK_S / INTERVAL_S)
+    product, mass, velocity = 0.0, 0.0, 0.0
+    for segment in integrated.segments:
+        a = high_pass_running_mean((segment.rates if in_bogie else segment.accelerations)[3], seconds)
+        b = high_pass_running_mean(segment.rates[0], seconds)
+        product, mass, velocity = product + float(a @ b), mass + float(a @ a), velocity + float(b @ b)
+    return float(product / np.sqrt(mass * velocity)) if mass * velocity > 0.0 else 0.0
+
+
+def _rolling(segment: IntegratedSegment) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return lateral displacement, roll, and the displacement that gravity along the roll makes, without slow parts."""
+    seconds = round(LOOK_S / INTERVAL_S)
+    phi = high_pass_running_mean(segment.displacements[2], seconds)
+    falling = GRAVITY * phi
+    for _ in range(2):
+        falling = np.concatenate([[0.0], np.cumsum(0.5 * INTERVAL_S * (falling[1:] + falling[:-1]))])
+        falling = high_pass_running_mean(np.pad(falling - falling.mean(), seconds), seconds)
+    return high_pass_running_mean(segment.displacements[0], seconds), phi, falling
+
+
+def _window(run: ExchangeRun, axle: int) -> Window:
+    count = len(run.tick)
+    return Window(
+        wheelset="",
+        vehicle="",
+        axle=axle,
+        start_ns=int(run.tick[0]) * INTERVAL_NS,
+        length_ns=count * INTERVAL_NS,
+        sample_interval_s=INTERVAL_S,
+        **dict(zip(ACCELERATIONS, run.accelerations[axle].T, strict=True)),
+        speed=run.speed,
+        distance=run.distance,
+        valid=np.ones(count, np.bool_),
+        resolution=(COUNT, COUNT, COUNT, COUNT),
+        track_section=None,
+        odometer_m=0.0,
+        quality=_GOOD,
+    )
 
 
 def check_alone(unit: SqlUnitOfWork, vehicle: str, first_ns: int, last_ns: int, digest: str) -> None:
-    """Raise where another exchange of the vehicle shares an instant with one.
-
-    Args:
-        first_ns, last_ns: First and last instant of the exchange, ns on the vehicle's clock.
-
-    Raises:
-        ConflictError: There is one; names it.
-    """
+    """Raise where another exchange of the vehicle shares an instant with one."""
     for other in unit.chunks.overlapping(vehicle, first_ns, last_ns + 1):
         if other.suffix == SUFFIX and other.digest != digest:
             reason = (

@@ -11,12 +11,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 import scipy.special
 
 from estimation.errors import ExchangeError
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.registry import MAX_AXLES
 from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.equations_of_motion import GRAVITY
@@ -88,9 +89,6 @@ def ticks_of(time: UniformTime, start_ns: int, interval_ns: int) -> tuple[IntArr
     """Return sampling instants (n,) of the vehicle's clock, and where they are in the series, (n,) in its samples.
 
     The first sample is put on the instant nearest to it; all signals of a run share that shift.
-
-    Args:
-        start_ns: Vehicle time at which its time is 0, ns.
     """
     first = round((start_ns + round(time.start_s * 1e9)) / interval_ns)
     ratio = interval_ns * 1e-9 / time.interval_s
@@ -160,20 +158,14 @@ class RegistryFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class ExchangeRun:
+class ExchangeRun(FrozenArrays):
     """A run at the sampling instants of the vehicle's clock; x forward, y left, z up."""
 
-    tick: IntArray  # (n,) sampling intervals since 1970
-    distance: FloatArray  # (n,) m along the section, of the vehicle's reference point
-    speed: FloatArray  # (n,) m/s
-    odometer_m: FloatArray  # (n,)
+    tick: Annotated[IntArray, "n"]  # sampling intervals since 1970
+    distance: Annotated[FloatArray, "n"]  # m along the section, of the vehicle's reference point
+    speed: Annotated[FloatArray, "n"]  # m/s
+    odometer_m: Annotated[FloatArray, "n"]
     accelerations: Mapping[int, FloatArray]  # by axle, (n, 4) in the order of ACCELERATIONS
-
-    def __post_init__(self) -> None:
-        n = len(self.tick)
-        object.__setattr__(self, "tick", frozen_array(self.tick, (n,), np.int64, name="tick"))
-        for name in ("distance", "speed", "odometer_m"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
 
 
 def exchange_run(file: ExchangeFile, table: ExchangeTable, facts: RegistryFacts) -> ExchangeRun:
@@ -221,7 +213,6 @@ def _values(table: ExchangeTable, name: str, column: Column) -> FloatArray:
 def _check_speed(
     table: ExchangeTable, place: str, rate: str, values: tuple[FloatArray, FloatArray], interval_s: float
 ) -> None:
-    """Raise where the speed is negative, or the position (column ``place``) does not go with it (column ``rate``)."""
     position, speed = values
     backwards = np.flatnonzero(speed < 0.0)
     if len(backwards):
@@ -304,11 +295,7 @@ def _plan(kind: str, node: int | None, place: int, counts: Mapping[str, float]) 
 
 
 def aligned_run(run: ExchangeRun, facts: RegistryFacts, position_quality: float) -> AlignedFrames:
-    """Return a run as messages on the vehicle's clock.
-
-    Args:
-        position_quality: 0 to 1.
-    """
+    """Return a run as messages on the vehicle's clock."""
     catalogue = exchange_catalogue()
     motion = np.column_stack([run.speed, run.odometer_m])
     position = np.column_stack(

@@ -13,8 +13,8 @@ import numpy as np
 
 from estimation.errors import ExchangeError
 from estimation.values.arrays import FloatArray, frozen_array
-from ingest.bounded_file import MEBIBYTE, TABLE_BYTES, read_text_within
 from ingest.exchange.description import CsvTable
+from ingest.input_file import MEBIBYTE, TABLE_BYTES, read_text_within
 
 PARQUET = ".parquet"
 SUFFIXES = (".csv", ".txt", PARQUET)
@@ -39,9 +39,6 @@ class ExchangeTable:
 
 def read_table(path: Path, layout: CsvTable, names: Sequence[str]) -> ExchangeTable:
     """Return the columns of a table.
-
-    Args:
-        path: A CSV (``.csv``, ``.txt``) or Parquet file.
 
     Raises:
         ExchangeError: The file is missing, is no such table, lacks a column, or a value is no finite number; names line
@@ -142,7 +139,6 @@ def _read_parquet(path: Path, names: Sequence[str]) -> Mapping[str, FloatArray]:
 
 
 def _within_limit(reader: Any, path: Path) -> Any:  # noqa: ANN401 - of an extra
-    """Return the table of a reader of batches, unless it is larger than any exchange."""
     from arro3.core import Table  # noqa: PLC0415 - an extra
 
     batches, size = [], 0

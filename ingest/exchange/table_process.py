@@ -23,9 +23,9 @@ import numpy as np
 from estimation.errors import ExchangeError, PassingFaultError
 from estimation.values.reasons import ReasonCode
 from fleet_db.atomic_files import passing_fault
-from ingest.bounded_file import MEBIBYTE, end_with, limit_memory
 from ingest.exchange.description import CsvTable
 from ingest.exchange.table import ExchangeTable, read_table
+from ingest.input_file import MEBIBYTE, end_with, limit_memory
 
 MEMORY_BYTES = 2048 * MEBIBYTE
 """Of address space, beyond what the process has before it reads: four times the largest table that is taken."""
@@ -41,7 +41,6 @@ def read_table_apart(path: Path, layout: CsvTable, names: Sequence[str]) -> Exch
     """Return the columns of a table, read in a process of its own; as :func:`ingest.exchange.table.read_table`.
 
     Raises:
-        ExchangeError: As there, or it cannot be read within the limits.
         PassingFaultError: There is no process or no space to read it with.
     """
     with TemporaryDirectory(prefix="treadwatch-table-") as folder:
@@ -52,7 +51,6 @@ def read_table_apart(path: Path, layout: CsvTable, names: Sequence[str]) -> Exch
 
 
 def _answer(request: Sequence[str], path: Path) -> dict[str, Any]:
-    """Return what the process says of a table that it has read; raises as :func:`read_table_apart`."""
     try:
         done = subprocess.run(  # noqa: S603 - our own module, arguments as a list
             [sys.executable, "-m", __name__, *request],
@@ -83,11 +81,7 @@ def _answer(request: Sequence[str], path: Path) -> dict[str, Any]:
 
 
 def main(path: str, layout: str, names: str, folder: str, parent: str, memory_bytes: str) -> None:
-    """Read one table, write its columns, and print how it went.
-
-    Args:
-        folder: Where the columns are written.
-    """
+    """Read one table, write its columns, and print how it went."""
     end_with(int(parent))
     csv, wanted = CsvTable.model_validate_json(layout), json.loads(names)
     limit_memory(int(memory_bytes))

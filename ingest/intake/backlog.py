@@ -10,8 +10,12 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
+from estimation.values.reasons import ReasonCode, code_of
 from fleet_db.atomic_files import passing_faults
+from fleet_db.decoding_locks import TryVehicle, decoding_locks
+from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
+from ingest.receiver import ChunkReceipt, Receiver
 
 LOOK_EVERY_S = 1.0
 """How long what the database said counts; what was taken since is added to it."""
@@ -27,16 +31,11 @@ class Limit(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class BacklogLimits:
-    """How much may wait to be decoded, and how much of the disk stays free.
-
-    Attributes:
-        chunks, size_bytes: Of all that wait.
-        free_bytes: That no chunk may take.
-    """
+    """How much may wait to be decoded, and how much of the disk stays free."""
 
     chunks: int
     size_bytes: int
-    free_bytes: int
+    free_bytes: int  # that no chunk may take
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +52,6 @@ class BacklogWatch:
 
     Args:
         folder: In which chunks are received before they are stored.
-        now_s: A clock that never goes back, s.
     """
 
     storage: SqlStorage
@@ -76,26 +74,20 @@ class BacklogWatch:
 
         Args:
             size_bytes: Of the chunk, or what it may have at most.
-
-        Raises:
-            PassingFaultError: The disk cannot be asked.
         """
         with self._lock:
             if not self.fresh:
-                self._look()
+                with self.storage.read() as unit:
+                    waiting = unit.chunks.undecoded_size()
+                self._chunks, self._size_bytes = waiting.count, waiting.size_bytes
+                self._free_bytes = free_bytes(self.folder)
+                self._looked_s = self.now_s()
             found = self._found(size_bytes)
             if found is None:
                 self._chunks += 1
                 self._size_bytes += size_bytes
                 self._free_bytes -= size_bytes
             return found
-
-    def _look(self) -> None:
-        with self.storage.read() as unit:
-            waiting = unit.chunks.undecoded_size()
-        self._chunks, self._size_bytes = waiting.count, waiting.size_bytes
-        self._free_bytes = free_bytes(self.folder)
-        self._looked_s = self.now_s()
 
     def _found(self, size_bytes: int) -> Behind | None:
         limits = self.limits
@@ -110,14 +102,62 @@ class BacklogWatch:
 
 
 def free_bytes(folder: Path) -> int:
-    """Return how much room is left where a folder is, or will be made.
-
-    Args:
-        folder: Need not exist.
-
-    Raises:
-        PassingFaultError: The disk cannot be asked.
-    """
+    """Return how much room is left where a folder is, or will be made."""
     there = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.is_dir())
     with passing_faults(there):
         return shutil.disk_usage(there).free
+
+
+AT_ONCE = 100
+"""Receipts in memory; the log of one is read at a time, in a process of its own."""
+
+
+@dataclass(slots=True)
+class DecodedChunks:
+    """How many were decoded, and how many could not be: these are rejected, in quarantine, or wait for something."""
+
+    decoded: int = 0
+    others: int = 0
+
+
+def decode_received(
+    storage: SqlStorage,
+    receiver: Receiver,
+    holder: str,
+    checkpoint: Callable[[int, int], None],
+    vehicle: str | None = None,
+) -> DecodedChunks:
+    """Decode the chunks that wait for a worker when this begins or come meanwhile, but for those of other workers.
+
+    Args:
+        checkpoint: Called between two chunks with (done, of how many as far as known); it may raise to end the work.
+    """
+    counts, after = DecodedChunks(), (-1, "")
+    with decoding_locks(storage, holder) as try_vehicle:
+        while True:
+            with storage.read() as unit:
+                batch = unit.chunks.undecoded(AT_ONCE, after, vehicle)
+                total = unit.chunks.undecoded_size().count
+            for record in batch:
+                _decode(storage, receiver, try_vehicle, record, counts)
+                after = (record.recorded_ns, record.digest)
+                done = counts.decoded + counts.others
+                checkpoint(done, done + total)
+            if len(batch) < AT_ONCE:
+                return counts
+
+
+def _decode(
+    storage: SqlStorage, receiver: Receiver, try_vehicle: TryVehicle, record: ChunkRecord, counts: DecodedChunks
+) -> None:
+    with try_vehicle(record.vehicle) as locked:
+        if not locked:
+            return
+        with storage.read() as unit:
+            now = unit.chunks.get(record.digest)
+        if now is None or code_of(now.reason) is not ReasonCode.WAITS_FOR_DECODING:
+            return
+        for outcome in receiver.decode([now]):
+            good = isinstance(outcome, ChunkReceipt) and outcome.record.state is ChunkState.DECODED
+            counts.decoded += good
+            counts.others += not good

@@ -36,15 +36,12 @@ class DropSettings:
     """Of a drop folder.
 
     Attributes:
-        folder: Watched; ``done`` and ``refused`` are made in it.
-        quiet_s: A file that has not changed for so long is complete, s.
-        most_bytes: Size of a file at most.
         vehicle_of: Returns the vehicle of a file, by its path; raises InputError where it does not show.
     """
 
-    folder: Path
-    quiet_s: float
-    most_bytes: int
+    folder: Path  # watched; ``done`` and ``refused`` are made in it
+    quiet_s: float  # a file that has not changed for so long is complete, s
+    most_bytes: int  # size of a file at most
     vehicle_of: Callable[[Path], str]
 
 
@@ -61,8 +58,6 @@ class Look:
 
 @dataclass(slots=True)
 class _Seen:
-    """A file as it was when it had changed last, by a clock that never goes back."""
-
     size: int
     changed_ns: int
     inode: int
@@ -71,12 +66,7 @@ class _Seen:
 
 @dataclass(slots=True)
 class DropFolder:
-    """Watches a folder.
-
-    Args:
-        backlog: Says whether more may come; where not, files wait in the folder.
-        now_s: A clock that never goes back, s.
-    """
+    """Watches a folder."""
 
     settings: DropSettings
     raw: RawStore
@@ -119,7 +109,6 @@ class DropFolder:
         return Look(stored, known, tuple(refused), incomplete, behind)
 
     def _complete(self) -> tuple[list[Path], int]:
-        """Return the files that have not changed for long enough, oldest first, and how many have."""
         now_s, found = self.now_s(), dict[Path, _Seen]()
         with passing_faults(self.settings.folder):
             for path in self.settings.folder.iterdir():
@@ -138,12 +127,6 @@ class DropFolder:
         return complete, len(found) - len(complete)
 
     def _read(self, path: Path) -> Arrival:
-        """Return a file with the bytes of ``path``, received.
-
-        Raises:
-            InputError: It is no log that can be taken, or it changes while it is read.
-            PassingFaultError: The raw store cannot take it now.
-        """
         if self._seen[path].size > self.settings.most_bytes:
             raise InputError(f"is larger than {self.settings.most_bytes:,} bytes", file=path)
         if self._seen[path].size == 0:
@@ -177,13 +160,11 @@ class DropFolder:
         return _same(self._seen[path], now) and arrival.file.size_bytes == status.st_size
 
     def _refuse(self, path: Path, reason: str) -> str:
-        """Move a file aside, with the reason beside it; return both in a line."""
         place = self._move(path, REFUSED)
         write_atomically(place.with_name(f"{place.name}{REASON_SUFFIX}"), f"{reason}\n".encode(), durable=False)
         return f"{path.name}: {reason}"
 
     def _move(self, path: Path, folder: str) -> Path:
-        """Move a file into a folder beside it, under a name of its own."""
         target = path.parent / folder
         with passing_faults(target):
             target.mkdir(exist_ok=True)
@@ -202,7 +183,6 @@ def held_folder(folder: Path) -> Iterator[None]:
 
     Raises:
         ConflictError: Another process watches it.
-        PassingFaultError: It cannot be used.
     """
     with passing_faults(folder), locked_file(folder / LOCK) as locked:
         if not locked:

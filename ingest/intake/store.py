@@ -49,7 +49,6 @@ class ChunkStorage:
 
         Raises:
             PassingFaultError: The raw store cannot take them now: nothing has a receipt.
-            StorageError: The database cannot be reached: the same.
         """
         if self._mark is None or self._raw.read_mark() != self._mark:
             self._mark = check_raw_store(self._storage, self._raw, self._clock.now_ns())
@@ -116,9 +115,6 @@ class ReceiptGroup:
 
         Args:
             arrival: Its file must stay where it is until then.
-
-        Raises:
-            BusyError: Too many wait already.
         """
         with self._starting:
             if self._thread is None:
@@ -147,7 +143,6 @@ class ReceiptGroup:
                 self._store(batch)
 
     def _gather(self) -> tuple[list[_Waiting], bool]:
-        """Return the first that comes, with what waits behind it, and whether more may come."""
         first = self._queue.get()
         batch: list[_Waiting] = []
         while first is not None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import can
 
 from estimation.errors import ParameterError
-from estimation.failures import first_line
+from estimation.values.runs import first_line
 from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from ingest.live.backoff import Backoff
 from ingest.live.records import FrameBuffer, pack_frame
@@ -41,15 +41,10 @@ _DROPS = 8
 
 @dataclass(frozen=True, slots=True)
 class BusSource:
-    """A bus to listen to.
-
-    Attributes:
-        name: For people: interface, channel and vehicle.
-        open: Opens it; raises ParameterError where it cannot.
-    """
+    """A bus to listen to."""
 
     name: str
-    open: Callable[[], can.BusABC]
+    open: Callable[[], can.BusABC]  # opens it; raises ParameterError where it cannot
 
 
 class Listening:
@@ -121,11 +116,19 @@ class Listening:
                 frame = None if message is None else packed(message)
             except Exception as error:  # noqa: BLE001 - whatever python-can raises, other frames are to be received
                 unreadable += 1
-                if _is_gone(error) or unreadable >= UNREADABLE_IN_A_ROW:
-                    return first_line(error)
-                self._count_unreadable(error)
+                if (
+                    isinstance(error, OSError)
+                    or isinstance(error.__cause__, OSError)
+                    or unreadable >= UNREADABLE_IN_A_ROW
+                ):
+                    return first_line(error)  # the interface is gone, or nothing on it is a frame
+                if self._status.frames_unreadable == 0:
+                    self._reports.say(f"a frame cannot be read, it is left out and counted: {error}", bad=True)
+                self._status.frames_unreadable += 1
                 continue
-            self._count_lost(losses.new())
+            lost = losses.new()
+            self._status.frames_lost_by_bus += lost
+            self._buffer.count_dropped(lost)
             if frame is not None:
                 unreadable = 0
                 self._take(frame)
@@ -146,21 +149,11 @@ class Listening:
         self._delays.succeeded()
 
     def _silent(self) -> float:
-        """Return how long no frame has come, s, and say it once when it is long."""
         silent_s = time.monotonic() - self._last_frame_at
         if silent_s > SILENT_S and self._status.silent_since_s is None:
             self._status.silent_since_s = time.time() - silent_s
             self._reports.say(f"no frame for {SILENT_S:g} s: the bus is silent", bad=True)
         return silent_s
-
-    def _count_lost(self, frames: int) -> None:
-        self._status.frames_lost_by_bus += frames
-        self._buffer.count_dropped(frames)
-
-    def _count_unreadable(self, error: Exception) -> None:
-        if self._status.frames_unreadable == 0:
-            self._reports.say(f"a frame cannot be read, it is left out and counted: {error}", bad=True)
-        self._status.frames_unreadable += 1
 
 
 def packed(message: can.Message) -> bytes:
@@ -179,14 +172,8 @@ def packed(message: can.Message) -> bytes:
 
 
 def _is_passing(error: ParameterError) -> bool:
-    """Whether a bus that cannot be opened now may be there later."""
     cause = error.__cause__
     return isinstance(cause, OSError | can.CanError) and not isinstance(cause, NotImplementedError)
-
-
-def _is_gone(error: Exception) -> bool:
-    """Whether an error is one of the interface, not of a frame."""
-    return isinstance(error, OSError) or isinstance(error.__cause__, OSError)
 
 
 class _Losses:

@@ -65,7 +65,10 @@ class Spooling:
             self._step()
         self._step()
         self._spool.close_piece()
-        self._give_up()
+        if lost := (len(self._frames) + self._buffer.size_bytes) // FRAME_BYTES:  # they cannot be written any more
+            self._buffer.count_dropped(lost)
+            self._reported_at = -REPORT_EVERY_S
+            self._count_dropped()
 
     def _take_over(self) -> bool:
         try:
@@ -101,7 +104,6 @@ class Spooling:
         self._status.pieces_aside = self._spool.pieces_aside
 
     def _write(self) -> bool:
-        """Write one record; return whether there may be more to write."""
         if not self._frames:
             self._frames, self._dropped = self._buffer.take(RECORD_FRAMES * FRAME_BYTES)
         if not self._frames:
@@ -124,12 +126,8 @@ class Spooling:
             self._status.spool_fault = None
         return True
 
-    def _total(self) -> int:
-        return self._before + self._buffer.dropped
-
     def _count_dropped(self) -> None:
-        """Put the count of dropped frames on the disk, and report it when it has grown."""
-        total = self._total()
+        total = self._before + self._buffer.dropped
         self._status.frames_dropped = total
         try:
             self._spool.count_dropped(DropCount(total, self._recorded))
@@ -140,14 +138,6 @@ class Spooling:
             why = self._status.spool_fault or "this machine was held up, and the socket was full"
             self._reports.say(f"{total - self._reported:,} frames dropped: {why}", bad=True)
             self._reported, self._reported_at = total, now
-
-    def _give_up(self) -> None:
-        """Count what cannot be written before the end as dropped."""
-        left = (len(self._frames) + self._buffer.size_bytes) // FRAME_BYTES
-        if left:
-            self._buffer.count_dropped(left)
-            self._reported_at = -REPORT_EVERY_S
-            self._count_dropped()
 
     def _fault(self, error: Exception) -> None:
         fault = str(error)
@@ -161,19 +151,14 @@ WATCH_EVERY_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class LiveSettings:
-    """Of a live receiver.
-
-    Attributes:
-        spool_bytes, memory_bytes: How much may wait on the disk, and in memory while the disk takes nothing.
-        shutdown_s: How long storing may go on after a stop is requested, s.
-    """
+    """Of a live receiver."""
 
     vehicle: str
     spool_dir: Path
-    spool_bytes: int
-    memory_bytes: int
+    spool_bytes: int  # that may wait on the disk
+    memory_bytes: int  # that may wait in memory while the disk takes nothing
     piece_seconds: float
-    shutdown_s: float
+    shutdown_s: float  # how long storing may go on after a stop is requested, s
 
 
 def receive_live(
@@ -190,8 +175,6 @@ def receive_live(
         stop: Set by whoever ends it; set here where bus or stores refuse for good.
 
     Raises:
-        ConflictError: Another process receives this vehicle.
-        StorageError: The folder of the spool cannot be used.
         TreadwatchError: Bus or stores refused for good.
     """
     spool = Spool(spool_folder(settings.spool_dir, settings.vehicle), settings.spool_bytes)
@@ -239,8 +222,6 @@ def receive_buses(buses: Sequence[ReceivedBus], stop: threading.Event) -> None:
     """Receive buses until ``stop`` is set, or one of them is refused for good, which ends all of them.
 
     Raises:
-        ConflictError: Another process receives one of the vehicles.
-        StorageError: The folder of a spool cannot be used.
         TreadwatchError: A bus or the stores refused for good. What the other buses had received is stored, or in their
             spools.
     """

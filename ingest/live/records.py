@@ -28,32 +28,20 @@ _LONGEST_BODY = 1 << 21
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Frames that were written together.
-
-    Attributes:
-        frames: Whole frames, as :func:`pack_frame` packs them.
-        dropped: Frames that were dropped behind these.
-        dropped_total: All frames of this vehicle that were dropped up to here, by this process and those before it.
-    """
+    """Frames that were written together."""
 
     frames: bytes
-    dropped: int = 0
-    dropped_total: int = 0
+    dropped: int = 0  # frames that were dropped behind these
+    dropped_total: int = 0  # of this vehicle up to here, by this process and those before it
 
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a file of records holds.
-
-    Attributes:
-        records: The whole ones.
-        end: The byte behind the last of them.
-        skipped: Bytes before that which are damaged.
-    """
+    """What a file of records holds."""
 
     records: tuple[Record, ...]
-    end: int
-    skipped: int
+    end: int  # the byte behind the last of them
+    skipped: int  # bytes before that which are damaged
 
 
 def pack_frame(t_ns: int, arbitration_id: int, dlc: int, data: bytes) -> bytes:
@@ -61,7 +49,6 @@ def pack_frame(t_ns: int, arbitration_id: int, dlc: int, data: bytes) -> bytes:
 
     Args:
         arbitration_id: With SocketCAN's flags.
-        data: Payload; filled up with zeros to 8 bytes.
     """
     return _FRAME.pack(t_ns, arbitration_id, dlc, data)
 
@@ -88,7 +75,6 @@ def decode(content: bytes) -> Contents:
 
 
 def _record(content: bytes, at: int) -> tuple[Record | None, int]:
-    """Return the record at a byte and where it ends; None where there is no whole one."""
     body_at = at + _HEAD.size
     if body_at > len(content):
         return None, at

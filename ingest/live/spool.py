@@ -35,14 +35,7 @@ class DropCount:
 
 
 class DropCountFile:
-    """The count on the disk.
-
-    Args:
-        path: The file; made if it is missing.
-
-    Raises:
-        OSError: It cannot be made or read.
-    """
+    """The count on the disk."""
 
     def __init__(self, path: Path) -> None:
         self._handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
@@ -118,7 +111,6 @@ class Spool:
 
     Raises:
         ConflictError: Another process holds it.
-        StorageError: The folder cannot be used.
     """
 
     def __init__(self, folder: Path, limit_bytes: int) -> None:
@@ -164,11 +156,7 @@ class Spool:
         return self._drops.count
 
     def take_over(self) -> TakenOver:
-        """Make what an earlier process left ready to be stored; call it once, first.
-
-        Raises:
-            OSError: The disk failed; may be called again.
-        """
+        """Make what an earlier process left ready to be stored; call it once, first."""
         torn = damaged = 0
         found: list[Piece] = []
         count = self._drops.count
@@ -214,11 +202,7 @@ class Spool:
             raise
 
     def count_dropped(self, count: DropCount) -> None:
-        """Put the number of dropped frames on the disk.
-
-        Raises:
-            OSError: The disk failed.
-        """
+        """Put the number of dropped frames on the disk."""
         self._drops.write(count)
 
     def close_piece(self) -> None:
@@ -249,11 +233,7 @@ class Spool:
             self._waiting.remove(piece)
 
     def set_aside(self, piece: Piece) -> None:
-        """Keep a piece that cannot be stored out of the way of the others, until the next start.
-
-        Raises:
-            OSError: The disk failed; the piece still waits.
-        """
+        """Keep a piece that cannot be stored out of the way of the others, until the next start."""
         piece.path.replace(piece.path.with_suffix(SET_ASIDE_SUFFIX))
         with self._lock:
             self._waiting.remove(piece)
@@ -272,8 +252,6 @@ class Spool:
 
 
 class _OpenPiece:
-    """A piece that grows; ``size_bytes`` of it are on the disk."""
-
     def __init__(self, path: Path) -> None:
         self.path = path
         self.size_bytes = 0
@@ -309,11 +287,6 @@ def _cut(path: Path, size: int, end: int) -> None:
 
 
 def _hold(folder: Path) -> int:
-    """Lock the folder for this process.
-
-    Raises:
-        ConflictError: Another process has it.
-    """
     path = folder / "lock"
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:

@@ -17,22 +17,8 @@ REJECTED_IN_A_ROW = 3
 class LiveStatus:
     """What the threads of a receiver know; each field is written by one thread, and read by any.
 
-    Attributes:
-        bus_fault, spool_fault, raw_fault, database_fault: What is wrong with the bus, the disk of the spool, the raw
-            store and the database; None while they work.
-        frames_received, frames_unreadable, frames_spooled: Since the start; the unreadable ones are no classic CAN
-            frames, the spooled ones are on the disk.
-        frames_lost_by_bus: Since the start, before they came to this process: its socket was full. They are among the
-            dropped ones.
-        frames_dropped: Of this vehicle, also before the start.
-        buffered_bytes, spool_bytes, pieces_waiting, pieces_aside: What has no receipt yet: in memory, on the disk, and
-            the pieces of it.
-        pieces_stored, pieces_rejected: Since the start; a rejected piece is stored too.
-        frames_rejected: Frames of the rejected pieces.
-        rejected_in_a_row, decoded, last_rejection: Rejected pieces since one was decoded, whether any was since the
-            start, and why the last one was rejected.
-        last_frame_s, last_receipt_s: Seconds since the Unix epoch, of our clock; None before the first.
-        silent_since_s: When the last frame came, on a bus that has been silent for long; None on one that speaks.
+    Counts of frames and pieces are since the start, but for the dropped frames; faults are None while all works. Times
+    are seconds since the Unix epoch, of our clock; None before the first.
     """
 
     bus_fault: str | None = "not opened yet"
@@ -40,24 +26,24 @@ class LiveStatus:
     raw_fault: str | None = None
     database_fault: str | None = "not asked yet"
     frames_received: int = 0
-    frames_unreadable: int = 0
-    frames_spooled: int = 0
-    frames_lost_by_bus: int = 0
-    frames_dropped: int = 0
-    buffered_bytes: int = 0
-    spool_bytes: int = 0
+    frames_unreadable: int = 0  # no classic CAN frames
+    frames_spooled: int = 0  # on the disk
+    frames_lost_by_bus: int = 0  # before they came to this process: its socket was full; among the dropped ones
+    frames_dropped: int = 0  # of this vehicle, also before the start
+    buffered_bytes: int = 0  # without a receipt, in memory
+    spool_bytes: int = 0  # on the disk
     spool_limit_bytes: int = 0
     pieces_waiting: int = 0
     pieces_aside: int = 0
     pieces_stored: int = 0
-    pieces_rejected: int = 0
+    pieces_rejected: int = 0  # they are stored too
     frames_rejected: int = 0
     rejected_in_a_row: int = 0
-    decoded: bool = False
+    decoded: bool = False  # whether any piece was
     last_rejection: str = ""
     last_frame_s: float | None = None
     last_receipt_s: float | None = None
-    silent_since_s: float | None = None
+    silent_since_s: float | None = None  # None where the bus has not been silent for long
     threads: list[threading.Thread] = field(default_factory=list)
 
     @property
@@ -73,16 +59,12 @@ class LiveStatus:
             "spool": self.spool_fault,
             "raw": self.raw_fault,
             "database": self.database_fault,
-            "recordings": self._recordings_fault,
         }
+        if self.rejected_in_a_row >= (REJECTED_IN_A_ROW if self.decoded else 1):
+            found["recordings"] = (
+                f"every recording is rejected, the last {self.rejected_in_a_row}: {self.last_rejection}"
+            )
         return {where: fault for where, fault in found.items() if fault is not None}
-
-    @property
-    def _recordings_fault(self) -> str | None:
-        """Why nothing of what is received can be used; None while recordings are decoded."""
-        if self.rejected_in_a_row < (REJECTED_IN_A_ROW if self.decoded else 1):
-            return None
-        return f"every recording is rejected, the last {self.rejected_in_a_row}: {self.last_rejection}"
 
 
 class Say(Protocol):
@@ -94,12 +76,7 @@ class Say(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Reports:
-    """Where a receiver reports to, from any of its threads.
+    """Where a receiver reports to, from any of its threads."""
 
-    Attributes:
-        say: Sentences for people, as things happen.
-        received: Every piece with its receipt, or why it was rejected.
-    """
-
-    say: Say
-    received: Callable[[str, ChunkReceipt | Exception], None]
+    say: Say  # sentences for people, as things happen
+    received: Callable[[str, ChunkReceipt | Exception], None]  # every piece with its receipt, or why it was rejected

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from estimation.errors import (
     ConflictError,
@@ -23,10 +22,10 @@ from estimation.errors import (
     StorageError,
     TreadwatchError,
 )
-from estimation.failures import first_line
 from estimation.values.reasons import ReasonCode
+from estimation.values.runs import first_line
 from fleet_db.receipts import ChunkRecord, ChunkState
-from ingest.frames import DEFAULT_CHANNEL, FrameBatch, concatenate, dropped_marker, from_owned_arrays, sort_by_time
+from ingest.frames import DEFAULT_CHANNEL, concatenate, dropped_marker, from_owned_arrays, sort_by_time
 from ingest.live.backoff import Backoff
 from ingest.live.records import FRAME, decode
 from ingest.live.spool import Piece, Spool
@@ -48,36 +47,27 @@ class PieceRecording:
 
 
 def read_piece(path: Path) -> PieceRecording | None:
-    """Return the recording of a piece; None when no frame of it is whole.
-
-    Args:
-        path: A piece that grows no more.
-
-    Raises:
-        OSError: It cannot be read.
-    """
+    """Return the recording of a piece; None when no frame of it is whole."""
     records = decode(path.read_bytes()).records
     packed = np.frombuffer(b"".join(record.frames for record in records), FRAME)
     if len(packed) == 0:
         return None
     dropped = sum(record.dropped for record in records)
-    parts = [_batch(packed)]
+    parts = [
+        from_owned_arrays(
+            DEFAULT_CHANNEL,
+            packed["t_ns"].astype(np.int64),
+            packed["arbitration_id"].astype(np.uint32),
+            packed["dlc"].astype(np.uint8),
+            np.ascontiguousarray(packed["data"]),
+        )
+    ]
     if dropped:
         before_gap = next(record for record in records if record.dropped)
         last_ns = int(np.frombuffer(before_gap.frames, FRAME)["t_ns"][-1])
         parts.append(dropped_marker(last_ns, dropped, DEFAULT_CHANNEL))
     batch = sort_by_time(concatenate(parts))
     return PieceRecording(blf_bytes(batch), len(packed), dropped, int(batch.t_ns[0]))
-
-
-def _batch(packed: npt.NDArray[np.void]) -> FrameBatch:
-    return from_owned_arrays(
-        DEFAULT_CHANNEL,
-        packed["t_ns"].astype(np.int64),
-        packed["arbitration_id"].astype(np.uint32),
-        packed["dlc"].astype(np.uint8),
-        np.ascontiguousarray(packed["data"]),
-    )
 
 
 PASSING = (StorageError, PassingFaultError, OSError, MemoryError)
@@ -94,16 +84,10 @@ CHECK_EVERY_S = 15.0
 
 @dataclass(frozen=True, slots=True)
 class Stores:
-    """Where pieces go.
+    """Where pieces go."""
 
-    Attributes:
-        connect: Opens database and raw store; raises StorageError while they are away, another error where they never
-            can be used.
-        check: Raises where the database does not answer.
-    """
-
-    connect: Callable[[], Receiver]
-    check: Callable[[], None]
+    connect: Callable[[], Receiver]  # raises StorageError while they are away, else another error
+    check: Callable[[], None]  # raises where the database does not answer
 
 
 class Storing:
@@ -113,14 +97,7 @@ class Storing:
         stores: Where they go. An error of :attr:`Stores.connect` that does not pass is kept as ``refused``.
     """
 
-    def __init__(
-        self,
-        spool: Spool,
-        vehicle: str,
-        stores: Stores,
-        status: LiveStatus,
-        reports: Reports,
-    ) -> None:
+    def __init__(self, spool: Spool, vehicle: str, stores: Stores, status: LiveStatus, reports: Reports) -> None:
         self._spool = spool
         self._vehicle = vehicle
         self._stores = stores
@@ -153,7 +130,6 @@ class Storing:
                 self._idle(receiver)
 
     def _connected(self) -> Receiver | None:
-        """Return the receiver of files once the database is there; None when an end is requested, or it never can."""
         while True:
             try:
                 receiver = self._stores.connect()
@@ -172,7 +148,6 @@ class Storing:
                 return receiver
 
     def _store(self, receiver: Receiver, piece: Piece) -> bool:
-        """Store a piece and remove it; False when it waits for another attempt."""
         try:
             recording = read_piece(piece.path)
             if recording is not None:
@@ -187,17 +162,13 @@ class Storing:
         self._attempts = 0
         self._answered()
         if recording is not None:
-            self._stored(receiver, recording, record, name)
+            self._status.pieces_stored += 1
+            self._status.last_receipt_s = time.time()
+            name += RECORDING_SUFFIX
+            frames, dropped = recording.frames, recording.dropped
+            self._reports.say(f"{name}: {frames:,} frames stored, {dropped:,} dropped", bad=dropped > 0)
+            self._decode(receiver, record, name, frames)
         return True
-
-    def _stored(self, receiver: Receiver, recording: PieceRecording, record: ChunkRecord, name: str) -> None:
-        self._status.pieces_stored += 1
-        self._status.last_receipt_s = time.time()
-        self._reports.say(
-            f"{name}{RECORDING_SUFFIX}: {recording.frames:,} frames stored, {recording.dropped:,} dropped",
-            bad=recording.dropped > 0,
-        )
-        self._decode(receiver, record, f"{name}{RECORDING_SUFFIX}", recording.frames)
 
     def _failed(self, piece: Piece, error: Exception) -> bool:
         """Try a piece that has a fault of its own again, in the end set it aside; return whether that is done."""
@@ -214,7 +185,6 @@ class Storing:
         return True
 
     def _decode(self, receiver: Receiver, record: ChunkRecord, name: str, frames: int) -> None:
-        """Decode what is stored; report what became of it."""
         outcome: ChunkReceipt | Exception
         try:
             outcome = receiver.decode_one(record)
@@ -226,7 +196,6 @@ class Storing:
         self._reports.say(f"stored, not decoded yet: {name}: {reason}", bad=True)
 
     def _report(self, name: str, outcome: ChunkReceipt | Exception, frames: int = 0) -> bool:
-        """Report a recording that is decoded or rejected; False where another attempt follows."""
         if isinstance(outcome, LogFileError):
             self._status.pieces_rejected += 1
             self._status.frames_rejected += frames
@@ -246,11 +215,16 @@ class Storing:
         return True
 
     def _idle(self, receiver: Receiver) -> None:
-        """Nothing waits: decode what is left, and look whether the database answers."""
         now = time.monotonic()
         if self._decode_at is not None and now >= self._decode_at:
             self._decode_at = None
-            self._decode_left(receiver)
+            try:
+                for outcome in receiver.decode_stored(vehicle=self._vehicle):
+                    self._report(outcome.record.digest if isinstance(outcome, ChunkReceipt) else "a recording", outcome)
+                    if self._ending.is_set():
+                        return
+            except Exception as error:  # noqa: BLE001 - it is tried again
+                self._report("", error)
         elif now - self._checked_at >= CHECK_EVERY_S:
             try:
                 self._stores.check()
@@ -261,16 +235,6 @@ class Storing:
                 self._answered()
         else:
             self._ending.wait(LOOK_EVERY_S)
-
-    def _decode_left(self, receiver: Receiver) -> None:
-        """Decode what is stored and due; what fails again is not said again."""
-        try:
-            for outcome in receiver.decode_stored(vehicle=self._vehicle):
-                self._report(outcome.record.digest if isinstance(outcome, ChunkReceipt) else "a recording", outcome)
-                if self._ending.is_set():
-                    return
-        except Exception as error:  # noqa: BLE001 - it is tried again
-            self._report("", error)
 
     def _answered(self) -> None:
         if self._delayed:
@@ -292,7 +256,6 @@ class Storing:
             self._status.raw_fault = fault
 
     def _pause(self) -> bool:
-        """Wait until the next attempt; return whether an end is requested."""
         return self._ending.wait(self._delays.failed())
 
 

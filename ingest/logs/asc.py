@@ -15,8 +15,7 @@ from pathlib import Path
 from estimation.errors import LogFileError
 from ingest.frames import DATA_BYTES, ERROR_FLAG, REMOTE_FLAG, channel_name
 from ingest.logs.log_format import FrameSink, LogFormat, ReadLimits
-from ingest.logs.text_lines import LONGEST_LINE, SECOND_NS, Facts, LineFormat, identifier_limits, skip_mark
-from ingest.logs.text_log import TextLog
+from ingest.logs.text_lines import LONGEST_LINE, SECOND_NS, Facts, LineFormat, TextLog, identifier_limits, skip_mark
 
 _TIME = r"\s*(?P<seconds>\d{1,10})\.(?P<fraction>\d{1,9})\s+"
 _HEADER_LINES = 100
@@ -55,12 +54,7 @@ _MOMENT = re.compile(
 
 
 def read_asc(path: Path, _: ReadLimits, sink: FrameSink) -> None:
-    """Read an ASC file.
-
-    Raises:
-        LogFileError: The file is cut off, its header lacks date or base, its stamps are relative, or more than one line
-            in a thousand is damaged; names the line.
-    """
+    """Read an ASC file."""
     start_ns, base = _header(path)
     form = LineFormat(_FRAMES[base], _facts, base=16 if base == "hex" else 10)
     events = _Events(path, base, start_ns)
@@ -83,7 +77,6 @@ def _facts(match: re.Match[str]) -> Facts | None:
 
 
 def _header(path: Path) -> tuple[int, str]:
-    """Return the start time in ns and the base of the numbers."""
     start_ns = None
     with path.open("rb") as content, io.TextIOWrapper(content, "latin-1") as file:
         skip_mark(content)

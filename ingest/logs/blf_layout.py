@@ -88,12 +88,7 @@ FRAME_KINDS = (CAN_MESSAGE, CAN_MESSAGE2, CAN_ERROR_EXT, CAN_FD_MESSAGE, CAN_FD_
 
 
 def object_layout(body: np.dtype[np.void], header_size: int) -> np.dtype[np.void]:
-    """Return the layout of a whole object.
-
-    Args:
-        body: Layout of the body; its fields get the prefix ``body_``.
-        header_size: Bytes before the body.
-    """
+    """Return the layout of a whole object."""
     fields = _fields(OBJECT_HEAD, "", 0) | _fields(body, "body_", header_size)
     return np.dtype(
         {

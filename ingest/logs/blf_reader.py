@@ -45,11 +45,7 @@ class ObjectBase:
 
 
 def file_header(file: BinaryIO, path: Path) -> FileHeader:
-    """Return the header of a BLF file.
-
-    Raises:
-        LogFileError: It is no such header, or that of another file size.
-    """
+    """Return the header of a BLF file."""
     raw = file.read(blf.FILE_HEADER_SIZE)
     length = file.seek(0, 2)
     if len(raw) < blf.FILE_HEADER_SIZE or not raw.startswith(blf.FILE_SIGNATURE):
@@ -83,11 +79,7 @@ def _moment_ns(moment: np.void, what: str, path: Path) -> int:
 
 
 def object_base(buffer: bytes, at: int, where: str, first_byte: int, path: Path) -> ObjectBase:
-    """Return what the object at a byte begins with.
-
-    Raises:
-        LogFileError: There is no object, or one without size.
-    """
+    """Return what the object at a byte begins with."""
     if buffer[at : at + 4] != blf.OBJECT_SIGNATURE or at + blf.BASE_SIZE > len(buffer):
         raise LogFileError(f"no object at byte {first_byte + at} {where}: truncated or corrupt", file=path)
     base = np.frombuffer(buffer, dtype=blf.OBJECT_BASE, count=1, offset=at)[0]
@@ -98,12 +90,7 @@ def object_base(buffer: bytes, at: int, where: str, first_byte: int, path: Path)
 
 
 def inflated_containers(file: BinaryIO, at: int, path: Path, limits: ReadLimits) -> Iterator[bytes]:
-    """Yield the contents of the containers of a file.
-
-    Raises:
-        LogFileError: A container is damaged, or does not inflate to just what it declares, or to more than the limits
-            allow.
-    """
+    """Yield the contents of the containers of a file."""
     end = file.seek(0, 2)
     total = 0
     while at < end:
@@ -208,8 +195,6 @@ def read_blf(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
 
 @dataclass
 class _ObjectReader:
-    """Decodes the joined contents of the containers, a piece at a time."""
-
     path: Path
     header: FileHeader
     limits: ReadLimits
@@ -236,11 +221,7 @@ class _ObjectReader:
         return contents[at:]
 
     def compare_with_header(self) -> None:
-        """Count what the header says otherwise; writers do not agree on which objects they count.
-
-        Raises:
-            LogFileError: There is no object at all where the header says that there are.
-        """
+        """Count what the header says otherwise; writers do not agree on which objects they count."""
         said = self.header.objects
         if said and not self.objects:
             raise self._error(f"holds no object, the header at byte 32 says {said}")
@@ -278,7 +259,6 @@ class _ObjectReader:
             yield objects, base, at
 
     def _next_object(self, contents: bytes, at: int) -> int:
-        """Return where the next object begins, past the padding; the length of the contents at the end."""
         found = contents.find(blf.OBJECT_SIGNATURE, at, at + blf.LONGEST_PADDING)
         if found >= 0:
             return found

@@ -24,11 +24,7 @@ MILLISECOND = 1_000_000
 
 
 def write_blf(path: Path, batch: FrameBatch) -> None:
-    """Write a batch as a BLF file, whole or not at all; times keep their nanoseconds.
-
-    Raises:
-        LogFileError: The file cannot be written.
-    """
+    """Write a batch as a BLF file, whole or not at all; times keep their nanoseconds."""
     unfinished = path.with_name(f".{path.stem}.{os.getpid()}.blf")
     try:
         unfinished.write_bytes(blf_bytes(batch))

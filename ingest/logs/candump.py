@@ -7,8 +7,7 @@ from pathlib import Path
 
 from ingest.frames import ERROR_FLAG, REMOTE_FLAG
 from ingest.logs.log_format import FrameSink, LogFormat, ReadLimits, library_channel_name
-from ingest.logs.text_lines import Facts, LineFormat, identifier_limits
-from ingest.logs.text_log import TextLog
+from ingest.logs.text_lines import Facts, LineFormat, TextLog, identifier_limits
 
 _FRAME = re.compile(
     r"\((?P<seconds>\d{1,10})\.(?P<fraction>\d{3,9})\) (?P<channel>[!-~]+) "
@@ -19,11 +18,7 @@ _STANDARD_DIGITS, _EXTENDED_DIGITS = 3, 8
 
 
 def read_candump(path: Path, _: ReadLimits, sink: FrameSink) -> None:
-    """Read a candump file.
-
-    Raises:
-        LogFileError: The file is cut off, or more than one line in a thousand is damaged; names the first.
-    """
+    """Read a candump file."""
     TextLog(path, LineFormat(_FRAME, _facts), _other, sink).read()
 
 

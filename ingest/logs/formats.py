@@ -31,7 +31,6 @@ def read_content(
 
     Args:
         limits: What reading may cost; by default what a file of its size and format may need.
-        cost: Takes what it cost, also of a file that is refused.
 
     Raises:
         LogFileError: The file is no such log, its contents are not of its suffix's format, it is truncated or corrupt,
@@ -50,14 +49,7 @@ def read_content(
 
 
 def format_of(path: Path) -> LogFormat:
-    """Return the format that the suffix of a file names, in upper or lower case.
-
-    Args:
-        path: The file; it need not exist.
-
-    Raises:
-        LogFileError: The suffix names no format that can be read.
-    """
+    """Return the format that the suffix of a file names, in upper or lower case."""
     for item in FORMATS:
         if item.suffix == path.suffix.lower():
             return item
@@ -65,7 +57,6 @@ def format_of(path: Path) -> LogFormat:
 
 
 def _format_held(path: Path) -> tuple[LogFormat | None, int]:
-    """Return the format that a file begins like, and its size."""
     try:
         if not path.is_file() and path.exists():
             raise LogFileError("is no file", file=path)

@@ -129,11 +129,7 @@ class SinkSummary:
 
 
 class FrameSink:
-    """Takes the frames of one file.
-
-    Args:
-        files: One for each of ``COLUMNS``.
-    """
+    """Takes the frames of one file."""
 
     def __init__(self, files: Sequence[BinaryIO], limits: ReadLimits) -> None:
         self._files = files
@@ -174,11 +170,7 @@ class FrameSink:
         self._write(columns, len(columns[0]) - 2)
 
     def finish(self) -> SinkSummary:
-        """Write what was held back and return what there is.
-
-        Raises:
-            LogFileError: The frames span more time than the limit.
-        """
+        """Write what was held back and return what there is."""
         if self._held is not None:
             held, self._held = self._held, None
             if self._before is not None and len(held[0]) and int(held[0][-1]) > self._latest(held) + ALONE_NS:
@@ -199,7 +191,6 @@ class FrameSink:
         return int(held[0][-2]) if len(held[0]) > 1 else int(self._before or 0)
 
     def _write(self, columns: Sequence[npt.NDArray[np.generic]], decided: int) -> None:
-        """Write the first ``decided`` frames and hold the others back."""
         if decided <= 0 and len(columns[0]) > 0:
             self._held = list(columns)
             return
@@ -239,7 +230,6 @@ def _out_of_time(t_ns: IntArray, before: int | None) -> BoolArray:
 
     Args:
         t_ns: (n,) stamps; of the last two it is not known yet.
-        before: The stamp before them.
     """
     if np.all(np.diff(t_ns) >= -STEP_BACK_NS) and (before is None or t_ns[0] >= before - STEP_BACK_NS):
         return np.zeros(len(t_ns), dtype=np.bool_)

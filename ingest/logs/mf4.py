@@ -32,21 +32,13 @@ MICROSECONDS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class MF4Frames:
-    """Frames of a file.
+    """Frames of a file."""
 
-    Attributes:
-        seconds: Stamps, (n,), s UTC.
-        identifier: With the flags of :class:`ingest.frames.FrameBatch`, (n,).
-        dlc: Lengths, (n,).
-        data: Bytes, (n, 8), zero beyond the length.
-        channel: Numbers of their buses, (n,); -1 where the file has none.
-    """
-
-    seconds: FloatArray
-    identifier: npt.NDArray[np.uint32]
-    dlc: npt.NDArray[np.uint8]
-    data: npt.NDArray[np.uint8]
-    channel: IntArray
+    seconds: FloatArray  # stamps, (n,), s UTC
+    identifier: npt.NDArray[np.uint32]  # with the flags of :class:`ingest.frames.FrameBatch`, (n,)
+    dlc: npt.NDArray[np.uint8]  # lengths, (n,)
+    data: npt.NDArray[np.uint8]  # bytes, (n, 8), zero beyond the length
+    channel: IntArray  # numbers of their buses, (n,); -1 where the file has none
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -153,11 +145,7 @@ def _in_order(parts: Sequence[tuple[list[MF4Frames], list[FloatArray]]]) -> Iter
 
 
 def frames_of_group(mdf: Any, number: int, kind: str) -> Iterator[MF4Frames]:  # noqa: ANN401 - asammdf's MDF
-    """Yield the frames of a channel group, in its order.
-
-    Raises:
-        LogFileError: A frame is of CAN FD, or longer than a frame can be.
-    """
+    """Yield the frames of a channel group, in its order."""
     start_s = mdf.header.start_time.timestamp()
     for offset in range(0, mdf.groups[number].channel_group.cycles_nr, RECORDS):
         read = mdf.get(kind, number, record_offset=offset, record_count=RECORDS, raw=False)
@@ -191,7 +179,6 @@ def _frames(samples: npt.NDArray[Any], seconds: FloatArray, kind: str) -> MF4Fra
 
 
 def _data(samples: npt.NDArray[Any], kind: str, length: IntArray) -> tuple[IntArray, npt.NDArray[np.uint8]]:
-    """Return the lengths, at most those of the bytes that there are, and the first eight bytes of each frame."""
     name = f"{kind}.DataBytes"
     data = np.zeros((len(samples), DATA_BYTES), np.uint8)
     if name not in (samples.dtype.names or ()):
@@ -212,12 +199,7 @@ BYTES_PER_S = 128 << 10
 
 
 def read_mf4(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
-    """Read an MF4 file of bus events.
-
-    Raises:
-        LogFileError: The file holds CAN FD frames, several buses, or more than the limits allow.
-        PassingFaultError: The extra is not installed.
-    """
+    """Read an MF4 file of bus events."""
     del limits
     try:
         from asammdf import MDF  # noqa: PLC0415 - an extra

@@ -69,19 +69,13 @@ class ReadCost:
 
 
 class _Server:
-    """The server of this process, started when it is needed."""
-
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._requests: socket.socket | None = None
 
     def send(self, message: bytes, descriptors: Sequence[int]) -> None:
-        """Send a request, to a new server if the old one is gone.
-
-        Raises:
-            OSError: There is no server and none can be started.
-        """
+        """Send a request, to a new server if the old one is gone."""
         with self._lock:
             if self._process is not None and self._process.poll() is None and self._requests is not None:
                 with suppress(BrokenPipeError, ConnectionResetError):
@@ -136,15 +130,7 @@ def stop_server() -> None:
 def read_in_process(
     path: Path, form: LogFormat, limits: ReadLimits, cost: Callable[[ReadCost], None] | None = None
 ) -> LogContent:
-    """Read a log file in a process of its own.
-
-    Args:
-        cost: Takes what it cost, also of a file that is refused.
-
-    Raises:
-        LogFileError: The file cannot be read, or not within the limits; names the file, and the byte or line.
-        PassingFaultError: There is no process or no space to read it with, or it was ended from outside.
-    """
+    """Read a log file in a process of its own."""
     modules = form.modules
     request = json.dumps({"path": str(path.absolute()), "limits": asdict(limits), "modules": modules}).encode()
     try:
@@ -181,7 +167,6 @@ def _ask(request: bytes, files: Sequence[int], seconds: float, path: Path) -> li
 
 
 def _all_of(descriptor: int, seconds: float) -> bytes:
-    """Return what comes until the other end is closed."""
     parts: list[bytes] = []
     end = time.monotonic() + seconds
     poll = select.poll()
@@ -197,12 +182,6 @@ def _all_of(descriptor: int, seconds: float) -> bytes:
 
 
 def _judged(lines: Sequence[dict[str, Any]], limits: ReadLimits, path: Path) -> dict[str, Any]:
-    """Return the answer of a process that has read its file.
-
-    Raises:
-        LogFileError: The file is at fault.
-        PassingFaultError: The machine is.
-    """
     first, last = lines[0], lines[-1]
     if "passing" in first:
         raise PassingFaultError(str(first["passing"]), file=path, code=str(first["code"]))
@@ -224,12 +203,10 @@ def _judged(lines: Sequence[dict[str, Any]], limits: ReadLimits, path: Path) -> 
 
 
 def _short_of_memory(reason: str, path: Path) -> PassingFaultError:
-    """Return the error of a machine that is short of memory or time, not of a file."""
     return PassingFaultError(reason, file=path, code=ReasonCode.WAITS_FOR_MEMORY)
 
 
 def _columns(files: Sequence[IO[bytes]], frames: int, path: Path) -> list[npt.NDArray[Any]]:
-    """Return the columns of frames, mapped."""
     columns = []
     for file, layout in zip(files, COLUMNS, strict=True):
         size = frames * layout.itemsize

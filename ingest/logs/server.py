@@ -3,14 +3,17 @@
 Run as ``python -m ingest.logs.server SOCKET``, with the descriptor of one end of a socket pair. A request is one JSON
 object with descriptors: where the answer goes, and the files of columns. The answer has a line from the process that
 reads, unless it was ended, and a line with how it ended. This process ends when the other end of the socket is closed,
-however that happens, and the ones that it started end with it.
+however that happens, and the ones that it started end with it. A hostile or broken file can do its worst in the
+process that reads it: loop, inflate, exhaust memory, crash a library.
 """
 
 from __future__ import annotations
 
+import errno
 import importlib
 import json
 import os
+import resource
 import select
 import signal
 import socket
@@ -18,11 +21,13 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
+from estimation.errors import LogFileError, PassingFaultError
 from estimation.values.reasons import ReasonCode
-from ingest.logs import child
-from ingest.logs.log_format import COLUMNS, ReadLimits
+from ingest.input_file import end_with, limit_memory
+from ingest.logs.formats import format_of
+from ingest.logs.log_format import COLUMNS, MEBIBYTE, FrameSink, ReadLimits, SinkSummary
 
 REQUEST_BYTES = 16_384
 DESCRIPTORS = 1 + len(COLUMNS)
@@ -53,7 +58,6 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _serve(requests: socket.socket, reading: dict[int, int]) -> bool:
-    """Start a process for one request; return False when there are no more."""
     message, descriptors, _, _ = socket.recv_fds(requests, REQUEST_BYTES, DESCRIPTORS)
     if not message:
         return False
@@ -73,7 +77,7 @@ def _serve(requests: socket.socket, reading: dict[int, int]) -> bool:
         try:
             requests.close()
             _close_what_is_not_its_own(reading)
-            child.main(Path(request["path"]), ReadLimits(**request["limits"]), answer, columns, own)
+            read_and_end(Path(request["path"]), ReadLimits(**request["limits"]), answer, columns, own)
         finally:
             os._exit(1)
     for column in columns:
@@ -95,7 +99,6 @@ def _close_what_is_not_its_own(reading: dict[int, int]) -> None:
 
 
 def _reap(reading: dict[int, int]) -> None:
-    """Say how processes ended."""
     for process, answer in list(reading.items()):
         done, status, usage = os.wait4(process, os.WNOHANG)
         if done == 0:
@@ -109,6 +112,75 @@ def _reap(reading: dict[int, int]) -> None:
         with suppress(OSError):  # nobody waits for it any more
             os.write(answer, json.dumps(end).encode() + b"\n")
         os.close(answer)
+
+
+PASSING = {
+    *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EACCES, errno.EPERM),
+    *(errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ESTALE, errno.ENODEV, errno.ENOTCONN, errno.ETIMEDOUT),
+}
+"""Errors of the machine, not of the file: the same file can be read later."""
+
+RESERVE_BYTES = 1 << 20
+"""Of memory that is given back so that the answer can be written when memory has run out."""
+
+
+def read_and_end(path: Path, limits: ReadLimits, answer: int, columns: Sequence[int], parent: int) -> None:
+    """Read one file in this process, write the answer as one line of JSON, and end the process.
+
+    Args:
+        answer: Descriptor that the answer is written to.
+    """
+    end_with(parent)
+    reserve = bytearray(RESERVE_BYTES)
+    try:
+        files = [os.fdopen(column, "wb", closefd=False) for column in columns]
+        _limit(limits)
+        found = _read(path, limits, files)
+    except LogFileError as error:
+        found = {"error": error.reason, "line": error.line}
+    except PassingFaultError as error:
+        found = {"passing": error.reason, "code": error.code}
+    except MemoryError:
+        del reserve
+        found = {"error": f"reading needs more memory than the limit of {limits.memory_bytes // MEBIBYTE} MiB"}
+    except OSError as error:
+        found = _of_system(error, limits)
+    except RecursionError:
+        found = {"error": "is nested too deep"}
+    except Exception as error:  # noqa: BLE001 - whatever a library raises on a bad file is that file's fault
+        found = {"error": f"cannot be read: {type(error).__name__}: {str(error)[:200]}"}
+    os.write(answer, json.dumps(found).encode() + b"\n")
+    os._exit(0)
+
+
+def _of_system(error: OSError, limits: ReadLimits) -> dict[str, Any]:
+    """Return the answer to an error of the system, which a library also raises where a file leads it astray."""
+    if error.errno == errno.ENOMEM:
+        return {"error": f"reading needs more memory than the limit of {limits.memory_bytes // MEBIBYTE} MiB"}
+    if error.errno == errno.EFBIG:
+        return {"error": f"holds more than {limits.frames} frames"}
+    reason = f"cannot be read: {error.strerror or error}"
+    return {"passing": reason, "code": ReasonCode.WAITS_FOR_STORAGE} if error.errno in PASSING else {"error": reason}
+
+
+def _limit(limits: ReadLimits) -> None:
+    """Let the system end this process: by SIGPROF after its CPU time, by SIGALRM after its time on the clock."""
+    for name in (signal.SIGPROF, signal.SIGALRM, signal.SIGXCPU):
+        signal.signal(name, signal.SIG_DFL)
+    cpu_s = int(limits.cpu_s) + 2
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 1))
+    signal.setitimer(signal.ITIMER_PROF, limits.cpu_s)
+    signal.setitimer(signal.ITIMER_REAL, limits.wall_s)
+    largest = limits.frames * max(layout.itemsize for layout in COLUMNS) + RESERVE_BYTES
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
+    limit_memory(limits.memory_bytes)
+
+
+def _read(path: Path, limits: ReadLimits, files: Sequence[BinaryIO]) -> dict[str, Any]:
+    sink = FrameSink(files, limits)
+    format_of(path).read(path, limits, sink)
+    summary: SinkSummary = sink.finish()
+    return {"channel": summary.channel, "frames": summary.frames, "counts": summary.counts}
 
 
 if __name__ == "__main__":

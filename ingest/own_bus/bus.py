@@ -109,9 +109,6 @@ class BusChoice:
 
     Of the classes in ``missing``, and of all others where ``others_missing``, recordings were decoded with a mapping
     file that this process was not given.
-
-    Raises:
-        CatalogueError: A class has two buses, or two buses are for all other classes.
     """
 
     others: Catalogue
@@ -140,14 +137,7 @@ class BusChoice:
 
 
 def bus_choice(shipped: Catalogue, buses: Sequence[OwnBus]) -> BusChoice:
-    """Return the choice among buses; the shipped one is that of classes without a bus of their own.
-
-    Args:
-        buses: Buses from mapping files: one may name no class.
-
-    Raises:
-        CatalogueError: A class has two buses, or two buses name no class.
-    """
+    """Return the choice among buses; the shipped one is that of classes without a bus of their own."""
     by_class: dict[str, OwnBus] = {}
     others = [bus for bus in buses if not bus.vehicle_classes]
     if len(others) > 1:

@@ -110,8 +110,6 @@ def _node(at: int, node: NodeTable, found: Mapping[Location, SignalReference], b
 
 @dataclass
 class _Builder:
-    """Finds signals of the DBC file; collects the messages that carry them."""
-
     toml: InputFile
     database: Mapping[str, Any]
     messages: dict[int, OwnMessage] = field(default_factory=dict)

@@ -139,10 +139,6 @@ class MappingFile(InputTable):
 
 
 def read_mapping(path: Path) -> tuple[MappingFile, InputFile]:
-    """Return the content of a mapping file, and where in the file each key stands.
-
-    Raises:
-        CatalogueError: It cannot be read, or a key is missing, unknown or impossible.
-    """
+    """Return the content of a mapping file, and where in the file each key stands."""
     file = read_toml(path, CatalogueError)
     return file.parse(MappingFile), file

@@ -20,12 +20,7 @@ _OLD_HEADER_WITHIN = 3  # lines
 
 
 def parse_miniprof(text: str, file: str) -> FilePoints:
-    """Return the points of a .whl or .ban file.
-
-    Raises:
-        ProfileError: No row follows the header, ``ColumnDef`` lacks X or Y, ``XYPoints`` is not the number of rows, a
-            row has too few columns or something that is not a finite number.
-    """
+    """Return the points of a .whl or .ban file."""
     lines = text.splitlines()
     old = any("MINIPROF" in line or "MINIWHEELPROF" in line for line in lines[:_OLD_HEADER_WITHIN] if "=" not in line)
     for index, line in enumerate(lines):
@@ -35,11 +30,7 @@ def parse_miniprof(text: str, file: str) -> FilePoints:
 
 
 def parse_multipart(text: str, file: str) -> FilePoints:
-    """Return the points of the first profile of a .mpt file.
-
-    Raises:
-        ProfileError: As `parse_miniprof`, or the file has no section of points.
-    """
+    """Return the points of the first profile of a .mpt file."""
     lines = text.splitlines()
     marks = [(i, match["name"].lower()) for i, line in enumerate(lines) if (match := _SECTION.match(line.strip()))]
     ends = [start for start, _ in marks[1:]] + [len(lines)]
@@ -51,7 +42,6 @@ def parse_multipart(text: str, file: str) -> FilePoints:
 
 
 def _header(lines: list[str], start: int, end: int) -> dict[str, tuple[int, str]]:
-    """Return keyword in lower case -> (line number, value)."""
     header = {}
     for index in range(start, end):
         keyword, equals, value = lines[index].strip().strip('"').partition("=")

@@ -24,9 +24,8 @@ from __future__ import annotations
 import numpy as np
 
 from estimation.contact.penalised_spline import rough_noise
-from estimation.contact.profiles import TREAD_DATUM, Profile, ProfileKind
+from estimation.contact.profiles import GAUGE_DEPTH, TREAD_DATUM, Profile, ProfileKind
 from estimation.contact.smoothed_profile import SmoothedProfile, advancing, smoothed_profile, thinned, without_spikes
-from estimation.contact.surface import GAUGE_DEPTH
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray, IntArray
 from ingest.profiles.points import FilePoints, Origin
@@ -63,11 +62,7 @@ def gauge_side_is_positive(y: FloatArray, depth: FloatArray) -> bool | None:
 
 
 def lean(y: FloatArray, depth: FloatArray) -> float:
-    """Return the tangent by which the head leans towards negative y, from its sides; NaN if these are short or worn.
-
-    Args:
-        y, depth: (n,) mm, in order of the profile with y increasing on the whole; depth below the crown.
-    """
+    """Return the tangent by which the head leans towards negative y, from its sides; NaN if these are short or worn."""
     crown = int(np.argmin(depth))
     left = _side(y[crown::-1], depth[crown::-1])
     right = _side(y[crown:], depth[crown:])
@@ -124,9 +119,6 @@ def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind
     Args:
         y, z: (n,) mm, in the axes of the profile, y increasing on the whole.
         lines: (n,) of the file.
-
-    Raises:
-        ProfileError: There is a step; the message names its line and size.
     """
     order = np.argsort(y, kind="stable")
     order = order[_where(y[order], z[order], kind)]
@@ -211,11 +203,6 @@ def oriented(
         mirror: Of a rail: whether its gauge side is at positive y of the file; None decides from the shape.
         origin: Of a wheel: what y = 0 of the file is.
         noise_std: Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
-
-    Raises:
-        ProfileError: The points are not in order along the profile, leave a gap of more than 10 mm or have a step; they
-            cannot be such a profile; a wheel does not reach from its flange to the tread datum; the shape of a rail
-            does not show its gauge side and ``mirror`` is None.
     """
     _check_span(points, kind)
     y, z = points.y, points.z if points.axes_known else _upright(points.y, points.z, kind)
@@ -255,7 +242,6 @@ def _upright(y: FloatArray, z: FloatArray, kind: ProfileKind) -> FloatArray:
 
 
 def _width_at(y: FloatArray, depth: FloatArray) -> float:
-    """Return the width of what is within 1 mm of the top."""
     top = depth < depth.min() + _TOP
     return float(np.abs(np.diff(y))[top[:-1] & top[1:]].sum())
 
@@ -330,7 +316,6 @@ def _check_head(y: FloatArray, depth: FloatArray, file: str) -> None:
 
 
 def _check_wheel(wheel: Profile, file: str) -> None:
-    """Raise where the profile has not the places of a wheel: the tip of a flange, and a tread outside it."""
     tip = int(np.argmax(wheel.z))
     at, end = float(wheel.y[tip]) / _MILLIMETRE, float(wheel.y[-1]) / _MILLIMETRE
     if not _TIP_WITHIN[0] <= at <= _TIP_WITHIN[1] or wheel.z[tip] < _LEAST_FLANGE * _MILLIMETRE:
@@ -350,7 +335,6 @@ def _check_wheel(wheel: Profile, file: str) -> None:
 
 
 def _check_groove(y: FloatArray, depth: FloatArray, file: str) -> None:
-    """Raise where there are two heads with a groove between them."""
     kept = advancing(y, int(np.argmin(depth)))
     across, down = y[kept], depth[kept]
     first, last = np.flatnonzero(down < _HEAD_DEPTH)[[0, -1]]

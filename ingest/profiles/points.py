@@ -53,9 +53,6 @@ def points_of(file: str, rows: list[tuple[int, float, float]], *, axes_known: bo
     Args:
         rows: Line number, y and z of each, in mm.
         axes_known: Whether z points down and a wheel's y starts at its tread datum.
-
-    Raises:
-        ProfileError: Fewer than four rows, or more than 50,000.
     """
     if len(rows) < 4:  # noqa: PLR2004 - a profile needs four points
         raise ProfileError(f"{len(rows)} profile points found, at least 4 are needed: rows of y and z in mm", file=file)
@@ -72,11 +69,7 @@ def points_of(file: str, rows: list[tuple[int, float, float]], *, axes_known: bo
 
 
 def number(text: str, *, file: str, line: int, field: str) -> float:
-    """Return a cell as a finite number.
-
-    Raises:
-        ProfileError: It is no number, or not a finite one.
-    """
+    """Return a cell as a finite number."""
     try:
         value = float(text)
     except ValueError:

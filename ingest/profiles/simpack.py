@@ -19,12 +19,7 @@ _TO_MILLIMETRES = 1000.0
 
 
 def parse_simpack(text: str, file: str) -> FilePoints:
-    """Return the points of a .prw or .prr file, transformed by its keywords; mm, z down.
-
-    Raises:
-        ProfileError: No points or no end of them, something that is not a finite number, a unit factor that is zero,
-            smoothing by SIMPACK.
-    """
+    """Return the points of a .prw or .prr file, transformed by its keywords; mm, z down."""
     keywords: dict[str, tuple[int, str]] = {}
     rows: list[tuple[int, float, float]] = []
     state = "before"
@@ -93,7 +88,6 @@ def _transformed(points: FilePoints, keywords: dict[str, tuple[int, str]]) -> Fi
 
 
 def _far_enough(y: FloatArray, z: FloatArray, distance: float) -> list[int]:
-    """Return the indices of the points that lie at least ``distance`` from the last one kept."""
     kept = [0]
     for i in range(1, len(y)):
         if math.hypot(y[i] - y[kept[-1]], z[i] - z[kept[-1]]) >= distance:

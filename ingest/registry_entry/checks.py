@@ -10,12 +10,19 @@ from functools import cache
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.errors import ProfileError
 from estimation.jobs.steps.running_mileage import most_km, running_mileage
+from estimation.values.reasons import utc_text
 from estimation.values.registry import Mounting, SensorChange, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
-from estimation.values.utc_text import utc_text
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.distances import MOUNTINGS, LifeOnFile, any_windows, lives_on_file, mountings_where, windows_beside
-from ingest.registry_entry.contradiction import Contradiction, Kind, RecordName, Rule
+from fleet_db.stores.wheelset_events import (
+    MOUNTINGS,
+    LifeOnFile,
+    any_windows,
+    lives_on_file,
+    mountings_where,
+    windows_beside,
+)
+from ingest.registry_entry.contents import Contradiction, Kind, RecordName, Rule
 
 LEAST_RADIUS_MM, MOST_RADIUS_MM = 140.0, 650.0
 """Of usual wheels: of low-floor wagons, worn; of electric locomotives, new."""
@@ -88,17 +95,11 @@ _SECOND = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class DistancePoint:
-    """A distance that a record or a window gives for a time.
-
-    Attributes:
-        at_ns: ns UTC on the vehicle's clock.
-        km: Mileage of the wheelset since new, or what the odometer of the vehicle showed.
-        field: In which the record gives it.
-    """
+    """A distance that a record or a window gives for a time."""
 
     record: RecordName
-    at_ns: int
-    km: float
+    at_ns: int  # ns UTC on the vehicle's clock
+    km: float  # mileage of the wheelset since new, or what the odometer of the vehicle showed
     field: str
 
 
@@ -165,9 +166,6 @@ def before_first_mounting(reprofiling: RecordName, mountings: Sequence[Mounting]
     """Return what is said against a visit to the lathe before the wheelset was first mounted.
 
     It would divide nothing that was measured. Nothing is said of a wheelset that no mounting is known of.
-
-    Args:
-        mountings: Of its wheelset, any order.
     """
     at_ns = reprofiling.at_ns
     if not mountings or at_ns is None:
@@ -259,7 +257,6 @@ def _sizes(unit: SqlUnitOfWork, entered: Entered) -> Iterable[Contradiction]:
 
 
 def _contacts(unit: SqlUnitOfWork) -> list[float]:
-    """Return the distances between the contact points of the wheelsets of all vehicles, m."""
     codes = {vehicle.vehicle_class for vehicle in unit.registry.vehicles_page(None, None, 1 << 31)}
     classes = (unit.registry.vehicle_class(code) for code in sorted(codes))
     return [2.0 * one.vehicle_class.parameters.half_contact_distance for one in classes if one is not None]

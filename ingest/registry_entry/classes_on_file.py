@@ -27,7 +27,6 @@ def unfit_vehicles(
 
     Args:
         vehicles: As they are entered, in that order.
-        classes: Known classes by code; a vehicle of another is not checked.
     """
     for index, vehicle in enumerate(vehicles):
         known = classes.get(vehicle.vehicle_class)
@@ -43,7 +42,6 @@ def unfit_classes(
     """Yield what is wrong with classes to which vehicles on file do not belong.
 
     Args:
-        classes: As they are entered, in that order.
         on_file: By code of the class, its vehicles that are not entered.
     """
     for index, one in enumerate(classes):
@@ -54,7 +52,6 @@ def unfit_classes(
 
 
 def _misfit(vehicle: VehicleRecord, known: VehicleClass) -> tuple[str, str] | None:
-    """Return field and reason why the axles of a vehicle are not those of a class; None where they are."""
     if known.bogie is None:
         return None
     if vehicle.axles % AXLES_OF_A_BOGIE:
@@ -84,7 +81,6 @@ def unfit_wheelsets(
     """Yield what is wrong with wheelsets whose radius is not one of their class, where an entry brings them together.
 
     Args:
-        running: Wheelsets whose class is known.
         entries: By array of a registry file, in the order of what is entered: the serials of ``wheelsets``, those of
             ``mountings``, the codes of ``vehicles`` and of ``vehicle_classes``.
     """
@@ -153,7 +149,6 @@ def _classes_of(contents: RegistryContents) -> set[str]:
 def _running(
     contents: RegistryContents, registry: RegistryStore, classes: Mapping[str, VehicleClass]
 ) -> list[RunningWheelset]:
-    """Return the wheelsets in service as the file leaves them, those of whose class nothing is known left out."""
     wheelsets = {one.serial: one for one in registry.wheelsets()}
     mounted = [one.mounting for one in wheelsets.values() if one.mounting is not None]
     latest = {one.wheelset: one.vehicle for one in sorted([*mounted, *contents.mountings], key=lambda m: m.from_ns)}

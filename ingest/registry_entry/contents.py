@@ -3,17 +3,104 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Protocol
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import InputError
+from estimation.values.reasons import utc_text
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
 from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.receipts import EstimatedAgain
 from fleet_db.registry_events import Decision
 from ingest.input_file import Location
-from ingest.registry_entry.contradiction import Contradiction, Kind, Rule
+
+
+class Rule(StrEnum):
+    """Rules over records of the registry."""
+
+    IN_THE_FUTURE = "in_the_future"
+    BEFORE_FIRST_MOUNTING = "before_first_mounting"
+    MILEAGE_BACKWARDS = "mileage_backwards"
+    MILEAGE_JUMP = "mileage_jump"
+    ODOMETER_BACKWARDS = "odometer_backwards"
+    ODOMETER_JUMP = "odometer_jump"
+    UNUSUAL_RADIUS = "unusual_radius"
+    UNUSUAL_GAUGE = "unusual_gauge"
+    UNKNOWN_PROFILE = "unknown_profile"
+    CODE_UNUSABLE = "code_unusable"
+    MOUNTED_TWICE = "mounted_twice"
+
+
+CONFIRMABLE = frozenset(
+    {
+        Rule.ODOMETER_BACKWARDS,
+        Rule.ODOMETER_JUMP,
+        Rule.UNUSUAL_RADIUS,
+        Rule.UNUSUAL_GAUGE,
+        Rule.UNKNOWN_PROFILE,
+    }
+)
+"""What can be so all the same: a new odometer, a wheel of a steam locomotive. Whoever knows it is so says so."""
+
+
+class Kind(StrEnum):
+    """Kinds of records, as the arrays of a registry file are called; windows are no records, but are named too."""
+
+    FLEET = "fleets"
+    VEHICLE_CLASS = "vehicle_classes"
+    VEHICLE = "vehicles"
+    WHEELSET = "wheelsets"
+    MOUNTING = "mountings"
+    REPROFILING = "reprofilings"
+    MEASUREMENT = "measured_profiles"
+    SENSOR_CHANGE = "sensor_changes"
+    SECTION = "track_sections"
+    WINDOW = "windows"
+
+
+_NOUNS = {
+    Kind.FLEET: "fleet",
+    Kind.VEHICLE_CLASS: "vehicle class",
+    Kind.VEHICLE: "vehicle",
+    Kind.WHEELSET: "wheelset",
+    Kind.MOUNTING: "mounting of wheelset",
+    Kind.REPROFILING: "reprofiling of wheelset",
+    Kind.MEASUREMENT: "measured profiles of wheelset",
+    Kind.SENSOR_CHANGE: "work on the sensors of vehicle",
+    Kind.SECTION: "track section",
+    Kind.WINDOW: "window of wheelset",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RecordName:
+    """Which record: its kind, its code or its wheelset, and its time where that belongs to its key."""
+
+    kind: Kind
+    key: str
+    at_ns: int | None = None
+
+    def __str__(self) -> str:
+        """Return it as a person reads it."""
+        when = "" if self.at_ns is None else f" at {utc_text(self.at_ns)}"
+        return f"{_NOUNS[self.kind]} {self.key!r}{when}"
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """What is said against a record.
+
+    Attributes:
+        others: The records and windows that it contradicts; none where it is impossible by itself.
+    """
+
+    rule: Rule
+    record: RecordName
+    field: str
+    reason: str
+    others: tuple[RecordName, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,17 +122,11 @@ class RegistryContents:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """How something is entered.
+    """How something is entered."""
 
-    Attributes:
-        decision: Who enters it, why, and our time; kept with what changes.
-        now_ns: Our time, after which the future begins; None where it is not known.
-        confirmed: Rules whose doubts whoever enters it has confirmed to be unfounded.
-    """
-
-    decision: Decision
-    now_ns: int | None = None
-    confirmed: frozenset[Rule] = frozenset()
+    decision: Decision  # who enters it, why, and our time; kept with what changes
+    now_ns: int | None = None  # our time, after which the future begins; None where it is not known
+    confirmed: frozenset[Rule] = frozenset()  # rules whose doubts whoever enters it has confirmed to be unfounded
 
     @property
     def recorded_ns(self) -> int:

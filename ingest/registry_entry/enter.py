@@ -13,24 +13,27 @@ from estimation.values.track import TrackAlignment, TrackLayout
 from fleet_db.receipts import EstimatedAgain
 from fleet_db.registry_events import RecordKind
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.distances import MOUNTINGS, mountings_where
-from fleet_db.stores.mountings import MountedTwiceError
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey
-from fleet_db.stores.section_numbers import free_numbers
+from fleet_db.stores.tracks import free_numbers
+from fleet_db.stores.wheelset_events import MOUNTINGS, MountedTwiceError, mountings_where
 from ingest.input_file import Location
 from ingest.registry_entry.checks import Entered, contradictions, mileage_point
 from ingest.registry_entry.classes_on_file import class_refusals, without_class
 from ingest.registry_entry.contents import (
     ARRAYS,
+    CONFIRMABLE,
+    Contradiction,
     Entry,
+    Kind,
     LoadedRegistry,
+    RecordName,
     Refusal,
     RegistryContents,
     RegistryRefusedError,
+    Rule,
     Source,
 )
-from ingest.registry_entry.contradiction import CONFIRMABLE, Contradiction, Kind, RecordName, Rule
 
 _T = TypeVar("_T")
 _R = TypeVar("_R")
@@ -43,10 +46,6 @@ def enter(
 
     Args:
         unit: An open transaction; nothing is committed here.
-
-    Raises:
-        RegistryRefusedError: Something is impossible, contradicts what is on file, or refers to something unknown; it
-            lists everything.
     """
     entering = _Entering(unit, source, entry, list(refusals))
     entering.refusals += [Refusal(error) for error in class_refusals(source, contents, unit.registry)]
@@ -64,7 +63,6 @@ def _refusal(found: Contradiction, contents: RegistryContents, source: Source) -
 
 
 def _place(record: RecordName, contents: RegistryContents) -> Location:
-    """Return array and index of a record in what was entered."""
     for index, one in enumerate(getattr(contents, ARRAYS[record.kind])):
         if _name(record.kind, one) == record:
             return (record.kind.value, index)
@@ -81,8 +79,6 @@ def _name(kind: Kind, record: object) -> RecordName:
 
 @dataclass(slots=True)
 class _Entering:
-    """One entry on its way into the store."""
-
     unit: SqlUnitOfWork
     source: Source
     entry: Entry
@@ -109,7 +105,6 @@ class _Entering:
         return again
 
     def _each(self, kind: Kind, records: Sequence[_T], add: Callable[[_T], _R]) -> list[_R]:
-        """Add each record; return what that gives, and keep what is refused."""
         results = []
         for index, record in enumerate(records):
             try:
@@ -127,7 +122,6 @@ class _Entering:
         return results
 
     def _new_codes(self, contents: RegistryContents) -> None:
-        """Note codes and serial numbers that are not on file yet, and wheelsets that are new or change."""
         registry, entered = self.registry, self.entered
         fleets = {one.code for one in registry.fleets()} if contents.fleets else set()
         wheelsets = {one.serial: one for one in registry.wheelsets()} if contents.wheelsets else {}
@@ -168,7 +162,6 @@ class _Entering:
         self._each(Kind.MOUNTING, mountings, add)
 
     def _dated(self, contents: RegistryContents) -> None:
-        """Store visits to the lathe, measurements and work on sensors."""
         registry, entered, recorded_ns = self.registry, self.entered, self.entry.recorded_ns
 
         def turned(one: Reprofiling) -> None:
@@ -219,24 +212,20 @@ def _add_alignment(unit: SqlUnitOfWork, alignment: TrackAlignment) -> None:
     version = tracks.add_alignment(alignment)
     if before is not None and version > before.version:
         tracks.forget_positions(alignment.section)
-        unit.windows.requeue_section(alignment.section)
+        unit.windows.estimate_again(alignment.section)
 
 
 def _add_layout(unit: SqlUnitOfWork, layout: TrackLayout) -> None:
-    """Store a layout; where it differs from the one before, queue the windows of the section again."""
     before = unit.tracks.layout(layout.section)
     version = unit.tracks.add_layout(layout)
     if before is None or before.version != version:
-        unit.windows.requeue_section(layout.section)
+        unit.windows.estimate_again(layout.section)
 
 
 def refuse_contradicted(unit: SqlUnitOfWork, key: RecordKey, now_ns: int) -> None:
     """Refuse a record that was just put back if it contradicts others.
 
     Doubts that can be confirmed are none here: it was on file before.
-
-    Raises:
-        RegistryRefusedError: It contradicts what is on file now; names the records.
     """
     found = contradictions(unit, _entered(unit, key), now_ns)
     refusals = tuple(

@@ -15,16 +15,13 @@ from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
-from ingest.simulator.campaign import VehicleRun
+from ingest.simulator.campaign import VehicleRun, friction_factor, with_stretches
 from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
-from ingest.simulator.profile_files import section_at
-from ingest.simulator.random_streams import Stream, generator
 from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
-from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
-from ingest.simulator.surface import friction_factor, with_stretches
+from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, WheelsetPlan, generator
 from ingest.simulator.track import TrackTruth
-from ingest.simulator.wear import GeometryTruth, WornContact, truth_of, wear_at, worn_contact
+from ingest.simulator.wear import GeometryTruth, WornContact, section_at, truth_of, wear_at, worn_contact
 
 DISPLACEMENT_LIMIT = 8e-3  # m
 DRAWN_LIMIT = 12e-3  # m, the same of a drawn fleet, whose worn wheelsets swing further
@@ -45,12 +42,7 @@ def gauge_grid(track: TrackTruth) -> FloatArray:
 
 
 def displacement_limit(scenario: Scenario, track: TrackTruth) -> float:
-    """Return the lateral displacement, m, beyond which a wheelset of the scenario derails.
-
-    Args:
-        scenario: Listed or drawn fleet; recorded track or recipe.
-        track: The true track: in wide gauge flange contact comes later, by half the gauge deviation.
-    """
+    """Return the lateral displacement, m, beyond which a wheelset of the scenario derails."""
     recipe = scenario.section.recipe
     _, widest = track.gauge_range()
     more = _rounded_up(0.5 * max(widest, 0.0))
@@ -99,13 +91,6 @@ def wheelset_motion(
     """Return the true motion of the wheelset at ``axle`` (from 0) over ``run``.
 
     ``table`` is its contact geometry where that is at hand already; made here otherwise.
-
-    Args:
-        axle: Number of the axle, from 0.
-        table: Contact geometry of the wheelset, if it has been computed already; None to compute it here.
-
-    Raises:
-        DerailmentError: The wheelset leaves the range of its contact geometry: the scenario lets it derail.
     """
     axles = together(scenario, run.vehicle, axle)
     known = [table if place == axle else None for place in axles]
@@ -113,11 +98,7 @@ def wheelset_motion(
 
 
 def together(scenario: Scenario, vehicle: VehiclePlan, axle: int) -> tuple[int, ...]:
-    """Return the axles (from 0) that move together with ``axle``: those of its bogie, or itself alone.
-
-    Args:
-        axle: From 0.
-    """
+    """Return the axles (from 0) that move together with ``axle``: those of its bogie, or itself alone."""
     if scenario.bogie is None:
         return (axle,)
     first = axle - axle % AXLES_OF_A_BOGIE
@@ -134,7 +115,6 @@ def axle_motions(
     """Return the true motion of the wheelsets at ``axles`` (from 0), which move together, over ``run``.
 
     Args:
-        axles: As :func:`together` returns them.
         tables: Contact geometry of each; None to compute it here.
 
     Raises:
@@ -159,11 +139,7 @@ def axle_motions(
 
 
 def running_gear(scenario: Scenario, run: VehicleRun, axles: Sequence[int]) -> RunningGear:
-    """Return the true running gear of the wheelsets at ``axles`` (from 0), which move together, in one run.
-
-    Args:
-        axles: As :func:`together` returns them.
-    """
+    """Return the true running gear of the wheelsets at ``axles`` (from 0), which move together, in one run."""
     running = scenario.running
     parameters, bogie = true_suspension(scenario, run.vehicle, axles[0], run.campaign)
     shares = running.shares_of_traction(len(run.vehicle.wheelsets))
@@ -182,11 +158,7 @@ def running_gear(scenario: Scenario, run: VehicleRun, axles: Sequence[int]) -> R
 def true_suspension(
     scenario: Scenario, vehicle: VehiclePlan, axle: int, campaign: int
 ) -> tuple[VehicleParameters, BogieParameters | None]:
-    """Return the true parameters of the running gear of an axle: of its vehicle, less what its damper has lost.
-
-    Args:
-        axle, campaign: From 0.
-    """
+    """Return the true parameters of the running gear of an axle: of its vehicle, less what its damper has lost."""
     parameters, bogie = vehicle_parameters(scenario, vehicle.code), vehicle_bogie(scenario, vehicle.code)
     weak, gear = vehicle.weak_damper, axle if bogie is None else axle // AXLES_OF_A_BOGIE
     if weak is None or campaign + 1 < weak.from_campaign or weak.running_gear not in (None, gear + 1):
@@ -246,9 +218,6 @@ def _check_on_rails(run: VehicleRun, axle: int, table: ContactTable, motion: Whe
 def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> WornContact:
     """Return the contact geometry of a wheelset at one mileage of its vehicle.
 
-    Args:
-        odometer: Of the vehicle, m.
-
     Raises:
         ScenarioError: The profiles do not touch on both sides at every gauge of the track, or cannot wear that much.
     """
@@ -259,14 +228,7 @@ def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odomet
 
 
 def true_geometry(scenario: Scenario, plan: WheelsetPlan, contact: WornContact) -> GeometryTruth:
-    """Return the true geometry of a wheelset at nominal gauge.
-
-    Args:
-        contact: What that returns; the gauge of its track decides no more than the range of displacements.
-
-    Raises:
-        ScenarioError: The profiles do not touch on both sides at nominal gauge.
-    """
+    """Return the true geometry of a wheelset at nominal gauge."""
     with _named(scenario, plan):
         return truth_of(contact)
 

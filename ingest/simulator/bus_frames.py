@@ -14,14 +14,12 @@ from estimation.errors import ScenarioError
 from estimation.values.arrays import BoolArray, IntArray, frozen_array
 from estimation.values.windows import ACCELERATIONS
 from ingest import catalogue as kinds
-from ingest.canopen import sync_counter, time_of_day
-from ingest.catalogue import Catalogue, MessagePlan
+from ingest.catalogue import Catalogue, MessagePlan, sync_counter, time_of_day
 from ingest.codec import encode
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.simulator.campaign import VehicleRun, failed, odometer_scale
 from ingest.simulator.motion import STEP
-from ingest.simulator.random_streams import Stream, generator
-from ingest.simulator.scenario import NORMAL_REACH, BusPlan, FaultKind, Scenario
+from ingest.simulator.scenario import NORMAL_REACH, BusPlan, FaultKind, Scenario, Stream, generator
 from ingest.simulator.sensors import SensorRecord
 
 SECOND_NS = 1_000_000_000
@@ -49,11 +47,7 @@ class BusTiming:
 
 
 def bus_timing(bus: BusPlan, messages: Sequence[MessagePlan], interval_ns: int) -> BusTiming:
-    """Return when the frames of ``messages`` are on the bus.
-
-    Raises:
-        ScenarioError: There is more to send than the bus can carry.
-    """
+    """Return when the frames of ``messages`` are on the bus."""
     if bus.bit_rate > 0.0:
         return _arbitrated(bus, messages, interval_ns)
     slot_ns = min(SLOT_NS, int(0.75 * interval_ns / (len(messages) + 1)))
@@ -104,7 +98,6 @@ def _due(bus: BusPlan, messages: Sequence[MessagePlan], interval_ns: int, ticks:
 
 
 def _ready_ns(bus: BusPlan, plan: MessagePlan) -> int:
-    """Return the time after SYNC at which a node hands a frame over, ns."""
     if plan.kind in (kinds.SYNC, kinds.TIME) or plan.node is None:
         return 0
     if plan.kind == kinds.POSITION:
@@ -156,9 +149,6 @@ def vehicle_frames(
 
     Args:
         records: What the node of each axle measured, by axle; None for a node that has failed.
-
-    Raises:
-        ScenarioError: The sensors' rate is not the one of the catalogue.
     """
     interval_ns = catalogue.sample_interval_ns
     if scenario.sensors.rate_hz * interval_ns != 1_000_000_000:  # noqa: PLR2004 - ns in a second
@@ -177,7 +167,6 @@ def vehicle_frames(
 
 
 def _as_connected(scenario: Scenario, records: Sequence[SensorRecord | None]) -> list[SensorRecord | None]:
-    """Return what the nodes send, in the order of their numbers."""
     connected = list(records)
     if not scenario.sensors.on_mass:
         connected = [None if record is None else _without_mass(record) for record in connected]
@@ -188,7 +177,6 @@ def _as_connected(scenario: Scenario, records: Sequence[SensorRecord | None]) ->
 
 
 def _without_mass(record: SensorRecord) -> SensorRecord:
-    """Return a record whose mass channel is "not available"."""
     values, place = record.values.copy(), ACCELERATIONS.index("mass_lateral_acceleration")
     values[:, place] = np.nan
     return SensorRecord(record.t, values, record.clipped)

@@ -9,20 +9,107 @@ each turned half round. Its nodes keep their places and axes, which point agains
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.special import ndtr
 
-from estimation.errors import ScenarioError
-from estimation.values.arrays import FloatArray, frozen_array
-from ingest.simulator.blows import with_flat, with_track_blows
+from estimation.errors import ParameterError, ScenarioError
+from estimation.values.arrays import FloatArray, FrozenArrays
+from ingest.simulator.irregularity import Waves, superpose
 from ingest.simulator.motion import STEP, WheelsetMotion, travelled
-from ingest.simulator.random_streams import Stream, generator, seed_of
-from ingest.simulator.running import CONTACT_STEP
-from ingest.simulator.scenario import NORMAL_REACH, Scenario, SpeedRange, VehiclePlan, WheelsetPlan
+from ingest.simulator.running import (
+    CONTACT_STEP,
+    STRETCH_END,
+    FrictionPlan,
+    FrictionStretch,
+    RunningPlan,
+    with_flat,
+    with_track_blows,
+)
+from ingest.simulator.scenario import (
+    NORMAL_REACH,
+    Scenario,
+    SpeedRange,
+    Stream,
+    VehiclePlan,
+    WheelsetPlan,
+    generator,
+    seed_of,
+)
 from ingest.simulator.sensor_errors import NodeErrors, draw_node_errors
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
-from ingest.simulator.surface import with_surface
-from ingest.simulator.track import TrackRecipe, TrackTruth, from_zero, make_track, read_track
+from ingest.simulator.track import Surface, TrackRecipe, TrackTruth, from_zero, make_track, read_track
+
+RAIL_DISTANCE = 1.5  # m, over which cross level is measured (EN 13848-1)
+LEAST_LOAD = 0.2  # of the mean: wheels stay on the rails
+
+
+def with_surface(track: TrackTruth, plan: RunningPlan, seed: int) -> TrackTruth:
+    """Return the track with what the scenario draws along it; each has a random stream of its own."""
+    if not plan.changes_the_track:
+        return track
+    n = len(track.s)
+    roll, friction, load = np.zeros(n), np.ones(n), np.ones(n)
+    if plan.cross_level is not None:
+        roll = _drawn(track, plan.cross_level, generator(seed, Stream.CROSS_LEVEL), "cross_level") / RAIL_DISTANCE
+    if plan.friction is not None:
+        friction = friction_along(plan.friction, n, track.interval, generator(seed, Stream.FRICTION))
+        friction = friction / plan.creep.friction
+    if plan.load_variation is not None:
+        varied = 1.0 + _drawn(track, plan.load_variation, generator(seed, Stream.LOAD), "load_variation")
+        load = np.maximum(varied, LEAST_LOAD)
+    return replace(track, surface=Surface(roll, friction, load))
+
+
+def friction_along(plan: FrictionPlan, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+    """Return the coefficient of friction (n,): every value between the limits is as frequent, changes are smooth."""
+    width = plan.correlation / interval
+    reach = int(np.ceil(4.0 * width))
+    smooth = gaussian_filter1d(rng.standard_normal(n + 2 * reach), width, mode="wrap")[reach : reach + n]
+    scale = np.sqrt(2.0 * np.sqrt(np.pi) * width)  # of white noise that is smoothed so
+    return np.asarray(plan.lowest + (plan.highest - plan.lowest) * ndtr(scale * smooth))
+
+
+def friction_factor(plan: RunningPlan, seed: int, campaign: int) -> float:
+    """Return by what the coefficient of friction is multiplied in a campaign (from 0): rails are dry, wet or dirty."""
+    if plan.friction is None or plan.friction.campaign_std == 0.0:
+        return 1.0
+    return float(np.exp(plan.friction.campaign_std * generator(seed, Stream.FRICTION, campaign).standard_normal()))
+
+
+def with_stretches(track: TrackTruth, plan: RunningPlan, campaign: int, mean_friction: float) -> TrackTruth:
+    """Return the track of one campaign: with the stretches of another friction that there are by then.
+
+    Args:
+        mean_friction: What the friction of the track is over, in that campaign.
+    """
+    there = [one for one in plan.stretches if campaign + 1 >= one.from_campaign]
+    if not there:
+        return track
+    flat = np.ones(len(track.s))
+    surface = track.surface or Surface(np.zeros(len(track.s)), flat, flat)
+    friction = surface.friction
+    for one in there:
+        inside = _inside(one, track.s)
+        friction = friction + inside * (one.friction / mean_friction - friction)
+    return replace(track, surface=replace(surface, friction=friction))
+
+
+def _inside(stretch: FrictionStretch, s: FloatArray) -> FloatArray:
+    """Return 1 in a stretch and 0 beside it (n,), smooth at both ends so that the spline of the track is."""
+    depth = np.clip(np.minimum(s - stretch.begin, stretch.end - s) / STRETCH_END, 0.0, 1.0)
+    return np.asarray(depth * depth * (3.0 - 2.0 * depth))
+
+
+def _drawn(track: TrackTruth, waves: Waves, rng: np.random.Generator, key: str) -> FloatArray:
+    try:
+        values = superpose([waves], [rng], length=track.length, interval=track.interval)
+    except ParameterError as error:
+        raise ParameterError(error.reason, field=f"section.{key}") from error
+    return np.asarray(np.interp(track.s - track.s[0], track.interval * np.arange(len(values)), values))
+
 
 TURNED = (-1.0, 1.0, -1.0, -1.0)
 """Lateral, yaw, roll, lateral of the mass: what a node turned half round about the vertical axis measures of each."""
@@ -73,29 +160,20 @@ RUN_OUT = 50.0  # m behind it where the last axle ends
 
 
 @dataclass(frozen=True, slots=True)
-class VehicleRun:
+class VehicleRun(FrozenArrays):
     """The course of one vehicle over one campaign, every ``STEP`` s; reference is the vehicle's position antenna."""
 
     vehicle: VehiclePlan
     campaign: int  # from 0
     start_ns: int  # vehicle clock
     odometer: float  # m, at the start
-    speed: FloatArray  # (n,) m/s
-    distance: FloatArray  # (n,) m along the section, of the reference
-    reported: FloatArray  # (n,) m, the same as the vehicle reports it
-
-    def __post_init__(self) -> None:
-        n = len(self.speed)
-        for name in ("speed", "distance", "reported"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+    speed: Annotated[FloatArray, "n"]  # m/s
+    distance: Annotated[FloatArray, "n"]  # m along the section, of the reference
+    reported: Annotated[FloatArray, "n"]  # m, the same as the vehicle reports it
 
 
 def scenario_track(scenario: Scenario) -> TrackTruth:
-    """Return the true track of the scenario's section.
-
-    Raises:
-        ScenarioError: The recorded file cannot be read.
-    """
+    """Return the true track of the scenario's section."""
     section = scenario.section
     if section.file is not None:
         track = from_zero(read_track(section.file))
@@ -114,9 +192,6 @@ def with_margins(scenario: Scenario, recipe: TrackRecipe) -> TrackRecipe:
 
 def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, campaign: int) -> VehicleRun:
     """Return where and how fast ``vehicle`` runs in ``campaign`` (from 0).
-
-    Args:
-        campaign: Number of the campaign, from 0.
 
     Raises:
         ScenarioError: The track is too short for the run.
@@ -188,11 +263,7 @@ def odometer_scale(scenario: Scenario, vehicle: VehiclePlan) -> float:
 
 
 def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> SensorRecord:
-    """Return what the node of the wheelset at ``axle`` (from 0) measures of ``motion``.
-
-    Args:
-        axle: Number of the axle, from 0.
-    """
+    """Return what the node of the wheelset at ``axle`` (from 0) measures of ``motion``."""
     order = scenario.vehicles.index(run.vehicle)
     offsets = draw_offsets(scenario.sensors, generator(scenario.seed, Stream.OFFSETS, order, axle))
     rng = generator(scenario.seed, Stream.SENSOR, order, axle, run.campaign)
@@ -215,7 +286,6 @@ def _with_blows(scenario: Scenario, run: VehicleRun, axle: int, motion: Wheelset
 
 
 def _node_errors(scenario: Scenario, order: int, axle: int, campaign: int) -> NodeErrors | None:
-    """Return how the node of an axle differs from its data sheet; None if the scenario has no such errors."""
     if scenario.sensors.errors.none:
         return None
     node = generator(scenario.seed, Stream.NODE_ERRORS, order, axle)

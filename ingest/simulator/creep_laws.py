@@ -24,7 +24,7 @@ from typing import Annotated, NamedTuple
 from annotated_types import Interval
 
 from estimation.errors import ParameterError
-from estimation.values.file_units import Key
+from estimation.values.fields import Key
 from ingest.file_value import written
 from ingest.input_file import NotNegative, Text, field_error
 from ingest.simulator.rates import stepped
@@ -66,11 +66,7 @@ def _law(text: str) -> CreepLaw:
 
 @dataclass(frozen=True, slots=True)
 class Creep:
-    """The force law of all wheels. Friction may vary along the track beside.
-
-    Raises:
-        ParameterError: A value is not possible.
-    """
+    """The force law of all wheels. Friction may vary along the track beside."""
 
     law: Annotated[CreepLaw, written(Text, _law)] = CreepLaw.LINEAR
     friction: Share = 0.4  # mu0

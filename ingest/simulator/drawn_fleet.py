@@ -13,8 +13,15 @@ from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import BogieParameters
 from ingest.simulator.drawn_plan import DrawnFleet, FleetWear, ProfilePair, WearDistribution
-from ingest.simulator.random_streams import Stream, generator
-from ingest.simulator.scenario import Scenario, VehicleErrors, VehiclePlan, WheelsetPlan, usual_offsets
+from ingest.simulator.scenario import (
+    Scenario,
+    Stream,
+    VehicleErrors,
+    VehiclePlan,
+    WheelsetPlan,
+    generator,
+    usual_offsets,
+)
 from ingest.simulator.section import RailFiles, SideFiles
 
 MOST_DRAWS = 1000  # of a wear within its limits
@@ -23,11 +30,7 @@ WEAR_SHARES = (1.0, 0.85, 0.7, 0.5, 1.5)  # tried in turn until a wheelset stays
 
 
 def with_seed(scenario: Scenario, seed: int) -> Scenario:
-    """Return the scenario with another seed; wheel, rail and wear of a drawn fleet are those of the seed.
-
-    Args:
-        seed: From 0.
-    """
+    """Return the scenario with another seed; wheel, rail and wear of a drawn fleet are those of the seed."""
     if scenario.drawn is None:
         return replace(scenario, seed=seed)
     pair = scenario.drawn.pairs[seed % len(scenario.drawn.pairs)]
@@ -44,23 +47,14 @@ def drawn_serial(rank: int) -> str:
 
 
 def with_less_wear(scenario: Scenario, vehicle: str, axle: int, share: float) -> Scenario:
-    """Return the scenario with ``share`` of the wear of one wheelset.
-
-    Args:
-        axle: From 0.
-        share: Of the wear at odometer 0.
-    """
+    """Return the scenario with ``share`` of the wear of one wheelset."""
     worn = scenario.vehicle(vehicle).wheelsets[axle]
     less = replace(worn, initial_left=share * worn.initial_left, initial_right=share * worn.initial_right)
     return with_wheelset(scenario, vehicle, axle, less)
 
 
 def with_wheelset(scenario: Scenario, vehicle: str, axle: int, wheelset: WheelsetPlan) -> Scenario:
-    """Return the scenario with another wheelset at one place.
-
-    Args:
-        axle: From 0.
-    """
+    """Return the scenario with another wheelset at one place."""
     plan = scenario.vehicle(vehicle)
     wheelsets = tuple(wheelset if place == axle else item for place, item in enumerate(plan.wheelsets))
     changed = replace(plan, wheelsets=wheelsets)
@@ -109,7 +103,6 @@ def vehicle_bogie(scenario: Scenario, vehicle: str) -> BogieParameters | None:
 
 
 def _draws(scenario: Scenario, vehicle: str) -> FloatArray:
-    """Return the errors (4,) of a vehicle over their 95 % limits: lateral and yaw springs, wheelset, body."""
     limits = scenario.vehicle_errors or VehicleErrors()
     codes = limits.fleet or tuple(plan.code for plan in scenario.vehicles)
     seed = scenario.seed if limits.seed is None else limits.seed
@@ -122,11 +115,7 @@ def shares_of_wear(plan: WheelsetPlan) -> tuple[float, ...]:
 
 
 def no_wear_left(scenario: Scenario, vehicle: str, axle: int, last: ScenarioError) -> ScenarioError:
-    """Return the error of a wheelset that derails with every share of its wear.
-
-    Args:
-        axle: Number of the axle, from 0.
-    """
+    """Return the error of a wheelset that derails with every share of its wear."""
     plan = scenario.vehicle(vehicle).wheelsets[axle]
     if shares_of_wear(plan) != WEAR_SHARES:
         return ScenarioError(f"seed {scenario.seed}: {last.reason}", field=last.field)
@@ -183,7 +172,6 @@ def _wheelset(scenario: Scenario, fleet: DrawnFleet, seed: int, rank: int) -> Wh
 
 
 def _depth(fleet: DrawnFleet, pair: ProfilePair, rank: int, rng: np.random.Generator) -> float:
-    """Return the wear of a wheelset, m, the mean of both sides."""
     wear = fleet.wear
     highest = pair.deepest_wear if wear.highest is None else wear.highest
     if wear.distribution is WearDistribution.STEPS:

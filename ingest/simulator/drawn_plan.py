@@ -10,7 +10,7 @@ from typing import Annotated, Self
 
 from annotated_types import Interval, MinLen
 
-from estimation.values.file_units import KM_H, MM, PERCENT, Key
+from estimation.values.fields import KM_H, MM, PERCENT, Key
 from estimation.values.registry import MAX_AXLES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
 from ingest.file_value import As, FileBeside, between
@@ -23,8 +23,6 @@ Wear = Annotated[float, between(0.0, 5.0), MM]
 
 @dataclass(frozen=True, slots=True)
 class _WheelFiles:
-    """An entry of ``wheel_files``."""
-
     left: FileBeside
     right: FileBeside | None = None
 
@@ -93,9 +91,6 @@ class FleetWear:
 
         Args:
             deepest: Of the pair, m: the upper limit where there is none.
-
-        Raises:
-            PydanticCustomError: With the location inside the table of the fleet.
         """
         highest = deepest if self.highest is None else self.highest
         lowest_mm, highest_mm, mean_mm = 1e3 * self.lowest, 1e3 * highest, 1e3 * self.mean

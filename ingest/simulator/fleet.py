@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import can
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from estimation.errors import ScenarioError
+from estimation.errors import ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray
+from ingest.bus import send
 from ingest.catalogue import default_catalogue
 from ingest.frames import FrameBatch
 from ingest.logs.blf_writer import write_blf
@@ -34,8 +37,7 @@ from ingest.simulator.campaign import (
 )
 from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less_wear
 from ingest.simulator.motion import WheelsetMotion
-from ingest.simulator.random_streams import Stream, generator, seed_of
-from ingest.simulator.scenario import Scenario, VehiclePlan
+from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, generator, seed_of
 from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, wheelset_truth, write_registry, write_truth
 from ingest.simulator.track import TrackTruth, from_zero, make_track, read_track
@@ -50,9 +52,6 @@ def surveyed(scenario: Scenario, track: TrackTruth) -> TrackTruth:
     The survey's own errors are white, of the survey's standard deviations, smoothed over some 2 m as a chord does. The
     other ways in which it may be wrong come before them: another section, of all or of the gauge alone, a shift along
     the track, a factor.
-
-    Raises:
-        ScenarioError: The file of another section cannot be read, or is too short.
     """
     plan, section = scenario.section.survey, scenario.section
     source = track
@@ -155,10 +154,6 @@ def run_fleet(
         out: Folder, made where missing; recordings are ``<vehicle>/<vehicle>__<start, UTC>.blf``.
         vehicles: Codes of the vehicles to simulate; all by default. The registry always names all.
         workers: Processes; by default as many as cores, at most the recordings. With 1 everything runs in this process.
-
-    Raises:
-        ScenarioError: The scenario cannot be run: unknown vehicle, too little track, a wheelset that derails.
-        OSError: A file cannot be written.
     """
     chosen = [scenario.vehicle(code) for code in vehicles] if vehicles is not None else list(scenario.vehicles)
     track = scenario_track(scenario)
@@ -197,11 +192,7 @@ def _tasks(scenario: Scenario, vehicles: Sequence[VehiclePlan]) -> list[tuple[st
 
 
 def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campaigns: Campaigns) -> list[Recording]:
-    """Simulate campaigns of one vehicle and write their recordings, each whole or not at all.
-
-    Args:
-        campaigns: From 0.
-    """
+    """Simulate campaigns of one vehicle and write their recordings, each whole or not at all."""
     if scenario.drawn is None:
         plan = scenario.vehicle(vehicle)
         return [_write(scenario, out, plan, c, *simulate_campaign(scenario, track, plan, c)) for c in campaigns]
@@ -236,7 +227,6 @@ def _on_the_rails(
 
 
 def _groups(scenario: Scenario, vehicle: VehiclePlan) -> list[tuple[int, ...]]:
-    """Return the axles (from 0) of a vehicle as they move together, front to rear."""
     groups = (together(scenario, vehicle, axle) for axle in range(len(vehicle.wheelsets)))
     return list(dict.fromkeys(groups))
 
@@ -286,7 +276,6 @@ def _group(
 def _motions(
     scenario: Scenario, track: TrackTruth, run: VehicleRun, group: tuple[int, ...], contacts: Sequence[WornContact]
 ) -> Sequence[WheelsetMotion]:
-    """Return the motions of wheelsets that move together, in the axes of travel."""
     if not runs_rear_first(scenario, run.campaign):
         return axle_motions(scenario, track, run, group, [contact.table for contact in contacts])
     seen, vehicle = seen_from_ahead(scenario, run.vehicle)
@@ -299,7 +288,6 @@ def _motions(
 def _campaign(
     scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, axles: Sequence[_Axle], campaign: int
 ) -> tuple[FrameBatch, tuple[WheelsetTruth, ...]]:
-    """Return all frames of one campaign of one vehicle, and the truth of its wheelsets."""
     run = vehicle_run(scenario, track, vehicle, campaign)
     batch = vehicle_frames(default_catalogue(), scenario, run, [axle.records[campaign] for axle in axles])
     truths = (wheelset_truth(vehicle, place, campaign, run.odometer, axle.geometry) for place, axle in enumerate(axles))
@@ -329,11 +317,7 @@ def simulate_campaign(
 ) -> tuple[FrameBatch, tuple[WheelsetTruth, ...]]:
     """Return all frames of one campaign of one vehicle, and the truth of its wheelsets.
 
-    Args:
-        campaign: Number of the campaign, from 0.
-
     Raises:
-        ScenarioError: The track is too short for the run, or the sensors' rate is not the one of the bus.
         DerailmentError: A wheelset leaves the range of its contact geometry.
     """
     groups = _groups(scenario, vehicle)
@@ -360,3 +344,47 @@ def _recordings(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+PAUSE_S = 5.0
+"""Pause between two campaigns: longer than a receiver extrapolates the vehicle's clock."""
+
+
+def transmit(
+    scenario: Scenario,
+    bus: can.BusABC,
+    vehicle: str,
+    *,
+    speed_up: float = 1.0,
+    stop: threading.Event | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> int:
+    """Send every campaign of ``vehicle`` on ``bus``; return the frames sent.
+
+    The kilometres between campaigns are not waited for: the vehicle's clock and odometer jump. With ``speed_up`` the
+    frames come faster than by the vehicle's clock. A receiver refuses that, because its signal catalogue contains the
+    rate of SYNC.
+
+    Args:
+        progress: Called with (campaign from 1, frames sent so far) before each campaign.
+    """
+    if not speed_up > 0.0:
+        raise ParameterError(f"{speed_up} is not positive", field="speed_up")
+    plan, track, ended, sent = scenario.vehicle(vehicle), scenario_track(scenario), stop or threading.Event(), 0
+    for campaign in range(scenario.sessions.campaigns):
+        if campaign > 0 and ended.wait(PAUSE_S / speed_up):
+            break
+        if progress is not None:
+            progress(campaign + 1, sent)
+        batch, _ = simulate_campaign(scenario, track, plan, campaign)
+        sent += send(bus, _scaled_time(batch, speed_up), stop=ended)
+        if ended.is_set():
+            break
+    return sent
+
+
+def _scaled_time(batch: FrameBatch, speed_up: float) -> FrameBatch:
+    if speed_up == 1.0 or len(batch) == 0:
+        return batch
+    first = batch.t_ns[0]
+    return replace(batch, t_ns=first + ((batch.t_ns - first) / speed_up).astype(batch.t_ns.dtype))

@@ -1,4 +1,4 @@
-"""Time derivative of a running gear: one or two wheelsets, the frame above them and what that carries, compiled.
+"""Motion of a running gear: one or two wheelsets, the frame above them and what that carries, compiled.
 
 The wheelsets obey Eq. 1 and 2 of ``estimation.vehicle.equations_of_motion``, written for each wheel; with i = 1 at
 x_i = +a and i = 2 at -a (a half the wheelbase), frame (y_f, psi_f), body y_b and the curved path of ``gear_path``
@@ -17,6 +17,10 @@ with T the traction force of the axle. A track that rolls by p (cross level) car
 r0 above the rails, is displaced by -r0 p, its roll is that of the contact plus p, and the rails bear W vertically. What
 is above rolls with the mean of p at its axles, and its weight W - m g bears on each axle along its own normal:
 (W - m g) p on the wheelset, and as much the other way on the frame. A p that is the same everywhere is a cant of -p.
+
+Arrays as in ``rates``, of both axles where they are of one there; ``coefficients`` (m, 20) has cross level, friction
+and load as well where the track has them, ``place`` (6,) their values and slopes; ``state`` (16,): y, y', psi, psi', u
+of each wheelset, y, y', psi, psi' of the frame, y, y' of the body; ``path`` (16,) as ``gear_path`` returns it.
 """
 
 from __future__ import annotations
@@ -24,10 +28,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from estimation.values.arrays import FloatArray
+import numpy as np
+
+from estimation.values.arrays import FloatArray, IntArray
 from estimation.vehicle.equations_of_motion import GRAVITY
 from ingest.simulator.creep_laws import CreepConstants, share_of_linear
-from ingest.simulator.rates import STANDSTILL, Constants, Grid, look_up, stepped, track_at
+from ingest.simulator.rates import OUTPUTS, STANDSTILL, Constants, Grid, advance, look_up, stepped, track_at
 
 AXLE_STATES = 5  # y, y', psi, psi', u of each wheelset
 FRAME, BODY = 10, 14  # first state of the frame (y, y', psi, psi') and of the body (y, y')
@@ -63,16 +69,28 @@ class Wheels(NamedTuple):
     phase: tuple[float, float, float, float]  # rad
 
 
+class GearOnTrack(NamedTuple):
+    """What the rates of a running gear follow from, beside its state; tables and grids of both axles."""
+
+    g: GearConstants
+    creep: CreepConstants
+    wheels: Wheels
+    tables: tuple[FloatArray, FloatArray]
+    grids: tuple[Grid, Grid]
+    coefficients: FloatArray
+
+
+class GearWorkspace(NamedTuple):
+    """What is known of a gear at the state whose rates were written last; ``contact`` with cross level."""
+
+    contact: FloatArray  # (2, 8)
+    track: FloatArray  # (2, 4), alignment at the height of the axle
+    place: FloatArray  # (6,), of the axle that was last
+
+
 @stepped
 def place_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) -> None:
-    """Write cross level (rad), friction and load (both over their mean), each with its slope, into ``out`` (6,).
-
-    Args:
-        coefficients: (m, 8) where the track has none of them, else (m, 20): splines of alignment, gauge deviation and
-            these three.
-        s: Distance, m.
-        out: (6,) written.
-    """
+    """Write cross level (rad), friction and load (both over their mean), each with its slope, into ``out`` (6,)."""
     if coefficients.shape[1] == CONTACT:
         out[0] = out[1] = out[3] = out[5] = 0.0
         out[2] = out[4] = 1.0
@@ -87,33 +105,19 @@ def place_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) ->
 
 
 @stepped
-def roll_above(
-    g: GearConstants, coefficients: FloatArray, grids: tuple[Grid, Grid], s: float, place: FloatArray
-) -> float:
-    """Return the mean roll of the track at the axles, rad.
-
-    Args:
-        s: Distance of the first axle, m.
-        place: (6,) work space.
-    """
-    total = 0.0
-    if coefficients.shape[1] > CONTACT:
+def roll_above(gear: GearOnTrack, s: float, place: FloatArray) -> float:
+    """Return the mean roll of the track at the axles, rad; ``s`` is the distance of the first one."""
+    total, g = 0.0, gear.g
+    if gear.coefficients.shape[1] > CONTACT:
         for axle in range(g.axles):
-            place_at(coefficients, grids[axle], s - 2.0 * g.half_base * axle, place)
+            place_at(gear.coefficients, gear.grids[axle], s - 2.0 * g.half_base * axle, place)
             total += place[0]
     return total / g.axles
 
 
 @stepped
 def out_of_round(c: Constants, wheels: Wheels, axle: int, s: float, speed: float, contact: FloatArray) -> None:
-    """Add what wheels that are not round change to rolling radii, roll and roll rate in ``contact`` (8,).
-
-    Args:
-        axle: 0 or 1.
-        s: Distance of the axle, m.
-        speed: m/s.
-        contact: (8,) changed.
-    """
+    """Add what wheels that are not round change to rolling radii, roll and roll rate in ``contact`` (8,)."""
     left, right = wheels.amplitude[2 * axle], wheels.amplitude[2 * axle + 1]
     if left == 0.0 and right == 0.0:
         return
@@ -128,48 +132,31 @@ def out_of_round(c: Constants, wheels: Wheels, axle: int, s: float, speed: float
 
 @stepped
 def gear_rates(
-    g: GearConstants,
-    creep: CreepConstants,
-    wheels: Wheels,
-    tables: tuple[FloatArray, FloatArray],
-    grids: tuple[Grid, Grid],
-    coefficients: FloatArray,
+    gear: GearOnTrack,
+    known: GearWorkspace,
     speed: float,
     slope: float,
     s: float,
     path: FloatArray,
     state: FloatArray,
     rates: FloatArray,
-    contact: FloatArray,
-    track: FloatArray,
-    place: FloatArray,
 ) -> int:
-    """Write the time derivative of ``state`` (16,) into ``rates`` (16,); return a bit for each axle outside its table.
+    """Write the time derivative of ``state`` into ``rates``; return a bit for each axle outside its table.
 
-    Args:
-        tables, grids: (n, g, 7) contact geometry of both axles, and the grids of table and track.
-        coefficients: (m, 8) or (m, 20) splines of the track.
-        speed, slope: m/s, and by which it rises, m/s^2.
-        s: Distance of the first axle, m.
-        path: (16,) of the curved path.
-        state: (16,) in SI.
-        rates: (16,) written.
-        contact: (2, 8) written: looked-up values and roll rate of each axle, with cross level.
-        track: (2, 4) written: alignment at the height of the axle, its slope, gauge deviation, its slope.
-        place: (6,) work space.
+    Speed rises by ``slope``; ``s`` is the distance of the first axle.
     """
-    outside = 0
-    leaning = roll_above(g, coefficients, grids, s, place)
+    outside, g, place = 0, gear.g, known.place
+    leaning = roll_above(gear, s, place)
     force = moment = yaw = 0.0
     for axle in range(g.axles):
         at, c = s - 2.0 * g.half_base * axle, g.each[axle]
         first = AXLE_STATES * axle
-        here, under = contact[axle], track[axle]
-        track_at(coefficients, grids[axle], at, under)
-        place_at(coefficients, grids[axle], at, place)
+        here, under = known.contact[axle], known.track[axle]
+        track_at(gear.coefficients, gear.grids[axle], at, under)
+        place_at(gear.coefficients, gear.grids[axle], at, place)
         under[0] -= c.r0 * place[0]
         under[1] -= c.r0 * place[1]
-        if not look_up(tables[axle], grids[axle], state[first] - under[0], under[2], here):
+        if not look_up(gear.tables[axle], gear.grids[axle], state[first] - under[0], under[2], here):
             outside += 1 << axle
         here[4] += place[0]
         x = g.half_base * (1 - 2 * axle)
@@ -183,10 +170,10 @@ def gear_rates(
             rates[first : first + AXLE_STATES] = 0.0
             continue
         here[7] = here[5] * (state[first + 1] - speed * under[1]) + here[6] * speed * under[3] + speed * place[1]
-        out_of_round(c, wheels, axle, at, speed, here)
+        out_of_round(c, gear.wheels, axle, at, speed, here)
         mass = g.traction[axle] if slope > 0.0 else g.braking[axle]
         wheelset(
-            c, creep, speed, mass * slope, path[AXLE_PATH * axle :], place, here, suspension, turned,
+            c, gear.creep, speed, mass * slope, path[AXLE_PATH * axle :], place, here, suspension, turned,
             state[first : first + AXLE_STATES], rates[first : first + AXLE_STATES],
         )  # fmt: skip
     carried(g, path, force, moment + yaw, state, rates)
@@ -199,8 +186,6 @@ def suspended(c: Constants, x: float, path: FloatArray, axle: FloatArray, state:
 
     Args:
         x: Place of the axle ahead of the middle of the frame, m.
-        axle: (4,) y, y', psi, psi' of the wheelset.
-        state: (16,) of the running gear.
     """
     deflection = state[FRAME] + x * state[FRAME + 2] - axle[0] - path[3]
     rate = state[FRAME + 1] + x * state[FRAME + 3] - axle[1] - path[4]
@@ -225,13 +210,8 @@ def wheelset(
     """Write the time derivative of one wheelset (5,) into ``rates`` (5,).
 
     Args:
-        speed: m/s, above ``STANDSTILL``.
         traction: Force of the axle, N, negative in braking.
-        place: (6,) cross level, friction and load, each with its slope.
-        contact: (8,) rolling radii, contact angles, roll and its slopes, roll rate; m and rad.
         suspension, turned: Force and moment of the suspension, N and N m.
-        state: (5,) y, y', psi, psi', u.
-        rates: (5,) written.
     """
     per_speed = 1.0 / speed
     v, psi, psi_rate, roll, roll_rate = state[1], state[2], state[3], contact[4], contact[7]
@@ -271,11 +251,8 @@ def carried(
     """Write the time derivative of frame and body into ``rates`` (16,).
 
     Args:
-        path: (16,) of the curved path.
         force, moment: Of the primary suspensions on the wheelsets: sum of the forces, and of their moments about the
             frame's middle.
-        state: (16,) in SI.
-        rates: (16,) written.
     """
     y, v, psi, psi_rate = state[FRAME], state[FRAME + 1], state[FRAME + 2], state[FRAME + 3]
     above = 0.0
@@ -286,3 +263,113 @@ def carried(
     if g.per_frame_inertia > 0.0:
         rates[FRAME + 2] = psi_rate
         rates[FRAME + 3] = path[FRAME_PATH + 1] - (moment + g.k2 * psi + g.c2 * psi_rate) * g.per_frame_inertia
+
+
+GEAR_OUTPUTS = (*OUTPUTS, "frame_yaw")
+TRACK = 4
+
+
+@stepped
+def integrate_gear(
+    gear: GearOnTrack,
+    speed: FloatArray,
+    distance: FloatArray,
+    path: FloatArray,
+    step: float,
+    parts: IntArray,
+    state: FloatArray,
+    out: FloatArray,
+    outside: IntArray,
+) -> None:
+    """Integrate the motion of a running gear over a course by Runge-Kutta of 4th order.
+
+    Args:
+        distance: (k,) of the first axle.
+        path: (k, 16) of the curved path; (1, 16) zeros on straight track.
+        parts: (k - 1,) sub-steps of each step.
+        state: At the first sample; changed to that at the last.
+        out: (2, 18, k) written, in the order of ``GEAR_OUTPUTS``, for each axle.
+        outside: (2,) written: how many samples left the contact table of each axle.
+    """
+    known = GearWorkspace(np.zeros((2, CONTACT)), np.zeros((2, TRACK)), np.zeros(PLACES))
+    stages, forced, rise = np.zeros((5, GEAR_STATES)), np.zeros(PATH), np.zeros(PATH)
+    outside[:] = 0
+    for i in range(len(speed)):
+        if speed[i] < STANDSTILL:
+            stand_still(state)
+        forced[:] = path[min(i, len(path) - 1)]
+        last = i == len(speed) - 1
+        slope = 0.0 if last else (speed[i + 1] - speed[i]) / step
+        left = gear_rates(gear, known, speed[i], slope, distance[i], forced, state, stages[0])
+        for axle in range(gear.g.axles):
+            outside[axle] += left >> axle & 1
+            write_axle(gear.g, axle, state, stages[0], known, out[axle], i)
+        if last:
+            break
+        h = step / parts[i]
+        if len(path) > 1:
+            rise[:] = 0.5 * h / step * (path[i + 1] - path[i])
+        for part in range(parts[i]):
+            t = part * h
+            v, s = speed[i] + slope * t, distance[i] + (speed[i] + 0.5 * slope * t) * t
+            if part > 0:
+                gear_rates(gear, known, v, slope, s, forced, state, stages[0])
+            gear_step(gear, known, v, slope, s, h, forced, rise, state, stages)
+
+
+@stepped
+def gear_step(
+    gear: GearOnTrack,
+    known: GearWorkspace,
+    speed: float,
+    slope: float,
+    s: float,
+    h: float,
+    path: FloatArray,
+    rise: FloatArray,
+    state: FloatArray,
+    stages: FloatArray,
+) -> None:
+    """Advance the state by one step of the classical Runge-Kutta method of 4th order.
+
+    ``path`` rises by ``rise`` in half a step. The first row of ``stages`` (5, 16) holds the rates at the beginning.
+    """
+    k1, k2, k3, k4, trial = stages[0], stages[1], stages[2], stages[3], stages[4]
+    middle, after = speed + 0.5 * slope * h, speed + slope * h
+    s_middle, s_after = s + 0.25 * h * (speed + middle), s + 0.5 * h * (speed + after)
+    path += rise
+    advance(state, 0.5 * h, k1, trial)
+    gear_rates(gear, known, middle, slope, s_middle, path, trial, k2)
+    advance(state, 0.5 * h, k2, trial)
+    gear_rates(gear, known, middle, slope, s_middle, path, trial, k3)
+    path += rise
+    advance(state, h, k3, trial)
+    gear_rates(gear, known, after, slope, s_after, path, trial, k4)
+    for k in range(GEAR_STATES):
+        state[k] += h / 6.0 * (k1[k] + 2.0 * k2[k] + 2.0 * k3[k] + k4[k])
+
+
+@stepped
+def stand_still(state: FloatArray) -> None:
+    """Take the velocities of both wheelsets from ``state`` (16,): below ``STANDSTILL`` the wheels stick."""
+    for axle in range(2):
+        first = AXLE_STATES * axle
+        state[first + 1] = state[first + 3] = state[first + 4] = 0.0
+
+
+@stepped
+def write_axle(
+    g: GearConstants, axle: int, state: FloatArray, rates: FloatArray, known: GearWorkspace, out: FloatArray, i: int
+) -> None:
+    """Write sample ``i`` of every output of one axle into ``out`` (18, k), in the order of ``GEAR_OUTPUTS``."""
+    contact, track = known.contact, known.track
+    first, x = AXLE_STATES * axle, g.half_base if axle == 0 else -g.half_base
+    for k in range(4):
+        out[k, i] = state[first + k]
+    out[4, i], out[5, i] = state[FRAME] + x * state[FRAME + 2], state[FRAME + 1] + x * state[FRAME + 3]
+    out[6, i], out[7, i] = rates[first + 1], rates[first + 3]
+    out[8, i] = rates[FRAME + 1] + x * rates[FRAME + 3]
+    out[9, i], out[10, i], out[11, i], out[12, i] = contact[axle, 4], contact[axle, 7], track[axle, 0], track[axle, 2]
+    for k in range(4):
+        out[13 + k, i] = contact[axle, k]
+    out[17, i] = state[FRAME + 2]

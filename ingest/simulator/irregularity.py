@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -27,11 +28,12 @@ import scipy.fft
 import scipy.integrate
 import scipy.optimize
 import scipy.special
+from annotated_types import Interval
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
-from estimation.values.file_units import MM, PERCENT, Key
-from ingest.file_value import between
+from estimation.values.fields import MM, PERCENT, FileUnit, Key, M
+from ingest.file_value import As, IncreasingPlaces, between
 from ingest.input_file import Positive, field_error
 
 Irregularity = Literal["alignment", "gauge"]
@@ -83,9 +85,6 @@ def synthesise(
     removed and the standard deviation set on the stretch that is returned.
 
     Args:
-        length: Of the track, m.
-        interval: Between points, m.
-        target_std: Standard deviation of the result, m.
         wavelengths: Shortest and longest, m.
 
     Raises:
@@ -110,7 +109,6 @@ def period_of(count: int, longest: float, interval: float) -> int:
 
     Args:
         longest: Longest wavelength, m: that much is left over, so that begin and end do not follow each other.
-        interval: Between points, m.
     """
     return int(scipy.fft.next_fast_len(count + round(longest / interval), real=True))
 
@@ -118,15 +116,7 @@ def period_of(count: int, longest: float, interval: float) -> int:
 def periodic(
     kind: Irregularity, size: int, interval: float, wavelengths: tuple[float, float], rng: np.random.Generator
 ) -> FloatArray:
-    """Return one period (size,) of an irregularity, of any level: every line inside the band has a random phase.
-
-    Args:
-        interval: Between points, m.
-        wavelengths: Shortest and longest, m.
-
-    Raises:
-        ParameterError: The band is empty.
-    """
+    """Return one period (size,) of an irregularity, of any level: every line inside the band has a random phase."""
     low, high = _band(wavelengths)
     wavenumber = 2.0 * np.pi * scipy.fft.rfftfreq(size, interval)
     inside = (wavenumber >= low) & (wavenumber <= high)
@@ -157,15 +147,7 @@ def kurtosis_of(values: FloatArray) -> float:
 
 
 def with_kurtosis(period: FloatArray, count: int, target: float) -> FloatArray:
-    """Return the period (n,) of an irregularity with another kurtosis of its first ``count`` values.
-
-    Args:
-        period: (n,) one period, mean 0.
-        target: Kurtosis, 3 or more.
-
-    Raises:
-        ParameterError: The target is below 3, or the stretch has too few waves for it.
-    """
+    """Return the period (n,) of an irregularity with another kurtosis of its first ``count`` values."""
     if not GAUSSIAN <= target <= HIGHEST:
         raise ParameterError(
             f"a kurtosis of {target:g} is outside the range, {GAUSSIAN:g} to {HIGHEST:g}", field="kurtosis"
@@ -294,14 +276,6 @@ def superpose(
 
     Each part has its standard deviation on that stretch. A kurtosis above 3 keeps the spectrum and the standard
     deviation of the sum.
-
-    Args:
-        length: Of the track, m.
-        interval: Between points, m.
-        kurtosis: Of the sum on the stretch; 3 leaves it Gaussian.
-
-    Raises:
-        ParameterError: As ``synthesise``, or the kurtosis cannot be made.
     """
     gaussian = [
         synthesise(
@@ -320,3 +294,94 @@ def superpose(
     values = with_kurtosis(period, count, kurtosis)[:count]
     values = values - values.mean()
     return np.asarray(values * (period[:count].std() / values.std()))
+
+
+FEWEST_INTERVALS = 8  # of the grid over an isolated irregularity
+DRAWN_SHARE = (0.5, 1.5)  # of the size, of one that is drawn
+
+
+class IsolatedKind(StrEnum):
+    """What it is; this decides its shapes over its length."""
+
+    DEFECT = "defect"  # alignment and gauge rise and fall as one wave of a cosine
+    SWITCH = "switch"  # alignment has a kink in the middle; gauge stays off over the middle half
+    JOINT = "joint"  # alignment has a kink in the middle; gauge as of a defect
+
+
+@dataclass(frozen=True, slots=True)
+class Isolated:
+    """Isolated irregularities of one kind and size; m.
+
+    Where they are drawn, their number is Poisson distributed, their sizes vary by ``DRAWN_SHARE``, and their alignment
+    is to either side.
+    """
+
+    kind: Annotated[IsolatedKind, Key(None)]
+    length: Annotated[float, Interval(gt=0.0, le=200.0), M]  # from begin to end
+    alignment: Annotated[float, between(-30.0, 30.0), MM] = 0.0  # in the middle, positive to the left
+    gauge: Annotated[float, between(-30.0, 30.0), MM] = 0.0  # in the middle, positive is wide
+    at: Annotated[IncreasingPlaces, Key("at_m")] = ()  # middles, distance along the section
+    per_metre: Annotated[float, between(0.0, 200.0), FileUnit("", divisor=1e3), Key("per_km")] = 0.0  # drawn beside
+
+    def of_file(self, _given: Collection[str]) -> Self:
+        """Refuse what is nowhere, or changes nothing."""
+        if not self.at and self.per_metre == 0.0:
+            raise field_error("is missing; give the middles, or 'per_km' to draw them", "at_m")
+        if self.alignment == 0.0 and self.gauge == 0.0:
+            raise field_error("is missing, and 'gauge_mm' too: it changes nothing", "alignment_mm")
+        return self
+
+
+def _usual(kind: IsolatedKind, length: float, alignment_mm: float = 0.0, gauge_mm: float = 0.0) -> As:
+    """Return what a file need not say of a kind."""
+    sizes = (("alignment", 1e-3 * alignment_mm), ("gauge", 1e-3 * gauge_mm))
+    return As(Isolated, (("kind", kind), ("length", length), *sizes))
+
+
+@dataclass(frozen=True, slots=True)
+class IsolatedTables:
+    """``[[section.defects]]``, ``[[section.switches]]``, ``[[section.joints]]``."""
+
+    defects: tuple[Annotated[Isolated, _usual(IsolatedKind.DEFECT, 10.0)], ...] = ()
+    switches: tuple[Annotated[Isolated, _usual(IsolatedKind.SWITCH, 20.0, 2.0, -3.0)], ...] = ()
+    joints: tuple[Annotated[Isolated, _usual(IsolatedKind.JOINT, 4.0, 0.8, -0.5)], ...] = ()
+
+    def plan(self) -> tuple[Isolated, ...]:
+        """Return them all."""
+        return (*self.defects, *self.switches, *self.joints)
+
+
+def isolated(items: Sequence[Isolated], s: FloatArray, rngs: Sequence[np.random.Generator]) -> FloatArray:
+    """Return what isolated irregularities add to alignment and gauge deviation (2, n), m."""
+    added = np.zeros((2, len(s)))
+    for item, rng in zip(items, rngs, strict=True):
+        _check(item, s)
+        for at in item.at:
+            added += _shape(item, s, at)
+        for _ in range(rng.poisson(item.per_metre * float(s[-1] - s[0]))):
+            at, share = rng.uniform(float(s[0]), float(s[-1])), rng.uniform(*DRAWN_SHARE)
+            side = rng.choice((-1.0, 1.0))
+            added += share * np.array([[side], [1.0]]) * _shape(item, s, at)
+    return added
+
+
+def _check(item: Isolated, s: FloatArray) -> None:
+    interval = float(s[1] - s[0])
+    if item.length < FEWEST_INTERVALS * interval:
+        raise ParameterError(
+            f"a {item.kind} of {item.length:g} m is too short for a grid of {interval:g} m", field="length_m"
+        )
+    for at in item.at:
+        if not s[0] <= at <= s[-1]:
+            raise ParameterError(f"{at:g} m is not on the track, {s[0]:g} to {s[-1]:g} m", field="at_m")
+
+
+def _shape(item: Isolated, s: FloatArray, at: float) -> FloatArray:
+    """Return alignment and gauge (2, n) of one irregularity; 0 outside its length."""
+    u = np.clip((s - at) / item.length, -0.5, 0.5)
+    wave = 0.5 * (1.0 + np.cos(2.0 * np.pi * u))
+    kink = (1.0 - 2.0 * np.abs(u)) ** 2
+    plateau = 0.5 * (1.0 + np.cos(2.0 * np.pi * np.clip(2.0 * np.abs(u) - 0.5, 0.0, 0.5)))
+    line = wave if item.kind is IsolatedKind.DEFECT else kink
+    wide = plateau if item.kind is IsolatedKind.SWITCH else wave
+    return np.stack([item.alignment * line, item.gauge * wide])

@@ -11,7 +11,7 @@ from typing import Annotated, Self
 from annotated_types import Interval, Len
 
 from estimation.contact.wear import WearFamily, wear_course
-from estimation.values.file_units import KM, KM_H, MM, FileUnit, Key
+from estimation.values.fields import KM, KM_H, MM, FileUnit, Key
 from estimation.values.registry import MAX_AXLES
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, Arrangement, BogieParameters
@@ -106,11 +106,7 @@ class WheelsetTable:
                 yield key, path
 
     def plan(self, radius: float) -> WheelsetPlan:
-        """Return the wheelset; where wear is not located, as measured on such wheels.
-
-        Args:
-            radius: Nominal rolling radius where the table has none, m.
-        """
+        """Return the wheelset; where wear is not located, as measured on such wheels."""
         course = wear_course(WearFamily.S1002_ON_60E1 if "1002" in self.wheel_profile else WearFamily.P8_ON_56E1, 0.0)
         centre, half_width = self.wear_centre, self.wear_half_width
         initial_left, initial_right = self.initial_wear_left, self.initial_wear_right

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import ParameterError
-from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.windows import ACCELERATIONS
+from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
 from estimation.vehicle.equations_of_motion import VehicleParameters, creep_rate
-from ingest.simulator.curves import path_motion
-from ingest.simulator.rates import FORCED, LOOKED_UP, STATES, Constants, Grid
-from ingest.simulator.stepping import OUTPUTS, integrate, sub_steps, time_derivative, uniform_spacing
-from ingest.simulator.track import TrackTruth
+from ingest.simulator.rates import (
+    FORCED,
+    LOOKED_UP,
+    OUTPUTS,
+    STATES,
+    Constants,
+    Grid,
+    WheelsetOnTrack,
+    integrate,
+    sub_steps,
+    time_derivative,
+    uniform_spacing,
+)
+from ingest.simulator.track import TrackTruth, path_motion
 
 STEP = 1e-3  # s
 RATE_LIMIT = 1.0  # creep rate x sub-step; Runge-Kutta of 4th order is stable to 2.78
@@ -43,7 +52,7 @@ class ContactGeometryTable(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class WheelsetMotion:
+class WheelsetMotion(FrozenArrays):
     """The true motion of a wheelset and its suspended mass, every ``STEP`` s; all arrays (n,), SI.
 
     ``outside`` counts samples whose lateral displacement left the contact table: there the motion means nothing.
@@ -51,42 +60,33 @@ class WheelsetMotion:
     curves.
     """
 
-    t: FloatArray  # s, from 0
-    distance: FloatArray  # m along the section, of this wheelset
-    speed: FloatArray  # m/s
-    lateral_displacement: FloatArray  # y, m, absolute
-    lateral_velocity: FloatArray
-    lateral_acceleration: FloatArray
-    yaw: FloatArray  # psi, rad
-    yaw_rate: FloatArray
-    yaw_acceleration: FloatArray
-    roll: FloatArray  # phi, rad
-    roll_rate: FloatArray
-    roll_acceleration: FloatArray
-    mass_lateral_displacement: FloatArray  # ym, m, absolute
-    mass_lateral_velocity: FloatArray
-    mass_lateral_acceleration: FloatArray
-    alignment: FloatArray  # d at the wheelset, m
-    gauge_deviation: FloatArray  # at the wheelset, m
-    rolling_radius_left: FloatArray  # m
-    rolling_radius_right: FloatArray  # m
-    contact_angle_left: FloatArray  # rad
-    contact_angle_right: FloatArray  # rad
+    t: Annotated[FloatArray, "n"]  # s, from 0
+    distance: Annotated[FloatArray, "n"]  # m along the section, of this wheelset
+    speed: Annotated[FloatArray, "n"]  # m/s
+    lateral_displacement: Annotated[FloatArray, "n"]  # y, m, absolute
+    lateral_velocity: Annotated[FloatArray, "n"]
+    lateral_acceleration: Annotated[FloatArray, "n"]
+    yaw: Annotated[FloatArray, "n"]  # psi, rad
+    yaw_rate: Annotated[FloatArray, "n"]
+    yaw_acceleration: Annotated[FloatArray, "n"]
+    roll: Annotated[FloatArray, "n"]  # phi, rad
+    roll_rate: Annotated[FloatArray, "n"]
+    roll_acceleration: Annotated[FloatArray, "n"]
+    mass_lateral_displacement: Annotated[FloatArray, "n"]  # ym, m, absolute
+    mass_lateral_velocity: Annotated[FloatArray, "n"]
+    mass_lateral_acceleration: Annotated[FloatArray, "n"]
+    alignment: Annotated[FloatArray, "n"]  # d at the wheelset, m
+    gauge_deviation: Annotated[FloatArray, "n"]  # at the wheelset, m
+    rolling_radius_left: Annotated[FloatArray, "n"]  # m
+    rolling_radius_right: Annotated[FloatArray, "n"]  # m
+    contact_angle_left: Annotated[FloatArray, "n"]  # rad
+    contact_angle_right: Annotated[FloatArray, "n"]  # rad
     outside: int
-    path_accelerations: FloatArray | None = None  # (4, n) in the order of ACCELERATIONS; None on straight track
-    frame_yaw: FloatArray | None = None  # psi_f, rad, of the bogie frame; None without one
-    mass_roll: FloatArray | None = None  # rad, of what the mass sensor is on; None: as the wheelset
-
-    def __post_init__(self) -> None:
-        n = len(self.t)
-        for name in ("t", "distance", "speed", "roll_acceleration", *OUTPUTS):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        if self.path_accelerations is not None:
-            accelerations = frozen_array(self.path_accelerations, (len(ACCELERATIONS), n), name="path_accelerations")
-            object.__setattr__(self, "path_accelerations", accelerations)
-        for name in ("frame_yaw", "mass_roll"):
-            if (values := getattr(self, name)) is not None:
-                object.__setattr__(self, name, frozen_array(values, (n,), name=name))
+    path_accelerations: Annotated[FloatArray, 4, "n"] | None = (
+        None  # (4, n) in the order of ACCELERATIONS; None on straight track
+    )
+    frame_yaw: Annotated[FloatArray, "n"] | None = None  # psi_f, rad, of the bogie frame; None without one
+    mass_roll: Annotated[FloatArray, "n"] | None = None  # rad, of what the mass sensor is on; None: as the wheelset
 
     def __len__(self) -> int:
         return len(self.t)
@@ -109,11 +109,7 @@ class PreparedTable:
 
     @staticmethod
     def of(table: ContactGeometryTable) -> PreparedTable:
-        """Lay out ``table``, with the slopes of roll at its nodes.
-
-        Raises:
-            ParameterError: A grid is not uniform, too short, or a value is not finite.
-        """
+        """Lay out ``table``, with the slopes of roll at its nodes."""
         x, e = table.lateral_displacement, table.gauge_deviation
         x_step, e_step = uniform_spacing(x), uniform_spacing(e)
         if x_step is None or len(x) < _MINIMUM_NODES:
@@ -137,6 +133,10 @@ class PreparedTable:
         shape = (len(x), len(e), LOOKED_UP)
         return PreparedTable(frozen_array(nodes, shape, name="nodes"), float(x[0]), x_step, float(e[0]), e_step)
 
+    def grid(self, track: TrackTruth) -> Grid:
+        """Return the grids of the table and of a track."""
+        return Grid(self.x0, 1 / self.x_step, self.e0, 1 / self.e_step, float(track.s[0]), track.interval)
+
 
 def simulate_wheelset(
     parameters: VehicleParameters,
@@ -153,13 +153,6 @@ def simulate_wheelset(
     psi', ym, ym' in SI; without it wheelset and mass start at rest relative to the track, on its centre line. Two runs
     of the same input give the same bits.
 
-    Args:
-        parameters: Of the vehicle, Eq. 1-5.
-        table: Contact geometry on uniform grids of y - d and gauge deviation.
-        speed: (n,) m/s every ``STEP`` s.
-        start: Distance at the first sample, m.
-        initial: (6,) y, y', psi, psi', ym, ym' in SI at the first sample; None to start at rest relative to the track.
-
     Raises:
         ParameterError: Speed that is negative or not finite, or the run leaves the track.
     """
@@ -173,10 +166,7 @@ def simulate_wheelset(
         path = path_motion(parameters, track.curves, track.s, distance, speed, STEP)
     out = np.empty((len(OUTPUTS), len(speed)))
     outside = integrate(
-        constants(parameters),
-        prepared.nodes,
-        coefficients,
-        Grid(prepared.x0, 1 / prepared.x_step, prepared.e0, 1 / prepared.e_step, float(track.s[0]), track.interval),
+        WheelsetOnTrack(constants(parameters), prepared.nodes, coefficients, prepared.grid(track)),
         speed,
         distance,
         path.forced if path is not None else np.zeros((len(speed), FORCED)),
@@ -201,15 +191,7 @@ def simulate_wheelset(
 
 
 def course(track: TrackTruth, speed: FloatArray, start: float) -> FloatArray:
-    """Return the distance (n,), m, at each sample, after checking that speed and track allow the run.
-
-    Args:
-        speed: (n,) m/s every ``STEP`` s.
-        start: Distance at the first sample, m.
-
-    Raises:
-        ParameterError: As :func:`simulate_wheelset`.
-    """
+    """Return the distance (n,), m, at each sample, after checking that speed and track allow the run."""
     if not (np.isfinite(speed).all() and len(speed) > 1 and speed.min() >= 0.0):
         raise ParameterError("two samples or more, none negative, are needed", field="speed")
     distance = travelled(speed, start)

@@ -3,14 +3,23 @@
 The contact geometry is looked up bilinearly in (y - d, gauge deviation); the slopes of the roll angle are tabulated
 at the same nodes, so that roll rate is the chain rule phi' = phi_x (y' - d') + phi_e e', and roll acceleration is its
 time derivative.
+
+Arrays of all compiled code, in SI: ``table`` (n, g, 7), at its nodes rL, rR, dL, dR, phi, phi_x, phi_e;
+``coefficients`` (m, 8), cubic splines of alignment and gauge deviation; ``state`` and ``rates`` (6,), y, y', psi, psi',
+ym, ym' and their time derivative; ``forced`` (3,), accelerations of y, psi and ym that the path forces; ``contact``
+(8,), what was looked up, then the roll rate; ``track`` (4,), alignment and gauge deviation, each with its slope. ``s``
+is the distance.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from estimation.compiled import compiled
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, IntArray
 
 STANDSTILL = 0.05  # m/s: below it the wheels stick, and only the suspended mass moves
 FORCED = 3  # accelerations that the path forces: y, psi, ym
@@ -51,17 +60,27 @@ class Grid(NamedTuple):
     interval: float
 
 
+class WheelsetOnTrack(NamedTuple):
+    """What the rates of a wheelset follow from, beside its state."""
+
+    c: Constants
+    table: FloatArray
+    coefficients: FloatArray
+    grid: Grid
+
+
+class Workspace(NamedTuple):
+    """What is known of a wheelset at the state whose rates were written last."""
+
+    contact: FloatArray
+    track: FloatArray
+
+
 @stepped
 def look_up(table: FloatArray, grid: Grid, x: float, e: float, out: FloatArray) -> bool:
     """Interpolate ``table`` (n, g, 7) at (x, e) into ``out`` (7,); return whether x is inside the grid.
 
     Outside, the edge cell is continued linearly in x; e is held at the edge.
-
-    Args:
-        table: (n, g, 7) contact geometry at the nodes, in the order rL, rR, dL, dR, phi, phi_x, phi_e; m and rad.
-        x: Displacement y - d, m.
-        e: Gauge deviation, m.
-        out: (7,) written.
     """
     n, g, width = table.shape
     fx = (x - grid.x0) * grid.per_x
@@ -85,13 +104,7 @@ def look_up(table: FloatArray, grid: Grid, x: float, e: float, out: FloatArray) 
 
 @stepped
 def track_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) -> None:
-    """Write alignment, its slope, gauge deviation, its slope at distance ``s`` into ``out`` (4,).
-
-    Args:
-        coefficients: (m, 8) of the cubic splines of alignment and gauge deviation in each interval, m.
-        s: Distance, m.
-        out: (4,) written: m and m/m.
-    """
+    """Write alignment, its slope, gauge deviation, its slope at distance ``s`` into ``out`` (4,)."""
     i = min(max(int((s - grid.s0) / grid.interval), 0), len(coefficients) - 1)
     h = s - grid.s0 - i * grid.interval
     c = coefficients[i]
@@ -103,42 +116,27 @@ def track_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) ->
 
 @stepped
 def derivatives(
-    c: Constants,
-    table: FloatArray,
-    coefficients: FloatArray,
-    grid: Grid,
+    w: WheelsetOnTrack,
+    known: Workspace,
     speed: float,
     s: float,
     state: FloatArray,
     forced: FloatArray,
     rates: FloatArray,
-    contact: FloatArray,
-    track: FloatArray,
 ) -> bool:
-    """Write the time derivative of ``state`` (6,) into ``rates`` (6,); ``contact`` (8,) and ``track`` (4,) are filled.
+    """Write the time derivative of ``state`` into ``rates``, and into ``known``; return whether y - d is in the table.
 
-    ``forced`` (3,) is added to the accelerations; ``contact[7]`` is the roll rate. Return whether y - d is inside
-    the contact table.
-
-    Args:
-        table: (n, g, 7) contact geometry at the nodes.
-        coefficients: (m, 8) splines of the track.
-        speed: m/s.
-        s: Distance, m.
-        state: (6,) y, y', psi, psi', ym, ym' in SI.
-        forced: (3,) accelerations of y, psi and ym that the path forces, m/s^2 and rad/s^2.
-        rates: (6,) written.
-        contact: (8,) written: the looked-up values, then the roll rate, rad/s.
-        track: (4,) written: alignment, its slope, gauge deviation, its slope.
+    ``forced`` is added to the accelerations.
     """
-    track_at(coefficients, grid, s, track)
-    inside = look_up(table, grid, state[0] - track[0], track[2], contact)
+    contact, track = known.contact, known.track
+    track_at(w.coefficients, w.grid, s, track)
+    inside = look_up(w.table, w.grid, state[0] - track[0], track[2], contact)
     if speed < STANDSTILL:
         contact[7] = 0.0
-        at_rest(c, state, rates)
+        at_rest(w.c, state, rates)
     else:
         contact[7] = contact[5] * (state[1] - speed * track[1]) + contact[6] * speed * track[3]
-        equations(c, speed, state, contact, rates)
+        equations(w.c, speed, state, contact, rates)
         rates[1] += forced[0]
         rates[3] += forced[1]
     rates[5] += forced[2]
@@ -147,26 +145,14 @@ def derivatives(
 
 @stepped
 def at_rest(c: Constants, state: FloatArray, rates: FloatArray) -> None:
-    """Write the time derivative of ``state`` (6,) of a wheelset that stands, with the mass swinging on its spring.
-
-    Args:
-        state: (6,) y, y', psi, psi', ym, ym' in SI.
-        rates: (6,) written.
-    """
+    """Write the time derivative of ``state`` (6,) of a wheelset that stands, with the mass swinging on its spring."""
     rates[:] = 0.0
     rates[4], rates[5] = state[5], -(c.ky * (state[4] - state[0]) + c.fy * state[5]) / c.suspended
 
 
 @stepped
 def equations(c: Constants, speed: float, state: FloatArray, contact: FloatArray, rates: FloatArray) -> None:
-    """Write the time derivative of ``state`` (6,) by Eq. 1-5 into ``rates`` (6,), with ``contact`` (8,) known.
-
-    Args:
-        speed: m/s, above ``STANDSTILL``.
-        state: (6,) y, y', psi, psi', ym, ym' in SI.
-        contact: (8,) rolling radii, contact angles, roll and its slopes, roll rate; m and rad.
-        rates: (6,) written.
-    """
+    """Write the time derivative of ``state`` (6,) by Eq. 1-5 into ``rates`` (6,), with ``contact`` (8,) known."""
     y, v, psi, psi_rate, ym, vm = state[0], state[1], state[2], state[3], state[4], state[5]
     roll, roll_rate, per_speed = contact[4], contact[7], 1.0 / speed
     S, R = contact[0] + contact[1], contact[0] - contact[1]
@@ -193,3 +179,143 @@ def equations(c: Constants, speed: float, state: FloatArray, contact: FloatArray
     )
     rates[0], rates[1], rates[2] = v, force / c.mass, psi_rate
     rates[3], rates[4], rates[5] = moment / c.inertia, vm, -suspension / c.suspended
+
+
+OUTPUTS = (
+    "lateral_displacement",
+    "lateral_velocity",
+    "yaw",
+    "yaw_rate",
+    "mass_lateral_displacement",
+    "mass_lateral_velocity",
+    "lateral_acceleration",
+    "yaw_acceleration",
+    "mass_lateral_acceleration",
+    "roll",
+    "roll_rate",
+    "alignment",
+    "gauge_deviation",
+    "rolling_radius_left",
+    "rolling_radius_right",
+    "contact_angle_left",
+    "contact_angle_right",
+)
+
+
+@stepped
+def advance(state: FloatArray, h: float, rates: FloatArray, out: FloatArray) -> None:
+    """Write ``state`` + ``h`` ``rates`` into ``out``."""
+    for k in range(len(state)):
+        out[k] = state[k] + h * rates[k]
+
+
+@stepped
+def runge_kutta(
+    w: WheelsetOnTrack,
+    known: Workspace,
+    speed: float,
+    slope: float,
+    s: float,
+    h: float,
+    state: FloatArray,
+    forced: FloatArray,
+    forced_slope: FloatArray,
+    stages: FloatArray,
+) -> None:
+    """Advance the state by one step of the classical Runge-Kutta method of 4th order.
+
+    Speed rises by ``slope``, what is ``forced`` by ``forced_slope``; ``forced`` is left as it is at the end. The first
+    row of ``stages`` (5, 6) holds the rates at the beginning.
+    """
+    k1, k2, k3, k4, trial = stages[0], stages[1], stages[2], stages[3], stages[4]
+    middle, after = speed + 0.5 * slope * h, speed + slope * h
+    s_middle, s_after = s + 0.25 * h * (speed + middle), s + 0.5 * h * (speed + after)
+    forced += 0.5 * h * forced_slope
+    advance(state, 0.5 * h, k1, trial)
+    derivatives(w, known, middle, s_middle, trial, forced, k2)
+    advance(state, 0.5 * h, k2, trial)
+    derivatives(w, known, middle, s_middle, trial, forced, k3)
+    forced += 0.5 * h * forced_slope
+    advance(state, h, k3, trial)
+    derivatives(w, known, after, s_after, trial, forced, k4)
+    for k in range(STATES):
+        state[k] += h / 6.0 * (k1[k] + 2.0 * k2[k] + 2.0 * k3[k] + k4[k])
+
+
+@stepped
+def integrate(
+    w: WheelsetOnTrack,
+    speed: FloatArray,
+    distance: FloatArray,
+    path: FloatArray,
+    step: float,
+    parts: IntArray,
+    state: FloatArray,
+    out: FloatArray,
+) -> int:
+    """Integrate the equations of motion over a course; return how many samples left the contact table.
+
+    Args:
+        path: (k, 3) accelerations that the path forces.
+        parts: (k - 1,) sub-steps of each step.
+        state: At the first sample; changed to that at the last.
+        out: (17, k) written, in the order of ``OUTPUTS``.
+    """
+    known = Workspace(np.empty(LOOKED_UP + 1), np.empty(4))
+    stages, forced, outside = np.empty((5, STATES)), np.empty(FORCED), 0
+    for i in range(len(speed)):
+        if speed[i] < STANDSTILL:
+            state[1] = state[3] = 0.0
+        forced[:] = path[i]
+        if not derivatives(w, known, speed[i], distance[i], state, forced, stages[0]):
+            outside += 1
+        write_sample(state, stages[0], known, out, i)
+        if i == len(speed) - 1:
+            break
+        slope, h = (speed[i + 1] - speed[i]) / step, step / parts[i]
+        rise = (path[i + 1] - path[i]) / step
+        for part in range(parts[i]):
+            t = part * h
+            v, s = speed[i] + slope * t, distance[i] + (speed[i] + 0.5 * slope * t) * t
+            if part > 0:
+                derivatives(w, known, v, s, state, forced, stages[0])
+            runge_kutta(w, known, v, slope, s, h, state, forced, rise, stages)
+    return outside
+
+
+@stepped
+def write_sample(state: FloatArray, rates: FloatArray, known: Workspace, out: FloatArray, i: int) -> None:
+    """Write sample ``i`` of every output into ``out`` (17, n), in the order of ``OUTPUTS``."""
+    contact, track = known.contact, known.track
+    for k in range(STATES):
+        out[k, i] = state[k]
+    out[6, i], out[7, i], out[8, i] = rates[1], rates[3], rates[5]
+    out[9, i], out[10, i], out[11, i], out[12, i] = contact[4], contact[7], track[0], track[2]
+    for k in range(4):
+        out[13 + k, i] = contact[k]
+
+
+def sub_steps(speed: FloatArray, step: float, rate_at_1: float, limit: float) -> IntArray:
+    """Return into how many parts (n - 1,) each step is divided, so that (creep rate x sub-step) <= ``limit``.
+
+    ``rate_at_1`` is the creep rate at 1 m/s; it falls with speed.
+    """
+    slowest = np.maximum(np.minimum(speed[1:], speed[:-1]), STANDSTILL)
+    return np.maximum(1, np.ceil(rate_at_1 * step / (limit * slowest))).astype(np.int64)
+
+
+def time_derivative(values: FloatArray, step: float) -> FloatArray:
+    """Return d/dt of ``values`` (n,) sampled every ``step`` s: central, 4th order; lower at the ends."""
+    slope = np.gradient(values, step)
+    slope[2:-2] = (8.0 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / (12.0 * step)
+    return np.asarray(slope)
+
+
+def uniform_spacing(nodes: Sequence[float] | FloatArray) -> float | None:
+    """Return the spacing of increasing, uniform ``nodes``, None where they are not; 1 for a single node."""
+    steps = np.diff(np.asarray(nodes, dtype=np.float64))
+    if len(steps) == 0:
+        return 1.0
+    if not (steps[0] > 0.0 and np.allclose(steps, steps[0], rtol=1e-6, atol=0.0)):
+        return None
+    return float(np.mean(steps))

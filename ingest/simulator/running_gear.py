@@ -13,19 +13,20 @@ from estimation.values.arrays import FloatArray, frozen_array
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters, creep_rate
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
 from ingest.simulator.creep_laws import Creep, CreepLaw
-from ingest.simulator.curves import Curves
 from ingest.simulator.gear_rates import (
     AXLE_PATH,
     AXLE_STATES,
     BODY,
     FRAME,
     FRAME_PATH,
+    GEAR_OUTPUTS,
     GEAR_STATES,
     PATH,
     GearConstants,
+    GearOnTrack,
     Wheels,
+    integrate_gear,
 )
-from ingest.simulator.gear_stepping import GEAR_OUTPUTS, integrate_gear
 from ingest.simulator.motion import (
     RATE_LIMIT,
     STEP,
@@ -35,9 +36,8 @@ from ingest.simulator.motion import (
     constants,
     course,
 )
-from ingest.simulator.rates import STANDSTILL, Grid
-from ingest.simulator.stepping import OUTPUTS, sub_steps, time_derivative
-from ingest.simulator.track import TrackTruth
+from ingest.simulator.rates import OUTPUTS, STANDSTILL, sub_steps, time_derivative
+from ingest.simulator.track import Curves, TrackTruth
 
 
 def gear_path(
@@ -58,8 +58,6 @@ def gear_path(
         curves: Curvature (m,), 1/m, and cant (m,), m, on the grid ``s``.
         s: (m,) m along the section.
         distance: (n,) m of the frame's middle at each sample.
-        speed: (n,) m/s.
-        step: Interval of the samples, s.
         places: (a,) m by which each axle is ahead of the frame's middle.
     """
     curvature = CubicSpline(s, curves.curvature)
@@ -191,33 +189,28 @@ def simulate_gear(
     axle: y_f + x_i psi_f.
 
     Args:
-        speed: (n,) m/s every ``STEP`` s.
-        start: Distance of the first axle at the first sample, m.
         initial: (16,) states at the first sample in the order of ``gear_rates``; None to start at rest relative to the
             track.
-
-    Raises:
-        ParameterError: Speed that is negative or not finite, or an axle leaves the track; another number of tables than
-            of axles.
     """
     if len(tables) != gear.axles:
         raise ParameterError(f"{len(tables)} for {gear.axles} wheelsets", field="tables")
     speed = frozen_array(speed, (None,), name="speed")  # read-only from every caller: it is compiled once
     prepared = [table if isinstance(table, PreparedTable) else PreparedTable.of(table) for table in tables]
     courses = [course(track, speed, start - gear.places[0] + x) for x in gear.places]
-    coefficients = track.spline_coefficients()
     path, sensed = np.zeros((1, PATH)), None
     if track.curves is not None:
         middle = courses[0] - gear.places[0]
         path, sensed = gear_path(gear.parameters, track.curves, track.s, middle, speed, STEP, gear.places)
     out, outside = np.empty((AXLES_OF_A_BOGIE, len(GEAR_OUTPUTS), len(speed))), np.zeros(AXLES_OF_A_BOGIE, np.int64)
     integrate_gear(
-        gear.constants(),
-        gear.creep.constants()._replace(free_rolling=gear.free_rolling),
-        _wheels(gear),
-        (prepared[0].nodes, prepared[-1].nodes),
-        (_grid(prepared[0], track), _grid(prepared[-1], track)),
-        coefficients,
+        GearOnTrack(
+            gear.constants(),
+            gear.creep.constants()._replace(free_rolling=gear.free_rolling),
+            _wheels(gear),
+            (prepared[0].nodes, prepared[-1].nodes),
+            (prepared[0].grid(track), prepared[-1].grid(track)),
+            track.spline_coefficients(),
+        ),
         speed,
         courses[0],
         path,
@@ -250,10 +243,6 @@ def _motion(out: FloatArray, speed: FloatArray, distance: FloatArray) -> Wheelse
         outside=0,
         **named,
     )
-
-
-def _grid(table: PreparedTable, track: TrackTruth) -> Grid:
-    return Grid(table.x0, 1 / table.x_step, table.e0, 1 / table.e_step, float(track.s[0]), track.interval)
 
 
 def _parts(gear: RunningGear, speed: FloatArray) -> np.ndarray:

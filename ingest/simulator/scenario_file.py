@@ -17,7 +17,7 @@ from typing import Annotated, Self
 from estimation.contact.profiles import Profile
 from estimation.contact.wear import DEEPEST_BAND
 from estimation.errors import ProfileError, ScenarioError
-from estimation.values.file_units import MM
+from estimation.values.fields import MM
 from ingest.file_value import As, FileBeside, between, read_value, taken
 from ingest.input_file import Location, Text, field_error, read_toml
 from ingest.simulator.campaign import MARGIN
@@ -25,7 +25,6 @@ from ingest.simulator.creep_laws import Creep
 from ingest.simulator.drawn_fleet import drawn_serial, with_seed
 from ingest.simulator.drawn_plan import DrawnFleet
 from ingest.simulator.listed_fleet import DynamicsTable, VehicleTable, impossible_bogies
-from ingest.simulator.profile_files import DAYS_PER_YEAR, rail_in, wheel_in
 from ingest.simulator.running import CreepTable, RunningPlan, TractionTable, WheelsTable
 from ingest.simulator.scenario import (
     BusPlan,
@@ -38,6 +37,7 @@ from ingest.simulator.scenario import (
 )
 from ingest.simulator.section import RailFiles, SectionTable
 from ingest.simulator.sensors import SensorNode, SensorsTable
+from ingest.simulator.wear import DAYS_PER_YEAR, rail_in, wheel_in
 from ingest.vehicle_class_file import read_vehicle_class, shipped_classes, shipped_path
 
 
@@ -58,11 +58,7 @@ class ClassOnFileTable:
         return self
 
     def plan(self) -> ClassOnFile:
-        """Return what is on file.
-
-        Raises:
-            ScenarioError: The file is no class file.
-        """
+        """Return what is on file."""
         path = shipped_path(self.shipped) if self.file is None and self.shipped is not None else self.file
         assert path is not None
         return ClassOnFile(path, read_vehicle_class(path, ScenarioError), self.nominal_radius)
@@ -261,9 +257,6 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
     Args:
         name_or_path: The name of a built-in scenario, or else a file.
-
-    Raises:
-        ScenarioError: No such scenario or file, no TOML, or an entry that is missing, unknown or impossible.
     """
     if str(name_or_path) in builtin_scenarios():
         with as_file(files("ingest.simulator") / "scenarios" / f"{name_or_path}.toml") as path:
@@ -277,11 +270,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def read_scenario(path: Path) -> Scenario:
-    """Read a scenario file.
-
-    Raises:
-        ScenarioError: As ``load_scenario``.
-    """
+    """Read a scenario file."""
     file = read_toml(path, ScenarioError)
     table = read_value(file, ScenarioTable)
     for location, read in (*_rail_reads(table), *_wheel_reads(table)):

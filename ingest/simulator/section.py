@@ -13,12 +13,11 @@ from pydantic import AfterValidator
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.wear import DEEPEST_BAND, RailWear
 from estimation.errors import ProfileError
-from estimation.values.file_units import DEG, MM, FileUnit, Key, M
+from estimation.values.fields import DEG, MM, FileUnit, Key, M
 from ingest.file_value import As, FileBeside, Inline, between, keys_of, taken
 from ingest.input_file import NotNegative, Positive, Text, field_error
-from ingest.simulator.blows import TrackBlows
-from ingest.simulator.irregularity import CrossLevel, LoadVariation, Waves
-from ingest.simulator.isolated import FEWEST_INTERVALS, IsolatedKind
+from ingest.simulator.irregularity import FEWEST_INTERVALS, CrossLevel, IsolatedKind, LoadVariation, Waves
+from ingest.simulator.running import TrackBlows
 from ingest.simulator.track import TrackRecipe
 
 MGT_OF_GROWTH = 100.0  # million gross tonnes, by which growth of rail wear is given

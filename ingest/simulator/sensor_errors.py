@@ -7,12 +7,13 @@ Each is turned against the axes of the vehicle by three angles. What is drawn pe
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import scipy.signal
 
 from estimation.errors import ParameterError
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.vehicle.equations_of_motion import GRAVITY
 
 AXES = 3  # x forward, y left, z up; rotations about them: roll, pitch, yaw
@@ -55,21 +56,16 @@ class SensorErrors:
 
 
 @dataclass(frozen=True, slots=True)
-class NodeErrors:
+class NodeErrors(FrozenArrays):
     """What one node has, in one campaign."""
 
-    scale: FloatArray  # (4,) factors
-    axle_box: FloatArray  # (3,) rad, of its transducer about x, y, z
-    mass: FloatArray  # (3,) rad, of that on the suspended mass
+    scale: Annotated[FloatArray, CHANNELS]  # (4,) factors
+    axle_box: Annotated[FloatArray, AXES]  # (3,) rad, of its transducer about x, y, z
+    mass: Annotated[FloatArray, AXES]  # (3,) rad, of that on the suspended mass
     skew: float  # s
-    offset_slope: FloatArray  # (4,) u per s
-    scale_drift: FloatArray  # (4,) relative, from begin to end
+    offset_slope: Annotated[FloatArray, CHANNELS]  # (4,) u per s
+    scale_drift: Annotated[FloatArray, CHANNELS]  # (4,) relative, from begin to end
     vibration: Vibration | None
-
-    def __post_init__(self) -> None:
-        for name, size in (("scale", CHANNELS), ("axle_box", AXES), ("mass", AXES), ("offset_slope", CHANNELS)):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (size,), name=name))
-        object.__setattr__(self, "scale_drift", frozen_array(self.scale_drift, (CHANNELS,), name="scale_drift"))
 
 
 def draw_node_errors(plan: SensorErrors, node: np.random.Generator, campaign: np.random.Generator) -> NodeErrors:
@@ -132,23 +128,14 @@ def sampled_late(signals: FloatArray, skew: float, step: float) -> FloatArray:
     """Return signals (m, n) as a node sees them that samples ``skew`` s late; linear between samples, ends held.
 
     Args:
-        signals: (m, n) every ``step`` s.
         skew: s; negative for a node that samples early.
-        step: s.
     """
     at = np.arange(signals.shape[1], dtype=np.float64)
     return np.stack([np.interp(at + skew / step, at, signal) for signal in signals])
 
 
 def vibration_of(vibration: Vibration, count: int, step: float, rng: np.random.Generator) -> FloatArray:
-    """Return the vibration (4, count) of the channels: normal, band-limited, each for itself.
-
-    Args:
-        step: Their interval, s.
-
-    Raises:
-        ParameterError: The band is not below half of the sampling rate.
-    """
+    """Return the vibration (4, count) of the channels: normal, band-limited, each for itself."""
     rate = 1.0 / step
     if not 0.0 < vibration.lowest_hz < vibration.highest_hz < 0.5 * rate:
         raise ParameterError(

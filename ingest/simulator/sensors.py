@@ -19,13 +19,14 @@ import scipy.signal
 from pydantic import AfterValidator
 
 from estimation.errors import ParameterError
-from estimation.values.arrays import BoolArray, FloatArray, frozen_array
-from estimation.values.file_units import MS, PERCENT, FileUnit, Key
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
+from estimation.values.fields import MS, PERCENT, FileUnit, Key
 from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.equations_of_motion import GRAVITY
 from ingest.file_value import between
 from ingest.input_file import NotNegative, Positive, Text, field_error
 from ingest.simulator.motion import STEP, WheelsetMotion
+from ingest.simulator.rates import time_derivative
 from ingest.simulator.sensor_errors import (
     NodeErrors,
     SensorErrors,
@@ -34,7 +35,6 @@ from ingest.simulator.sensor_errors import (
     sampled_late,
     vibration_of,
 )
-from ingest.simulator.stepping import time_derivative
 
 FULL_RATE_HZ = round(1.0 / STEP)
 VELOCITIES = ("lateral_velocity", "yaw_rate", "roll_rate", "mass_lateral_velocity")  # as in ACCELERATIONS
@@ -97,18 +97,12 @@ def ideal_node(rate_hz: int = FULL_RATE_HZ) -> SensorNode:
 
 
 @dataclass(frozen=True, slots=True)
-class SensorRecord:
+class SensorRecord(FrozenArrays):
     """What a node measured: every ``1 / rate_hz`` s from the start of the motion."""
 
-    t: FloatArray  # (n,) s from the start of the motion
-    values: FloatArray  # (n, 4) in the order of ACCELERATIONS
-    clipped: BoolArray  # (n, 4) the transducer was at its limit since the sample before
-
-    def __post_init__(self) -> None:
-        n = len(self.t)
-        object.__setattr__(self, "t", frozen_array(self.t, (n,), name="t"))
-        object.__setattr__(self, "values", frozen_array(self.values, (n, 4), name="values"))
-        object.__setattr__(self, "clipped", frozen_array(self.clipped, (n, 4), np.bool_, name="clipped"))
+    t: Annotated[FloatArray, "n"]  # s from the start of the motion
+    values: Annotated[FloatArray, "n", 4]  # in the order of ACCELERATIONS
+    clipped: Annotated[BoolArray, "n", 4]  # the transducer was at its limit since the sample before
 
 
 def measure(
@@ -123,7 +117,6 @@ def measure(
     """Return the record of a sensor node: noise, offset, drift, limits and the filter before decimation applied.
 
     Args:
-        motion: True motion of n samples every ``STEP`` s.
         offsets: (4,) constant offsets of this sensor, m/s^2 and rad/s^2 (of a gyroscope rad/s), in the order of
             ``ACCELERATIONS``.
         errors: How this node differs from its data sheet; None: not at all.

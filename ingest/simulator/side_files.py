@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from estimation.values.arrays import FloatArray
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from ingest.simulator.campaign import failed
 from ingest.simulator.scenario import ClassOnFile, Scenario, VehiclePlan, WheelsetPlan
 from ingest.simulator.section import SectionPlan
@@ -123,11 +123,7 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
 
 
 def write_truth(folder: Path, scenario: Scenario, truths: Sequence[WheelsetTruth]) -> Path:
-    """Write what is true of every wheelset and campaign into ``folder``; return the file's path.
-
-    Args:
-        truths: Of all wheelsets and campaigns, in any order.
-    """
+    """Write what is true of every wheelset and campaign into ``folder``; return the file's path."""
     wheelsets: list[JsonValue] = []
     for vehicle in scenario.vehicles:
         for axle, plan in enumerate(vehicle.wheelsets, start=1):
@@ -185,7 +181,6 @@ def _on_section(track: TrackTruth, length: float) -> TrackTruth:
 
 
 def _measured_profiles(folder: Path, scenario: Scenario, count: int) -> list[JsonValue]:
-    """Write the profiles that have been measured, as two columns of text, and return their entries."""
     wheelsets = sorted((item for plan in scenario.vehicles for item in plan.wheelsets), key=lambda item: item.serial)
     entries: list[JsonValue] = []
     for plan in wheelsets[:count]:
@@ -204,7 +199,6 @@ def _measured_profiles(folder: Path, scenario: Scenario, count: int) -> list[Jso
 
 
 def _class_file(folder: Path, on_file: ClassOnFile) -> JsonValue:
-    """Write the class file beside the registry, and return its entry."""
     shutil.copyfile(on_file.path, folder / on_file.path.name)
     return {"file": on_file.path.name}
 
@@ -290,18 +284,11 @@ def _millimetres(values: FloatArray) -> list[JsonValue]:
 
 
 def _numbers(values: FloatArray, decimals: int) -> list[JsonValue]:
-    """Return plain numbers, None where not finite."""
     return [round(float(value), decimals) if np.isfinite(value) else None for value in values]
 
 
 def wheelset_truth(
     plan: VehiclePlan, axle: int, campaign: int, odometer: float, geometry: GeometryTruth
 ) -> WheelsetTruth:
-    """Return the truth of one wheelset in one campaign.
-
-    Args:
-        axle: Number of the axle, from 0.
-        campaign: Number of the campaign, from 0.
-        odometer: Of the vehicle, m.
-    """
+    """Return the truth of one wheelset in one campaign."""
     return WheelsetTruth(plan.code, axle + 1, campaign + 1, wear_at(plan.wheelsets[axle], odometer), geometry)

@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
+from pydantic import AfterValidator
 from scipy.interpolate import CubicSpline
 
 from estimation.errors import InputError, ParameterError, ScenarioError
-from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.file_units import MM, Key, M
+from estimation.values.arrays import FloatArray, FrozenArrays, freeze
+from estimation.values.fields import MM, Key, M
+from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from ingest.file_value import As, Inline, between
-from ingest.input_file import Positive
-from ingest.simulator.curves import Curve, Curves, laid_out
-from ingest.simulator.irregularity import GAUSSIAN, HIGHEST, Band, Irregularity, LongWaves, Waves, superpose
-from ingest.simulator.isolated import Isolated, IsolatedTables, isolated
+from ingest.input_file import NotNegative, Positive, field_error
+from ingest.simulator.irregularity import (
+    GAUSSIAN,
+    HIGHEST,
+    Band,
+    Irregularity,
+    Isolated,
+    IsolatedTables,
+    LongWaves,
+    Waves,
+    isolated,
+    superpose,
+)
 from ingest.track_file import (
     COLUMNS,
     FEWEST_POINTS,
@@ -28,6 +39,94 @@ from ingest.track_file import (
     read_track_columns,
 )
 
+ROUNDING = 6.0  # m over which the ends of transitions are rounded: no track has a kink in its cant
+
+
+MIN_CURVE_RADIUS = 150.0  # m
+
+
+def _curve_radius(radius: float) -> float:
+    if abs(radius) < MIN_CURVE_RADIUS:
+        raise field_error(f"{radius:g} m is no radius; at least {MIN_CURVE_RADIUS:g} m, negative to the right")
+    return radius
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One curve between two equal transitions, m; ``radius`` and ``cant`` positive to the left."""
+
+    start: Annotated[NotNegative, M]
+    length: Annotated[Positive, M]  # with both transitions
+    radius: Annotated[float, between(-1e6, 1e6), AfterValidator(_curve_radius), M]
+    cant: Annotated[float, between(-200.0, 200.0), MM] = 0.0
+    transition: Annotated[Positive, M] = 80.0
+
+    def of_file(self, _given: Collection[str]) -> Self:
+        """Refuse a curve that is all transition."""
+        if self.length <= 2.0 * self.transition:
+            raise field_error(f"{self.length:g} m is no longer than both transitions", "length_m")
+        return self
+
+    def __post_init__(self) -> None:
+        if not (self.radius and self.transition > 0 and self.length > 2 * self.transition):
+            raise ParameterError("a curve needs a radius and more length than its two transitions", field="curves")
+
+
+@dataclass(frozen=True, slots=True)
+class Curves(FrozenArrays):
+    """Curvature and cant on the grid of a track."""
+
+    curvature: Annotated[FloatArray, "n"]  # 1/m, positive to the left
+    cant: Annotated[FloatArray, "n"]  # m, right rail above the left one
+
+
+@dataclass(frozen=True, slots=True)
+class PathMotion:
+    """What the path does to a wheelset that follows it."""
+
+    forced: FloatArray  # (n, 3) added to y'', psi'', ym''
+    accelerations: FloatArray  # (4, n) what sensors measure beside the motion, in the order of ACCELERATIONS
+
+
+def laid_out(curves: Sequence[Curve], s: FloatArray) -> Curves:
+    """Return the curves on the grid ``s`` (n,), m; linear transitions with rounded ends."""
+    shape = np.zeros((2, len(s)))
+    for curve in curves:
+        corners = curve.start + np.array([0.0, curve.transition, curve.length - curve.transition, curve.length])
+        ramp = np.interp(s, corners, [0.0, 1.0, 1.0, 0.0])
+        shape += np.outer([1.0 / curve.radius, curve.cant], ramp)
+    window = np.hanning(2 * round(0.5 * ROUNDING / float(s[1] - s[0])) + 3)
+    padded = np.pad(shape, ((0, 0), (len(window) // 2,) * 2), mode="edge")
+    rounded = [np.convolve(row, window / window.sum(), mode="valid") for row in padded]
+    return Curves(*rounded)
+
+
+def path_motion(
+    p: VehicleParameters, curves: Curves, s: FloatArray, distance: FloatArray, speed: FloatArray, step: float
+) -> PathMotion:
+    """Return the accelerations that curved track forces on a wheelset, and those that its sensors measure of the path.
+
+    Args:
+        curves: Curvature (m,), 1/m, and cant (m,), m, on the grid ``s``.
+        s: (m,) m along the section.
+        distance: (n,) m along the section at each sample.
+        speed: (n,) m/s.
+    """
+    curvature = np.interp(distance, s, curves.curvature)
+    tilt = np.interp(distance, s, curves.cant) / (2.0 * p.half_contact_distance)
+    tilt_rate = np.gradient(tilt, step)
+    uncompensated = speed**2 * curvature - GRAVITY * tilt
+    turning = np.gradient(speed * curvature, step)
+    spin = 2.0 * p.lateral_spin_creep_coefficient * curvature / p.wheelset_mass
+    creep = 2.0 * (p.half_contact_distance**2 * p.longitudinal_creep_coefficient + p.spin_creep_coefficient)
+    gyroscopic = p.pitch_inertia * speed / p.nominal_radius * tilt_rate
+    yaw = -turning - (creep * curvature - gyroscopic) / p.yaw_inertia  # the right rail above: it rolls by -tilt
+    return PathMotion(
+        forced=np.ascontiguousarray(np.column_stack([-uncompensated - spin, yaw, -uncompensated])),
+        accelerations=np.stack([uncompensated, turning, -np.gradient(tilt_rate, step), uncompensated]),
+    )
+
+
 LARGEST_GAP = 2.0  # m between two rows of a recorded track
 MOST_ALIGNMENT = 0.3  # m; recorded alignment may hold long waves
 MOST_GAUGE = 0.06  # m
@@ -35,37 +134,31 @@ LEAST_IN_MM = 0.05e-3  # m: nothing recorded stays below it
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class Surface(FrozenArrays):
     """What else of a track changes from place to place, on its grid."""
 
-    roll: FloatArray  # (n,) rad, cross level over the distance of the contact points, left rail up
-    friction: FloatArray  # (n,) coefficient of friction over its mean
-    load: FloatArray  # (n,) vertical load of a wheel over its mean
-
-    def __post_init__(self) -> None:
-        n = len(self.roll)
-        for name in ("roll", "friction", "load"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+    roll: Annotated[FloatArray, "n"]  # rad, cross level over the distance of the contact points, left rail up
+    friction: Annotated[FloatArray, "n"]  # coefficient of friction over its mean
+    load: Annotated[FloatArray, "n"]  # vertical load of a wheel over its mean
 
 
 @dataclass(frozen=True, slots=True)
-class TrackTruth:
+class TrackTruth(FrozenArrays):
     """Alignment and gauge deviation on a uniform grid of distance; between grid points a cubic spline."""
 
-    s: FloatArray  # (n,) m, uniform
-    alignment: FloatArray  # (n,) m, d, positive to the left
-    gauge_deviation: FloatArray  # (n,) m, actual minus nominal gauge
+    s: Annotated[FloatArray, "n"]  # m, uniform
+    alignment: Annotated[FloatArray, "n"]  # m, d, positive to the left
+    gauge_deviation: Annotated[FloatArray, "n"]  # m, actual minus nominal gauge
     curves: Curves | None = None  # on the same grid; None: straight
     surface: Surface | None = None  # on the same grid; None: level, and alike everywhere
 
     def __post_init__(self) -> None:
+        freeze(self)
         n = len(self.s)
         if self.curves is not None and len(self.curves.curvature) != n:
             raise ParameterError(f"{len(self.curves.curvature)} points, the grid has {n}", field="curves")
         if self.surface is not None and len(self.surface.roll) != n:
             raise ParameterError(f"{len(self.surface.roll)} points, the grid has {n}", field="surface")
-        for name in ("s", "alignment", "gauge_deviation"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
         if n < FEWEST_POINTS:
             raise ParameterError(f"{n} points are no track, at least {FEWEST_POINTS} are needed", field="s")
         steps = np.diff(self.s)
@@ -149,11 +242,7 @@ class TrackRecipe:
 
 
 def make_track(recipe: TrackRecipe, seed: np.random.SeedSequence) -> TrackTruth:
-    """Return a track after the B176 spectra; alignment, gauge and all else have random streams of their own.
-
-    Raises:
-        ParameterError: The recipe cannot be made; its field is that of a scenario's section.
-    """
+    """Return a track after the B176 spectra; alignment, gauge and all else have random streams of their own."""
     alignment_rng, gauge_rng, *others = (np.random.default_rng(child) for child in seed.spawn(4 + len(recipe.isolated)))
     alignment_parts = [Waves("alignment", recipe.alignment_std, recipe.wavelengths), recipe.long_alignment]
     gauge_parts = [Waves("gauge", recipe.gauge_std, recipe.wavelengths), recipe.long_gauge]

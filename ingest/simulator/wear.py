@@ -2,20 +2,88 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
 from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, refined_curve
 from estimation.contact.method import ContactMethod
-from estimation.contact.profiles import Profile
-from estimation.contact.wear import TreadWear, worn
-from estimation.values.arrays import FloatArray, frozen_array
-from ingest.simulator.profile_files import rails_of, wheels_of
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.wear import RailWear, TreadWear, worn, worn_rail
+from estimation.values.arrays import FloatArray, FrozenArrays
+from ingest.profiles.files import read_profile, read_wheel_profile
 from ingest.simulator.running import CONTACT_STEP
-from ingest.simulator.scenario import WheelsetPlan
-from ingest.simulator.section import SectionPlan
+from ingest.simulator.scenario import Scenario, WheelsetPlan
+from ingest.simulator.section import MGT_OF_GROWTH, SectionPlan
+
+DAYS_PER_YEAR = 365.25
+
+
+def depth_gained(section: SectionPlan, days: float) -> float:
+    """Return by how much the bands of both rails are deeper after some days of traffic, m."""
+    if section.tonnage is None:
+        return 0.0
+    return section.rail_growth * section.tonnage / MGT_OF_GROWTH * days / DAYS_PER_YEAR
+
+
+def section_at(scenario: Scenario, odometer: float) -> SectionPlan:
+    """Return the section as its rails are when the vehicles' odometer stands at ``odometer``, m."""
+    section, sessions = scenario.section, scenario.sessions
+    gained = depth_gained(section, (odometer - sessions.first_odometer) / sessions.distance_per_day)
+    if gained == 0.0:
+        return section
+    left, right = (_deeper(one, gained) for one in section.rail_wear)
+    return replace(section, rail_wear=(left, right))
+
+
+def _deeper(wear: RailWear | None, gained: float) -> RailWear | None:
+    return None if wear is None else replace(wear, depth=wear.depth + gained)
+
+
+@lru_cache(maxsize=256)
+def wheel_in(path: Path) -> Profile:
+    """Return the wheel profile in a file, read once in a process."""
+    return read_wheel_profile(path)
+
+
+@lru_cache(maxsize=16)
+def rail_in(path: Path, mirror: bool | None) -> Profile:  # noqa: FBT001 - a place beside the path, as the plans have it
+    """Return the rail profile in a file, read once in a process.
+
+    Args:
+        mirror: Whether its gauge side is at positive y of the file; None decides from the shape.
+    """
+    return read_profile(path, "rail", mirror=mirror)
+
+
+def wheels_of(plan: WheelsetPlan) -> tuple[Profile, Profile]:
+    """Return left and right wheel of a wheelset before the wear of the scenario."""
+    left, right = (wheel_profile(plan.wheel_profile) if path is None else wheel_in(path) for path in plan.wheel_files)
+    return left, right
+
+
+def rails_of(section: SectionPlan) -> tuple[Profile, Profile, float]:
+    """Return left and right rail of a section as worn, and the inclination (a tangent) that is to be given to them."""
+    left, right, inclination = _unworn_rails(section)
+    of_left, of_right = section.rail_wear
+    left = left if of_left is None else worn_rail(left, of_left)
+    return left, right if of_right is None else worn_rail(right, of_right), inclination
+
+
+def _unworn_rails(section: SectionPlan) -> tuple[Profile, Profile, float]:
+    if section.rail_files == (None, None):
+        rail = rail_profile(section.rail_profile)
+        return rail, rail, section.inclination
+    left, right = (
+        rail_profile(section.rail_profile) if path is None else rail_in(path, mirror)
+        for path, mirror in zip(section.rail_files, section.rail_mirrors, strict=True)
+    )
+    return left, right, section.file_inclination
+
 
 AMPLITUDES = tuple(float(a) for a in np.arange(2, 21) * 0.25e-3)  # m
 
@@ -62,9 +130,6 @@ def worn_contact(
         gauge_deviation: (g,) m, for which gauges.
         limit: m of lateral displacement to either side.
         step: m of lateral displacement between the points of the table.
-
-    Raises:
-        ContactError: The profiles never touch.
     """
     wheelset = _on_track(plan, wear, section)
     return WornContact(wheelset, contact_table(wheelset, _grid(limit, step), gauge_deviation, outside="hold"))
@@ -91,38 +156,22 @@ def _grid(limit: float, step: float) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class GeometryTruth:
+class GeometryTruth(FrozenArrays):
     """True contact geometry of a wheelset at nominal gauge as EN 15302 means it: rigid, without roll.
 
     The curves are those of such a contact table; conicity, nonlinearity and zero crossing have every contact jump where
     it is, and are NaN where they reach beyond the last displacement with contact.
     """
 
-    lateral_displacement: FloatArray  # (n,) m
-    rolling_radius_sum: FloatArray  # (n,) m
-    rolling_radius_difference: FloatArray  # (n,) m
-    contact_angle_sum: FloatArray  # (n,) rad
-    contact_angle_difference: FloatArray  # (n,) rad
-    amplitude: FloatArray  # (k,) m
-    equivalent_conicity: FloatArray  # (k,)
+    lateral_displacement: Annotated[FloatArray, "n"]  # m
+    rolling_radius_sum: Annotated[FloatArray, "n"]  # m
+    rolling_radius_difference: Annotated[FloatArray, "n"]  # m
+    contact_angle_sum: Annotated[FloatArray, "n"]  # rad
+    contact_angle_difference: Annotated[FloatArray, "n"]  # rad
+    amplitude: Annotated[FloatArray, "k"]  # (k,) m
+    equivalent_conicity: Annotated[FloatArray, "k"]  # (k,)
     nonlinearity: float  # 1/mm
     zero_crossing: float  # m
-
-    def __post_init__(self) -> None:
-        n, k = len(self.lateral_displacement), len(self.amplitude)
-        for name in _CURVES:
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        for name in ("amplitude", "equivalent_conicity"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
-
-
-_CURVES = (
-    "lateral_displacement",
-    "rolling_radius_sum",
-    "rolling_radius_difference",
-    "contact_angle_sum",
-    "contact_angle_difference",
-)
 
 
 def truth_of(contact: WornContact) -> GeometryTruth:
@@ -130,9 +179,6 @@ def truth_of(contact: WornContact) -> GeometryTruth:
 
     Args:
         contact: As :func:`worn_contact` returns it; contact is searched again, for the wheelset rolls in its table.
-
-    Raises:
-        ContactError: The profiles never touch.
     """
     grid = contact.table.lateral_displacement
     table = contact_table(contact.wheelset, grid, method=ContactMethod.EN15302, outside="hold")

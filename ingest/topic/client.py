@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 from typing import Any, TypeVar
 
 from estimation.errors import InputError, PassingFaultError
 from estimation.values.reasons import ReasonCode
-from ingest.bounded_file import SETTINGS_BYTES, read_text_within
+from ingest.input_file import SETTINGS_BYTES, read_text_within
 
 GROUP = "treadwatch"
 """The one group of all consumers of a deployment."""
@@ -66,11 +67,10 @@ class Topic:
     """A topic and how its brokers are reached.
 
     Attributes:
-        servers: Brokers, ``host:port`` with commas between them.
         properties: Of librdkafka beside ours, such as those of TLS and SASL. They may hold passwords.
     """
 
-    servers: str
+    servers: str  # brokers, ``host:port`` with commas between them
     name: str
     properties: Mapping[str, str] = field(default_factory=dict, repr=False)
 
@@ -109,14 +109,15 @@ def load_properties(path: Path) -> dict[str, str]:
 
 
 def require_client() -> None:
-    """Refuse to go on without the library.
-
-    Raises:
-        PassingFaultError: It is not installed.
-    """
+    """Refuse to go on without the library."""
     if importlib.util.find_spec("confluent_kafka") is None:
         missing = "the Kafka client is not installed: pip install 'treadwatch[kafka]'"
         raise PassingFaultError(missing, code=ReasonCode.WAITS_FOR_EXTRA)
+
+
+def kafka() -> ModuleType:
+    """Return the library, which is an extra and imported where it is used."""
+    return importlib.import_module("confluent_kafka")
 
 
 def connected(make: Callable[[], Client], topic: Topic) -> Client:
@@ -125,11 +126,9 @@ def connected(make: Callable[[], Client], topic: Topic) -> Client:
     Raises:
         InputError: A property cannot be used. Its value is not repeated: it may be a secret.
     """
-    from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
-
     try:
         return make()
-    except KafkaException as error:
+    except kafka().KafkaException as error:
         text = str(error)
         named = next((name for name in sorted(topic.properties, key=len, reverse=True) if name in text), None)
         which = "a property" if named is None else f"the property {named}"

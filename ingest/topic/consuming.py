@@ -12,16 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from estimation.errors import MigrationError, PassingFaultError, StoppedError, StorageError
-from estimation.failures import first_line
+from estimation.values.runs import first_line
 from fleet_db.storage import SqlStorage
-from ingest.intake.backlog import Behind, Limit
-from ingest.intake.decoding import decode_received
+from ingest.intake.backlog import Behind, Limit, decode_received
 from ingest.live.backoff import Backoff
 from ingest.receiver import Receiver
 from ingest.topic.reading import Received, TopicReader
-from ingest.topic.reference import Outcome, Reference, Refused, read_message
-from ingest.topic.status import ConsumerStatus
-from ingest.topic.taking import ReferenceTaking, Taken
+from ingest.topic.reference import ConsumerStatus, Outcome, Reference, Refused, read_message
+from ingest.topic.taking import ReferenceTaking
 
 POLL_S = 0.5
 LOOK_EVERY_S = 5.0
@@ -61,11 +59,7 @@ class Consuming:
         self._looked_s = float("-inf")
 
     def run(self) -> None:
-        """Consume; what has no committed offset at the end comes again.
-
-        Raises:
-            MigrationError: The database is at another migration.
-        """
+        """Consume; what has no committed offset at the end comes again."""
         while not self._stopped():
             message = self._reader.next(POLL_S)
             if message is not None:
@@ -76,7 +70,10 @@ class Consuming:
 
     def _work_off(self, message: Received) -> None:
         read = read_message(message.key, message.value)
-        outcome = self._refused(message, read) if isinstance(read, Refused) else self._taken_at_last(message, read)
+        if isinstance(read, Refused):
+            where = f"partition {message.partition}, offset {message.offset}"
+            _log.warning("nothing is taken of a message (%s, %s): it %s", where, read.outcome, read.text)
+        outcome = read.outcome if isinstance(read, Refused) else self._taken_at_last(message, read)
         if outcome is None:
             return
         self._status.outcomes[outcome] += 1
@@ -84,11 +81,6 @@ class Consuming:
         if isinstance(read, Reference):
             self._status.last_age_s = max(0.0, time.time() - read.received_ns * 1e-9)
         self._reader.done(message)
-
-    def _refused(self, message: Received, refused: Refused) -> Outcome:
-        where = f"partition {message.partition}, offset {message.offset}"
-        _log.warning("nothing is taken of a message (%s, %s): it %s", where, refused.outcome, refused.text)
-        return refused.outcome
 
     def _taken_at_last(self, message: Received, reference: Reference) -> Outcome | None:
         """Take a reference however long that waits; None where an end is requested, or another member has it."""
@@ -129,16 +121,12 @@ class Consuming:
         if isinstance(found, Behind):
             return found
         self._status.behind = None
-        self._report(reference, found)
+        if found.outcome not in {Outcome.STORED, Outcome.KNOWN}:
+            chunk = f"chunk {reference.digest[:12]} of vehicle {reference.vehicle}"
+            _log.warning("a reference to %s: %s", chunk, found.outcome)
         if found.waits:
             self._decode(reference.vehicle)
         return found.outcome
-
-    def _report(self, reference: Reference, taken: Taken) -> None:
-        if taken.outcome in {Outcome.STORED, Outcome.KNOWN}:
-            return
-        chunk = f"chunk {reference.digest[:12]} of vehicle {reference.vehicle}"
-        _log.warning("a reference to %s: %s", chunk, taken.outcome)
 
     def _caught_up(self, behind: Behind) -> bool:
         """Decode what keeps new receipts out; return whether any was."""
@@ -154,7 +142,6 @@ class Consuming:
             return False
 
     def _held(self, reference: Reference, error: Exception) -> bool:
-        """Keep a reference at which something fails; False where the database cannot take that either."""
         try:
             self._taking.held.hold(reference, error)
         except StorageError as fault:
@@ -163,8 +150,6 @@ class Consuming:
         return True
 
     def _decode(self, vehicle: str | None) -> int:
-        """Decode what waits, of a vehicle or of all; return of how many chunks that is done."""
-
         def checkpoint(done: int, total: int) -> None:
             if self._stopped():
                 raise StoppedError(done, total)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from estimation.errors import TreadwatchError
 from fleet_db.receipts import ChunkRecord, ChunkState
-from ingest.topic.client import Topic, connected, require_client
+from ingest.topic.client import Topic, connected, kafka, require_client
 from ingest.topic.reference import Reference, message_of, reference_of
 
 if TYPE_CHECKING:
@@ -52,10 +52,6 @@ class Publisher:
     Args:
         fleet_of: Returns the fleet of a vehicle; raises TreadwatchError where it is not known.
         most_waiting: References that may wait.
-
-    Raises:
-        PassingFaultError: The client is not installed.
-        InputError: Its configuration cannot be used.
     """
 
     def __init__(self, topic: Topic, fleet_of: Callable[[str], str], most_waiting: int = MOST_WAITING) -> None:
@@ -96,15 +92,13 @@ class Publisher:
 
     def close(self, timeout_s: float = CLOSE_S) -> None:
         """Publish what waits within a time, drop the rest, and log how many did not reach the topic."""
-        from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
-
         until = time.monotonic() + timeout_s
         with self._lock:
             self._closed, thread = True, self._thread
         if thread is not None:
             self._queue.put(None)
             thread.join(timeout_s)
-            with suppress(KafkaException, SystemError):  # refused for good
+            with suppress(kafka().KafkaException, SystemError):  # refused for good
                 self._producer.flush(max(0.0, until - time.monotonic()))
             self._producer.purge()
         with self._lock:
@@ -127,36 +121,29 @@ class Publisher:
             self._serve()
 
     def _produce(self, reference: Reference) -> None:
-        from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
-
         key, value = message_of(reference, self._fleet(reference.vehicle))
         delivered = partial(self._delivered, self._producer)
         try:
             self._producer.produce(self._topic.name, value, key, on_delivery=delivered)
-        except (KafkaException, BufferError) as error:
+        except (kafka().KafkaException, BufferError) as error:
             self._end(Sent.FAILED)
             self._failed(error)
         else:
             self._handed += 1
 
     def _serve(self) -> None:
-        """Take reports of deliveries and of faults."""
-        from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
-
         try:
             self._producer.poll(0)
-        except (KafkaException, SystemError) as error:  # raised where the brokers refuse for good
+        except (kafka().KafkaException, SystemError) as error:  # raised where the brokers refuse for good
             self._failed(error)
 
     def _failed(self, error: Exception) -> None:
         """Report an error; replace a producer that refuses everything from now on."""
-        from confluent_kafka import KafkaError, KafkaException  # noqa: PLC0415 - an extra
-
         for_good = isinstance(error, SystemError)  # of the client, in which an error of the other kind was raised
         fault = str(error)
-        if isinstance(error, KafkaException):
+        if isinstance(error, kafka().KafkaException):
             fault = error.args[0].str()
-            for_good = error.args[0].fatal() or error.args[0].code() == KafkaError._FATAL  # noqa: SLF001 - is public
+            for_good = error.args[0].fatal() or error.args[0].code() == kafka().KafkaError._FATAL  # noqa: SLF001 - is public
         self._report(fault)
         if for_good and time.monotonic() - self._began_s >= BEGIN_AGAIN_EVERY_S:
             self._began_s = time.monotonic()
@@ -204,12 +191,11 @@ class Publisher:
         self._fault = fault
 
     def _made(self) -> Producer:
-        from confluent_kafka import Producer  # noqa: PLC0415 - an extra, imported where it is used
-
         config = {
             "queue.buffering.max.messages": self._most_waiting,
             **self._topic.producer(),
             "error_cb": lambda error: self._report(error.str()),
             "logger": _log,
         }
-        return connected(lambda: Producer(config), self._topic)
+        producer: Producer = connected(lambda: kafka().Producer(config), self._topic)
+        return producer

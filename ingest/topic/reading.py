@@ -10,11 +10,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ingest.topic.client import Topic, connected, require_client
-from ingest.topic.status import ConsumerStatus
+from ingest.topic.client import Topic, connected, kafka, require_client
+from ingest.topic.reference import ConsumerStatus
 
 if TYPE_CHECKING:
-    from confluent_kafka import Consumer, KafkaError, Message, TopicPartition
+    from confluent_kafka import Consumer, KafkaError, TopicPartition
 
 STAY_EVERY_S = 10.0
 """A member that works for so long at one message takes part in its group in between."""
@@ -36,17 +36,10 @@ class Received:
 
 
 class TopicReader:
-    """Joins the group; used by one thread.
-
-    Raises:
-        PassingFaultError: The client is not installed.
-        InputError: Its configuration cannot be used.
-    """
+    """Joins the group; used by one thread."""
 
     def __init__(self, topic: Topic, status: ConsumerStatus) -> None:
         require_client()
-        from confluent_kafka import Consumer  # noqa: PLC0415 - an extra, imported where it is used
-
         self._topic = topic
         self._status = status
         self._assignments: dict[int, int] = {}
@@ -55,7 +48,7 @@ class TopicReader:
         self._early: deque[Received] = deque()
         self._polled_s = time.monotonic()
         config = {**topic.consumer(), "error_cb": self._on_error, "logger": _log}
-        self._consumer: Consumer = connected(lambda: Consumer(config), topic)
+        self._consumer: Consumer = connected(lambda: kafka().Consumer(config), topic)
         self._consumer.subscribe([topic.name], on_assign=self._on_assign, on_revoke=self._on_revoke)
 
     def next(self, timeout_s: float) -> Received | None:
@@ -64,15 +57,12 @@ class TopicReader:
 
     def done(self, message: Received) -> None:
         """Let the offset behind a message be committed, unless its partition is another member's by now."""
-        from confluent_kafka import KafkaException, TopicPartition  # noqa: PLC0415 - an extra
-
         if not self.holds(message):
             return
+        behind = kafka().TopicPartition(self._topic.name, message.partition, message.offset + 1)
         try:
-            self._consumer.store_offsets(
-                offsets=[TopicPartition(self._topic.name, message.partition, message.offset + 1)]
-            )
-        except KafkaException as error:  # given up a moment ago: the next member gets the message again
+            self._consumer.store_offsets(offsets=[behind])
+        except kafka().KafkaException as error:  # given up a moment ago: the next member gets the message again
             _log.info("offset %d of partition %d is not stored: %s", message.offset, message.partition, error)
 
     def holds(self, message: Received) -> bool:
@@ -108,11 +98,9 @@ class TopicReader:
 
     def ask(self) -> None:
         """Ask a broker about the topic, and say in the status how it stands."""
-        from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
-
         try:
             found = self._consumer.list_topics(self._topic.name, timeout=ASK_S).topics[self._topic.name]
-        except KafkaException as error:
+        except kafka().KafkaException as error:
             self._fault(error.args[0].str())
             return
         if found.error is not None:
@@ -131,8 +119,6 @@ class TopicReader:
             self._early.append(message)
 
     def _polled(self, timeout_s: float) -> Received | None:
-        from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
-
         message = self._consumer.poll(timeout_s)
         self._polled_s = time.monotonic()
         if message is None:
@@ -141,12 +127,9 @@ class TopicReader:
         if error is not None:
             self._on_error(error)
             if error.fatal():
-                raise KafkaException(error)
+                raise kafka().KafkaException(error)
             return None
         self._well()
-        return self._received(message)
-
-    def _received(self, message: Message) -> Received:
         partition, offset = message.partition(), message.offset()
         assert partition is not None
         assert offset is not None
@@ -172,7 +155,6 @@ class TopicReader:
         _log.info("%d partitions of the topic %s are this consumer's", len(self._assignments), self._topic.name)
 
     def _behind_by(self, partition: TopicPartition) -> int:
-        """Return how many messages of a partition are not taken, as far as they are known."""
         marks = self._consumer.get_watermark_offsets(partition, cached=True)
         (position,) = self._consumer.position([partition])
         if not marks or marks[1] < 0:

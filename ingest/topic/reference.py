@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import threading
+from collections import Counter
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from typing import Annotated
@@ -50,21 +52,14 @@ _PRINTABLE = r"^[^\x00-\x1f\x7f]+$"
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What a message says of a chunk.
-
-    Attributes:
-        digest: sha256 of its bytes, in hexadecimal.
-        suffix: Of its format, such as ``.blf``.
-        size_bytes: Of the chunk.
-        received_ns: When it was received, ns UTC of the clock of whoever published the reference.
-    """
+    """What a message says of a chunk."""
 
     digest: str
     suffix: str
     vehicle: str
     size_bytes: int
     file_name: str
-    received_ns: int
+    received_ns: int  # when it was received, ns UTC of the clock of whoever published the reference
 
 
 class _Body(BaseModel):
@@ -150,3 +145,32 @@ def _of_its_key(key: bytes | None, body: _Body) -> Reference | Refused:
         return Refused(Outcome.MALFORMED, f"has the format {body.format!r}, none of {', '.join(SUFFIXES)}")
     received_ns = (body.received_at - _EPOCH) // timedelta(microseconds=1) * 1000
     return Reference(body.sha256, suffix, body.vehicle, body.size_bytes, body.file_name, received_ns)
+
+
+@dataclass(slots=True)
+class ConsumerStatus:
+    """What a consumer knows; written by its thread, and read by any. Counts are since the start; no fault is None."""
+
+    broker_fault: str | None = "not asked yet"
+    raw_fault: str | None = None
+    database_fault: str | None = "not asked yet"
+    behind: str | None = None  # which limit keeps new receipts out
+    outcomes: Counter[Outcome] = field(default_factory=Counter)  # of messages
+    decoded: int = 0  # chunks
+    not_decoded: int = 0  # chunks that could not be
+    partitions: int = 0  # this consumer's
+    behind_by: int = 0  # messages of these that are not taken yet, as far as the brokers have said
+    last_message_s: float | None = None  # seconds since the Unix epoch; None before the first
+    last_age_s: float = 0.0  # of the reference of the last message, when it was taken
+    thread: threading.Thread | None = None
+
+    @property
+    def alive(self) -> bool:
+        """Whether its thread runs."""
+        return self.thread is not None and self.thread.is_alive()
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """What keeps references from their receipts, by where it is."""
+        found = {"broker": self.broker_fault, "raw": self.raw_fault, "database": self.database_fault}
+        return {where: fault for where, fault in found.items() if fault is not None}

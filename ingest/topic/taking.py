@@ -11,15 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from estimation.errors import ConflictError, PassingFaultError
-from estimation.failures import after_failure
 from estimation.storage import Clock
 from estimation.values.reasons import ReasonCode, code_of
-from estimation.values.runs import Quarantined, SubjectKind
+from estimation.values.runs import Quarantined, SubjectKind, after_failure
 from fleet_db.raw import LostRecordingError, RawStore
 from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.held import release_recording
+from ingest.held import release
 from ingest.intake.backlog import BacklogWatch, Behind
 from ingest.receipts import Chunk, DeletedRecordings, enter_receipt
 from ingest.topic.reference import Outcome, Reference, as_text, from_text
@@ -40,11 +39,7 @@ class HeldReferences:
     clock: Clock
 
     def hold(self, reference: Reference, error: Exception) -> None:
-        """Keep a reference with what stood against it.
-
-        Args:
-            reference: To a chunk without a receipt.
-        """
+        """Keep a reference with what stood against it."""
         subject, text = (SubjectKind.RECORDING, reference.digest, STAGE), as_text(reference)
         with self.storage.write() as unit:
             if unit.chunks.get(reference.digest) is not None:
@@ -56,7 +51,7 @@ class HeldReferences:
 
     def release(self, digest: str) -> None:
         """End the quarantine of a reference, if it was in one."""
-        release_recording(self.storage, digest, STAGE)
+        release(self.storage, (SubjectKind.RECORDING, digest, STAGE))
 
     def due(self) -> Sequence[Reference]:
         """Return references for which another attempt is due, at most :data:`AT_ONCE`."""
@@ -112,13 +107,12 @@ class ReferenceTaking:
         return taken
 
     def _new(self, reference: Reference) -> Taken:
-        """Commit the receipt of a chunk whose bytes are in the raw store; keep the reference where they are not."""
         check_raw_store(self.storage, self.raw, self.clock.now_ns())
-        found = self._fault(reference)
-        if found is not None:
-            outcome, fault = found
+        fault = self.raw.fault(reference.digest, reference.suffix, reference.size_bytes)
+        if fault is not None:
+            there = self.raw.holds(reference.digest, reference.suffix)
             self.held.hold(reference, missing(reference, fault))
-            return Taken(outcome)
+            return Taken(Outcome.DAMAGED if there else Outcome.MISSING)
         chunk = Chunk(reference.vehicle, reference.suffix, reference.file_name, self.sender)
         record = chunk.receipt(reference.digest, reference.size_bytes, self.clock.now_ns())
         try:
@@ -128,14 +122,6 @@ class ReferenceTaking:
             return Taken(Outcome.DELETED)
         self.held.release(reference.digest)
         return _taken(stored, reference, Outcome.KNOWN if known else Outcome.STORED)
-
-    def _fault(self, reference: Reference) -> tuple[Outcome, LostRecordingError] | None:
-        """Return what is wrong with the bytes of a chunk; None where they are whole."""
-        fault = self.raw.fault(reference.digest, reference.suffix, reference.size_bytes)
-        if fault is None:
-            return None
-        there = self.raw.holds(reference.digest, reference.suffix)
-        return (Outcome.DAMAGED if there else Outcome.MISSING), fault
 
 
 def _taken(found: ChunkRecord, reference: Reference, outcome: Outcome) -> Taken:

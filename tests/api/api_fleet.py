@@ -9,8 +9,8 @@ import numpy as np
 from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
-from estimation.values.dampers import GEAR_DAMPERS, GearDamper, part_of_gear
 from estimation.values.geometry import BinStatus, BinValues, Centre, CentreOrigin, GeometryRecord, WheelsetGeometry
+from estimation.values.opinions import GEAR_DAMPERS, GearDamper, part_of_gear
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.rails import (
     SECTION_RAILS,

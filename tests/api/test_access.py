@@ -12,10 +12,10 @@ import pytest
 from guarded_service import Guarded, guarded_service, settings_in
 
 from api.access import key_ring
-from api.access.plan import plan_of
+from api.access.guard import plan_of
 from api.feed import streams
 from estimation.errors import ParameterError
-from fleet_db.stores.api_keys import ApiKeyStore
+from fleet_db.stores.access import ApiKeyStore
 
 JSON = {"Content-Type": "application/json"}
 

@@ -24,7 +24,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from guarded_service import Guarded, guarded_service, settings_in
 
 from api.access import oidc
-from api.access.plan import plan_of
+from api.access.guard import plan_of
 from estimation.errors import ParameterError
 
 AUDIENCE = "treadwatch"

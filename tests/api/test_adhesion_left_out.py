@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from api.schemas.adhesion import section_adhesion
-from estimation.values.adhesion import LeftOut, SectionAdhesion
+from api.routes.opinions import section_adhesion
+from estimation.values.opinions import LeftOut, SectionAdhesion
 from estimation.values.reasons import Reason, ReasonCode
-from fleet_db.packed_adhesion import pack_section_adhesion, unpack_section_adhesion
+from fleet_db.packed_values import pack_section_adhesion, unpack_section_adhesion
 
 WHY = Reason(ReasonCode.FRICTION_DIFFERS, "vehicle V shows 2.00 times the 1/friction of the other vehicles")
 

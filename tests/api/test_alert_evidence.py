@@ -13,33 +13,44 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from running_service import Service
+from windows_finding import silence_finding, windows_finding
 
 from api.schemas.evidence import evidence_of
 from api.times import to_rfc3339
 from estimation.alerts.identity import IdentityEvent, Mistake
 from estimation.alerts.life_cycle import transition
 from estimation.alerts.rules.book import ALERT_RULES
-from estimation.alerts.rules.conicity_limit import ConicityLimitRule, conicity_limit_finding
-from estimation.alerts.rules.data_quality import DataQualityRule, data_quality_finding
-from estimation.alerts.rules.hunting import HuntingRule, hunting_finding
-from estimation.alerts.rules.identity import identity_finding
-from estimation.alerts.rules.limit_forecast import LimitForecastRule, limit_forecast_finding
-from estimation.alerts.rules.limit_state import LimitState
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule, LimitState, conicity_limit_finding
+from estimation.alerts.rules.contradicted_registry import (
+    UnregisteredChangeRule,
+    identity_finding,
+    unregistered_change_finding,
+)
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
-from estimation.alerts.rules.measure import MeasureRule, measure_finding
-from estimation.alerts.rules.no_data import NoDataRule, no_data_finding
-from estimation.alerts.rules.sensor_fault import SensorFaultRule, sensor_fault_finding
-from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
-from estimation.alerts.rules.unregistered_change import UnregisteredChangeRule, unregistered_change_finding
-from estimation.alerts.rules.weak_damper import WeakDamperRule, weak_damper_finding
-from estimation.alerts.rules.wheel_asymmetry import Asymmetry, WheelAsymmetryRule, wheel_asymmetry_finding
-from estimation.alerts.rules.wheel_flat import WheelFlatRule, wheel_flat_finding
-from estimation.alerts.step_causes import StepSurroundings
-from estimation.values.adhesion import CellFriction, SectionAdhesion
+from estimation.alerts.rules.near_limit import LimitForecastRule, MeasureRule, limit_forecast_finding, measure_finding
+from estimation.alerts.rules.running_gear import (
+    HuntingRule,
+    SuspensionChangeRule,
+    WeakDamperRule,
+    suspension_change_finding,
+    weak_damper_finding,
+)
+from estimation.alerts.rules.sensor_data import (
+    DataQualityRule,
+    NoDataRule,
+    SensorFaultRule,
+)
+from estimation.alerts.rules.wheels import (
+    Asymmetry,
+    WheelAsymmetryRule,
+    WheelFlatRule,
+    wheel_asymmetry_finding,
+)
+from estimation.trend.steps import StepSurroundings
 from estimation.values.alerts import AlertEventKind, Finding
-from estimation.values.dampers import GearDamper
+from estimation.values.opinions import CellFriction, GearDamper, SectionAdhesion
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.registry import Mounting, WheelsetRecord
+from estimation.values.registry import Mounting
 from estimation.values.trend import SuspensionChange, TrendStep, WearTrend
 
 AT = 1_767_225_600_123_456_789
@@ -179,18 +190,18 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
         },
     ),
     (
-        no_data_finding(NoDataRule(), "W", AT, AT - 5 * 10**9, AT + 40 * 86_400 * 10**9),
+        silence_finding(NoDataRule(), AT, AT - 5 * 10**9, AT + 40 * 86_400 * 10**9),
         {
             "last_usable_at": "2026-01-01T00:00:00.123456789Z",
             "in_service_since": "2025-12-31T23:59:55.123456789Z",
             "limit_days": 28.0,
-            "refused_windows": None,
+            "refused_windows": 0,
             "reasons": {},
             "reason": None,
         },
     ),
     (
-        sensor_fault_finding(SensorFaultRule(), "W", (), AT),
+        windows_finding(SensorFaultRule(), mounted_ns=AT),
         {"faulty_windows": 0, "reasons": {}, **NO_WINDOWS},
     ),
     (
@@ -212,7 +223,7 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
         },
     ),
     (
-        hunting_finding(HuntingRule(), "W", (), AT),
+        windows_finding(HuntingRule(), mounted_ns=AT),
         {
             "hunting_windows": 0,
             "frequency_hz": None,
@@ -243,7 +254,7 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
         },
     ),
     (
-        data_quality_finding(DataQualityRule(), "W", (), AT),
+        windows_finding(DataQualityRule(), mounted_ns=AT),
         {
             "implausible_windows": 0,
             "reasons": {},
@@ -338,7 +349,7 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
         },
     ),
     (
-        wheel_flat_finding(WheelFlatRule(), WheelsetRecord("W", "alpha", "P8", 0.45, MOUNTING), (), 2.83),
+        windows_finding(WheelFlatRule()),
         {
             "striking_windows": 0,
             "blow_m_s2": None,
@@ -427,7 +438,7 @@ def test_the_feed_and_every_resource_are_without_nanoseconds(service: Service) -
     with service.storage.write() as unit:
         for finding, _ in CASES:
             assert finding is not None
-            found = transition(None, replace(finding, wheelset=serial, breached=True), AT, fleet="alpha")
+            found = transition(None, replace(finding, wheelset=serial, breached=True, stands=None), AT, fleet="alpha")
             assert found is not None
             if all(one.kind != finding.kind for one in unit.alerts.all_open(serial)):
                 unit.alerts.save(found.alert, (AlertEventKind.RAISED,), AT)

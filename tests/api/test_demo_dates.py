@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from windows_finding import silence_finding
 
 from api.demo.replay import DAY_NS, ending_now
-from estimation.alerts.rules.no_data import NoDataRule, no_data_finding
+from estimation.alerts.rules.sensor_data import NoDataRule
 from ingest.simulator.scenario_file import load_scenario
 
 NOW_NS = 1_800_000_000_000_000_000
@@ -20,7 +21,7 @@ def test_no_vehicle_of_the_demo_is_silent_for_days_after_it(name: str, after_ns:
         last = plan.start_ns(vehicle, plan.sessions.campaigns - 1)
         assert last < now_ns - round(plan.sessions.duration * 1e9)  # nothing is of the future
         later_ns = now_ns + 4 * DAY_NS  # the server is left running
-        assert not no_data_finding(NoDataRule(), "W", last, plan.sessions.start_ns, later_ns).breached
+        assert not silence_finding(NoDataRule(), last, plan.sessions.start_ns, later_ns).breached
     unmoved = load_scenario(name)
     last = max(unmoved.start_ns(vehicle, unmoved.sessions.campaigns - 1) for vehicle in unmoved.vehicles)
-    assert no_data_finding(NoDataRule(), "W", last, unmoved.sessions.start_ns, now_ns).breached
+    assert silence_finding(NoDataRule(), last, unmoved.sessions.start_ns, now_ns).breached

@@ -9,9 +9,9 @@ import numpy as np
 
 from api.schemas.derived import Derived
 from estimation.values.arrays import FloatArray
+from estimation.values.fields import IN_MM, Served
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.served import MM, Served
 
 WHY = Reason(ReasonCode.TOO_FEW_WINDOWS, "two windows")
 
@@ -21,19 +21,19 @@ class Wheel:
     """A wheel; what follows is for its developers."""
 
     serial: Annotated[str, Served("Of the wheelset.", example="WS-1")]
-    radius: Annotated[float, Served(name="radius_mm", scale=MM)]
+    radius: Annotated[float, Served(name="radius_mm", scale=IN_MM)]
     measured_ns: int
-    wear: Annotated[float | None, Served(name="wear_mm", scale=MM)]
+    wear: Annotated[float | None, Served(name="wear_mm", scale=IN_MM)]
     share: Annotated[float, Served(finite=False)]
     conicity: Annotated[Estimate, Served(name="conicity_1")]
-    profile: Annotated[FloatArray, "n", Served(name="profile_mm", scale=MM)]
+    profile: Annotated[FloatArray, "n", Served(name="profile_mm", scale=IN_MM)]
     fleets: frozenset[str]
     reason: Reason | None
     doubt: Reason | None
     inner: str = "x"
 
     @property
-    def half(self) -> Annotated[float, Served("Half of the radius.", "half_mm", MM)]:
+    def half(self) -> Annotated[float, Served("Half of the radius.", "half_mm", IN_MM)]:
         """Half of the radius, m."""
         return 0.5 * self.radius
 

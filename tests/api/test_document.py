@@ -10,7 +10,7 @@ import jsonschema_rs
 import pytest
 from running_service import Service
 
-from api.access.security_headers import security_headers
+from api.access.guard import security_headers
 from api.app import committed_document
 from api.openapi.document import DETAILS
 from api.openapi.words import OF_SCHEMA, undescribed

@@ -11,8 +11,7 @@ import pytest
 from running_service import Service
 
 from api import cursors
-from api.feed.filters import FeedFilter
-from api.feed.pages import opened, read_page
+from api.feed.pages import FeedFilter, opened, read_page
 from estimation.values.alerts import Alert, AlertEventKind, Severity
 from fleet_db.storage import SqlStorage
 

@@ -15,7 +15,7 @@ from running_service import running
 
 from api.app import build_app
 from api.factory import SystemClock, open_services, open_store
-from api.job_runner import JobRunner
+from api.services import JobRunner
 from api.settings import Settings
 from estimation.errors import ConflictError
 from estimation.jobs.catalogue import ALL_JOBS

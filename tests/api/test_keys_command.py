@@ -10,7 +10,7 @@ from in_process_command import Run
 
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.audit import AuditFilter
+from fleet_db.stores.access import AuditFilter
 
 
 def test_keys_are_made_listed_and_revoked_in_the_database(treadwatch: Run, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from api_fleet import section_rails as stored
 
 from api.factory import rails_settings
-from api.schemas.rails import section_rails
+from api.routes.opinions import section_rails
 from api.settings import known_sections, load_settings
 from estimation.errors import ParameterError
 from estimation.jobs.rails_settings import KnownSection

@@ -6,6 +6,7 @@ import json
 import re
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,10 @@ from prometheus_client.parser import text_string_to_metric_families
 from running_service import Service
 
 from api.factory import open_store
+from api.metrics import webhook_measures
 from api.settings import Settings
-from api.terminal.live_health import registered
-from api.webhooks.measures import webhook_measures
+from api.terminal.health_server import registry_of
+from api.terminal.live import live_measures
 from estimation.values.registry import FleetRecord
 from estimation.values.windows import WindowState
 from fleet_db.migrate import upgrade
@@ -61,7 +63,7 @@ def exposed(text: str) -> dict[str, set[str]]:
 def measures(client: httpx.Client, tmp_path: Path) -> dict[str, set[str]]:
     """Return what service and receiver expose, each under its name, with the labels."""
     client.get("/healthz")
-    live = generate_latest(registered({"L-1": LiveStatus()})).decode()
+    live = generate_latest(registry_of(partial(live_measures, {"L-1": LiveStatus()}))).decode()
     return exposed(client.get("/metrics").text) | exposed(live) | of_an_active_webhook(tmp_path)
 
 

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from api.terminal.reassemble import reassemble_and_report
+from api.terminal.ingest import reassemble_and_report
 from estimation.errors import ParameterError
 
 

@@ -7,12 +7,12 @@ from fastapi import APIRouter, Depends, FastAPI
 from fastapi.routing import APIRoute
 
 from api import app
-from api.access.scopes import Scope, requires, scope_of
+from api.access.caller import Scope, requires, scope_of
 from api.visible_objects import FINDERS, finder_of
 
 
 def routes() -> list[APIRoute]:
-    return [route for module in app.RESOURCES for route in module.router.routes if isinstance(route, APIRoute)]
+    return [route for router in app.RESOURCES for route in router.routes if isinstance(route, APIRoute)]
 
 
 @pytest.mark.parametrize("route", routes(), ids=lambda route: route.name)

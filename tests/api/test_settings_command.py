@@ -27,7 +27,7 @@ def _options(command: click.Command, name: str) -> list[tuple[str, click.Paramet
 def _all_options() -> list[tuple[str, click.Parameter]]:
     found = []
     for command in COMMANDS:
-        target = getattr(import_module(command.module), command.attribute)
+        target = getattr(import_module(f"api.commands.{command.module}"), command.name)
         if not isinstance(target, typer.Typer):
             function, target = target, typer.Typer(add_completion=False)
             target.command()(function)

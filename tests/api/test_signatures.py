@@ -6,7 +6,7 @@ import api_fleet
 import httpx
 from running_service import Service
 
-from api.schemas.signatures import signature_answer
+from api.routes.opinions import signature_answer
 
 PATH = "/v1/wheelsets/WS-000/signature"
 

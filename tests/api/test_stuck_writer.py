@@ -13,8 +13,8 @@ import httpx
 import pytest
 from running_service import running
 
+from api.services import MOST_WAITING, WriterSlots
 from api.settings import Settings
-from api.writer_slots import MOST_WAITING, WriterSlots
 from estimation.errors import BusyError
 from estimation.values.runs import JobTrigger
 from fleet_db.locks import single_writer
@@ -52,7 +52,7 @@ def stuck_writer(settings: Settings) -> Iterator[Event]:
 def test_reads_are_answered_while_writers_wait_for_a_stuck_one(
     settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("api.writer_slots.PATIENCE_S", LONG_S)
+    monkeypatch.setattr("api.services.PATIENCE_S", LONG_S)
     with running(settings) as url, stuck_writer(settings) as let_go, ThreadPoolExecutor(3) as pool:
         posts = [pool.submit(httpx.post, url + POST, timeout=LONG_S) for _ in range(3)]
         for _ in range(4):
@@ -65,7 +65,7 @@ def test_reads_are_answered_while_writers_wait_for_a_stuck_one(
 def test_a_request_that_cannot_write_in_time_gets_a_time_to_come_back(
     settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("api.writer_slots.PATIENCE_S", 0.05)
+    monkeypatch.setattr("api.services.PATIENCE_S", 0.05)
     with running(settings) as url, stuck_writer(settings) as let_go:
         answer = httpx.post(url + POST, timeout=LONG_S)
         assert (answer.status_code, answer.headers["Retry-After"]) == (503, "2")

@@ -25,7 +25,7 @@ from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectio
 from estimation.values.windows import WindowPosition, WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.window_reasons import COUNTED, _grouped
+from fleet_db.stores.window_counts import COUNTED, _grouped
 from ingest.vehicle_class_file import shipped_class
 
 SERIAL, OTHER = "W-1", "W-2"
@@ -168,7 +168,7 @@ def test_windows_wait_for_the_job_the_class_and_their_place(service: Service) ->
     assert reasons(because(service)) == [("pending", "waits_for_position", 2)]
     with service.storage.write() as unit:
         window = unit.windows.list(SERIAL)[0]
-        unit.tracks.put_position(WindowPosition(SERIAL, window.start_ns, window.content_digest, 2))
+        unit.tracks.put_positions([WindowPosition(SERIAL, window.start_ns, window.content_digest, 2)])
     assert sorted(reasons(because(service))) == [
         ("pending", code, 1) for code in ("waits_for_estimation", "waits_for_position")
     ]

@@ -24,12 +24,12 @@ from service_process import service_process
 from webhook_receiver import Answer, Receiver, receiving
 
 from api.answers import payload_of
-from api.feed import cursors
-from api.feed.filters import FeedFilter
+from api.feed import pages
+from api.feed.pages import FeedFilter
 from api.schemas import alerts
+from api.webhooks.cloud_events import new_secret
 from api.webhooks.delivering import Deliveries
 from api.webhooks.sending import MOST_ANSWER_BYTES, Sender
-from api.webhooks.signing import new_secret
 from api.webhooks.targets import Network, Targets, networks_of
 from estimation.errors import StorageError
 from estimation.values.registry import FleetRecord, WheelsetRecord
@@ -431,7 +431,7 @@ def test_an_event_keeps_its_id_when_the_database_is_restored(embedded: Deploymen
     whole = FeedFilter()
     with embedded.storage.read() as unit:
         for identity, expected in zip(receiver.ids()[1:], (["identity"], []), strict=True):
-            last = cursors.position(unit, whole, "/v1/alerts/feed", cursors.decode(whole, identity))
+            last = pages.event_of(unit, whole, "/v1/alerts/feed", pages.cursor_of(whole, identity))
             assert last is not None
             assert [one.alert.kind for one in unit.alerts.feed(last.sequence, 9)] == expected
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from api.webhooks.schedule import Schedule, asked_delay_s
+from api.webhooks.delivering import Schedule, asked_delay_s
 
 S = 1_000_000_000
 DAY_S = 86_400

@@ -12,7 +12,7 @@ from webhook_receiver import Answer, receiving
 
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.audit import AuditFilter
+from fleet_db.stores.access import AuditFilter
 
 
 def test_webhooks_are_made_tried_moved_and_deleted(

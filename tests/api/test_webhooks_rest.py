@@ -21,10 +21,10 @@ from webhook_receiver import Answer, Received, Receiver, receiving
 
 from api.factory import open_services
 from api.logs import Redactor
+from api.webhooks.cloud_events import signature
+from api.webhooks.delivering import WebhookWorker
 from api.webhooks.sending import Sender
-from api.webhooks.signing import signature
 from api.webhooks.targets import Targets, networks_of
-from api.webhooks.worker import WebhookWorker
 
 DOC = Path(__file__).parents[2] / "docs" / "webhooks.md"
 LOOPBACK = "127.0.0.0/8"

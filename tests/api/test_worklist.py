@@ -19,9 +19,8 @@ from running_service import Service
 
 from api.app import committed_document
 from api.csv_tables import columns_of
-from api.schemas.worklist import WheelsetRow, WorklistSort
-from estimation.values.alerts import AlertEventKind, Severity
-from estimation.values.worklist import Urgency
+from api.routes.worklist import WheelsetRow, WorklistSort
+from estimation.values.alerts import AlertEventKind, Severity, Urgency
 from estimation.worklist.row import TURN
 
 DOCUMENT = json.loads(committed_document())

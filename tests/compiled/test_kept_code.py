@@ -21,10 +21,11 @@ import json, os
 from api.compiled_code import choose_compiled_code
 choose_compiled_code(os.environ)
 from estimation.compiled import COUNTS
-from estimation.tables.least_squares import collect
+from estimation.motion.integration import integrate_once
 import numpy as np
-found = collect(np.eye(3), np.ones((3, 1)), np.zeros(3, np.int64), 1)
-print(json.dumps([COUNTS.loaded, COUNTS.compiled, COUNTS.not_kept, found.packed.tolist()]))
+found = np.empty(3)
+integrate_once(np.ones(3), 0.5, found)
+print(json.dumps([COUNTS.loaded, COUNTS.compiled, COUNTS.not_kept, found.tolist()]))
 """
 
 

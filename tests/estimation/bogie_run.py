@@ -9,7 +9,7 @@ import numpy as np
 from paper_class import PAPER_CLASS
 from smooth_wheelset import SmoothTable, ideal, mems_windows, track
 
-from estimation.motion.bogie_frame import with_frame_yaw
+from estimation.motion.axle_distance import with_frame_yaw
 from estimation.motion.parameters import WindowParameters
 from estimation.values.windows import Motion, Window
 from estimation.vehicle.equations_of_motion import VehicleParameters

@@ -19,13 +19,13 @@ from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.settings import JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
 from estimation.tables import bin_table
-from estimation.tables.bin_table import tabulate_window
+from estimation.tables.bin_table import cells_of_window
 from estimation.track.panel.basis import PanelParameters
 from estimation.track.section import estimate_section
 from estimation.track.settings import SectionParameters
 from estimation.trend.trend import TrendPoint, refresh
 from estimation.values.arrays import FloatArray
-from estimation.values.geometry import BinTable
+from estimation.values.geometry import FilledCells
 from estimation.values.quantities import Estimate
 
 RECORDED = Path(__file__).with_name("numerics_results.json")
@@ -50,8 +50,8 @@ def record() -> None:
 def _geometry() -> list[float | None]:
     settings = JobSettings().estimation
     windows = mems_windows(run(120, seed=1, cone=0.12, swing=4.0), seed=1)
-    tables = [tabulate_window(window, alignment(track(1)), WINDOWS) for window in windows]
-    merged = bin_table.merge_all([table for table in tables if isinstance(table, BinTable)], BINS)
+    tables = [cells_of_window(window, alignment(track(1)), WINDOWS) for window in windows]
+    merged = bin_table.merge_all([table for table in tables if isinstance(table, FilledCells)], BINS)
     found = estimate_geometry(merged, BINS, settings.geometry)
     difference = found.rolling_radius_difference
     curve = [column[np.isfinite(column)][::6] for column in (difference.value, difference.std)]

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from estimation.motion.cross_level import standard_displacement
+from estimation.motion.rolling_radius_difference import standard_displacement
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Motion, Window, WindowQuality

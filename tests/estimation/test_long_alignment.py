@@ -10,12 +10,12 @@ import pytest
 from gauge_passes import LENGTH, Section, passes, section
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.track.alignment_std import LongWaveAlignment, long_wave_alignment
 from estimation.track.gridded_pass import GriddedPass, grid_pass
 from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass, ProfileLife
+from estimation.track.results import LongWaveAlignment, long_wave_alignment
 from estimation.values.arrays import FloatArray
 
 PANEL = Panel.of(PanelParameters(length=LENGTH, basis_count=21))

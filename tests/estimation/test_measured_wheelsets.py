@@ -17,7 +17,7 @@ from estimation.values.registry import Reprofiling
 from estimation.values.track import TrackSectionRecord
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import MeasuredProfilesRow
+from fleet_db.tables.registry import MeasuredProfilesRow
 
 STD = 0.1e-3  # m
 

@@ -18,7 +18,8 @@ from estimation.values.track import AlignmentSource
 from estimation.values.windows import WindowState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import TrackAlignmentRow, WindowBinTableRow
+from fleet_db.tables.track import TrackAlignmentRow
+from fleet_db.tables.windows import WindowBinTableRow
 
 TABLES = table_of(WindowBinTableRow)
 

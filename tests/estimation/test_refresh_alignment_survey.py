@@ -20,7 +20,7 @@ from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.track import AlignmentSource, TrackAlignment
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import TrackEpochRow
+from fleet_db.tables.track import TrackEpochRow
 from ingest.registry_file import FORMAT, load_registry
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable
 
-from estimation.track.examination import following, joined
+from estimation.track.passes import following, joined
 from estimation.values.windows import Window
 
 

@@ -111,7 +111,7 @@ def test_positions_of_some_windows_are_forgotten(fleet: SqlStorage) -> None:
     with fleet.write() as unit:
         unit.assembled.add([assembled(make.window(index)) for index in range(3)], 50)
         for record in unit.windows.list("WS-1"):
-            unit.tracks.put_position(WindowPosition("WS-1", record.start_ns, record.content_digest, 1))
+            unit.tracks.put_positions([WindowPosition("WS-1", record.start_ns, record.content_digest, 1)])
         unit.windows.look_again([("WS-1", make.window(0).start_ns), ("WS-1", make.window(2).start_ns)])
         unit.windows.look_again([])
         left = [unit.tracks.position("WS-1", make.window(index).start_ns) for index in range(3)]

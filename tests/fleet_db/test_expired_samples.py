@@ -15,8 +15,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import EpochMember, FoldState, TrackEpoch
 from estimation.values.windows import DueStage, PassedOver, WindowPosition, WindowRecord, WindowState
 from fleet_db.keeping.deep_check import check_deep
-from fleet_db.keeping.kept_files import kept_files
-from fleet_db.keeping.orphans import orphaned_samples
+from fleet_db.keeping.kept_files import kept_files, orphaned_samples
 from fleet_db.keeping.purge import WAITING, Purged, purge
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.storage import SqlStorage
@@ -141,11 +140,11 @@ def test_nothing_queues_it_again(fleet: SqlStorage) -> None:
     put(fleet, 1, ReasonCode.IN_CURVES)
     purged(fleet)
     with fleet.write() as unit:
-        unit.tracks.put_position(WindowPosition("WS-1", make.START, "d" * 64, 1))
+        unit.tracks.put_positions([WindowPosition("WS-1", make.START, "d" * 64, 1)])
         assert not unit.windows.mark("WS-1", make.START, WindowState.PENDING)
-        assert unit.windows.requeue_section(SECTION) == 0
-        assert unit.windows.requeue(SECTION, ReasonCode.IN_CURVES) == 0
-        assert unit.windows.requeue_vehicle("V-1", ReasonCode.IN_CURVES) == 0
+        unit.windows.estimate_again(SECTION)
+        assert unit.windows.counts()["pending"] == 0
+        assert unit.windows.refused_on(SECTION, [ReasonCode.IN_CURVES]) == []
         assert unit.windows.look_again([("WS-1", make.START)]) == []
         assert unit.plausibility.judge({("WS-1", make.START): Reason(ReasonCode.ODOMETER_IMPLAUSIBLE, "no")}) == 0
         assert unit.windows.passed_over("WS-1") == [(make.START, PassedOver.SUPERSEDED)]

@@ -153,10 +153,10 @@ def test_a_wheelset_is_voided_when_it_is_mounted_nowhere(known: SqlStorage) -> N
         unit.corrections.void(RecordKey(RecordKind.MOUNTING, "W1", FROM), WRONG)
         unit.corrections.void(key, WRONG)
     with known.read() as unit:
-        assert [one.serial for one in unit.registry.wheelsets_page(None, None, None, 10)] == ["W2"]
+        assert [one.serial for one in unit.registry.wheelsets_of(["W1", "W2"], voided=False)] == ["W2"]
     with known.write() as unit:  # a registry file that still has it
         unit.registry.add_wheelset(WheelsetRecord("W1", "f", "P8", 0.46, None), 99)
-        assert [one.serial for one in unit.registry.wheelsets_page(None, None, None, 10)] == ["W1", "W2"]
+        assert [one.serial for one in unit.registry.wheelsets_of(["W1", "W2"], voided=False)] == ["W1", "W2"]
         assert actions(unit, "W1")[-1][0] == RecordAction.RESTORED
 
 

@@ -20,7 +20,7 @@ from estimation.values.registry import (
     VehicleRecord,
     WheelsetRecord,
 )
-from estimation.values.subjects import Facet
+from estimation.values.results import Facet
 from estimation.values.track import TrackSectionRecord
 from estimation.vehicle.vehicle_class import class_digest
 from fleet_db.registry_events import Decision, RecordKind
@@ -75,7 +75,7 @@ def shown(storage: SqlStorage) -> dict[str, object]:
     """Return the registry as everybody reads it."""
     with storage.read() as unit:
         vehicles = unit.registry.vehicles_page(None, None, 100)
-        wheelsets = unit.registry.wheelsets_page(None, None, None, 100)
+        wheelsets = unit.registry.wheelsets_of([one.serial for one in unit.registry.wheelsets()], voided=False)
         coach = unit.registry.vehicle_class("coach")
         with storage.engine.connect() as connection:
             measured = [tuple(row) for row in connection.execute(select(Base.metadata.tables["measured_profiles"]))]

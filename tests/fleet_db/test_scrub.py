@@ -15,7 +15,7 @@ from fleet_db.keeping.scrub import STAGE, ScrubFault, ScrubPlan, scrub
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.raw_scrubs import RawScrub
+from fleet_db.stores.chunks import RawScrub
 
 WHOLE = ScrubPlan()
 

@@ -16,7 +16,7 @@ from estimation.alerts.rules.book import ALERT_RULES
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Severity
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import AlertRow
+from fleet_db.tables.alerts import AlertRow
 
 RAISED, UPDATED, CLOSED = AlertEventKind.RAISED, AlertEventKind.UPDATED, AlertEventKind.CLOSED
 EVERYTHING: dict[str, Any] = {

@@ -50,11 +50,6 @@ def test_pages_follow_each_other(fleet: SqlStorage) -> None:
         pages = unit.registry
         assert [record.code for record in pages.vehicles_page("F-1", None, 1)] == ["V-1"]
         assert [record.code for record in pages.vehicles_page("F-1", "V-1", 1)] == ["V-2"]
-        assert [record.serial for record in pages.wheelsets_page(None, None, None, 2)] == ["WS-1", "WS-2"]
-        assert [record.serial for record in pages.wheelsets_page(None, None, "WS-2", 2)] == ["WS-3"]
-        assert [record.serial for record in pages.wheelsets_page(None, "V-1", "WS-1", 9)] == ["WS-2"]
-        assert pages.wheelsets_page(None, "V-2", None, 9) == []
-        assert pages.wheelsets_page("other", None, None, 9) == []
 
 
 def test_a_wheelset_is_exchanged(fleet: SqlStorage) -> None:

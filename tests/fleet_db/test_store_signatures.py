@@ -12,7 +12,7 @@ from sqlalchemy import update
 
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import Result
+from estimation.values.results import Mark, Result, StageInputs
 from estimation.values.runs import SubjectKind
 from estimation.values.signatures import (
     ANSWERS,
@@ -29,12 +29,11 @@ from estimation.values.signatures import (
     UsedEntry,
     WindowSignatures,
 )
-from estimation.values.subjects import Mark, StageInputs
 from estimation.values.windows import WindowKey, WindowState, key_of_text
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores import signatures as signature_store
-from fleet_db.tables import WearSignatureRow
+from fleet_db.tables.windows import WearSignatureRow
 
 OF_WINDOWS = StageInputs(SIGNATURES, SubjectKind.WINDOW, (), "")
 

@@ -50,7 +50,7 @@ def epochs(fleet: SqlStorage) -> SqlStorage:
             window = make.window(number)
             unit.windows.put(window, 10.0, 1)
         for record in unit.windows.list("WS-1")[:2]:
-            unit.tracks.put_position(WindowPosition("WS-1", record.start_ns, record.content_digest, 1))
+            unit.tracks.put_positions([WindowPosition("WS-1", record.start_ns, record.content_digest, 1)])
     put_epoch(fleet, 1, (FIRST, SECOND), 1, 1)
     put_epoch(fleet, 2, (THIRD,), 2, 1)
     with fleet.write() as unit:

@@ -154,9 +154,9 @@ def test_windows_wait_until_it_has_been_looked_at_where_they_were(fleet: SqlStor
         digest = records[windows[0].start_ns].content_digest
         position = WindowPosition("WS-1", windows[0].start_ns, digest, None, 12.5, -1e-3, 6000.0)
         assert unit.tracks.position("WS-1", windows[0].start_ns) is None
-        assert unit.tracks.put_position(position)
-        assert not unit.tracks.put_position(position)
-        assert unit.tracks.put_position(replace(position, offset_m=12.25))
+        assert unit.tracks.put_positions([position])
+        assert not unit.tracks.put_positions([position])
+        assert unit.tracks.put_positions([replace(position, offset_m=12.25)])
     with fleet.read() as unit:
         assert unit.tracks.position("WS-1", windows[0].start_ns) == replace(position, offset_m=12.25)
         assert [one.start_ns for one in waiting_windows(unit)] == [windows[0].start_ns, elsewhere.start_ns]
@@ -164,7 +164,7 @@ def test_windows_wait_until_it_has_been_looked_at_where_they_were(fleet: SqlStor
         unit.windows.put(make.window(0, seed=5), 1.0, 2)
         assert [one.start_ns for one in waiting_windows(unit)] == [elsewhere.start_ns]
     with pytest.raises(ConflictError), fleet.write() as unit:
-        unit.tracks.put_position(replace(position, start_ns=5))
+        unit.tracks.put_positions([replace(position, start_ns=5)])
 
 
 def test_where_windows_of_a_section_were_can_be_forgotten(fleet: SqlStorage) -> None:
@@ -173,7 +173,7 @@ def test_where_windows_of_a_section_were_can_be_forgotten(fleet: SqlStorage) -> 
         for window in windows:
             unit.windows.put(window, 1.0, 1)
         for record in waiting_windows(unit):
-            unit.tracks.put_position(WindowPosition(record.wheelset, record.start_ns, record.content_digest, None))
+            unit.tracks.put_positions([WindowPosition(record.wheelset, record.start_ns, record.content_digest, None)])
         assert unit.tracks.forget_positions("S-8") == 0
         assert unit.tracks.forget_positions("S-7") == 1
         assert unit.tracks.position("WS-1", windows[0].start_ns) is None

@@ -57,7 +57,7 @@ def put(unit, window) -> None:  # type: ignore[no-untyped-def] # noqa: ANN001 - 
     record = unit.windows.get(*key)
     unit.tables.put(*key, make.bin_table(), 1, record.content_digest)
     unit.windows.mark(*key, WindowState.ESTIMATED)
-    unit.tracks.put_position(WindowPosition(*key, record.content_digest, 1))
+    unit.tracks.put_positions([WindowPosition(*key, record.content_digest, 1)])
 
 
 def pending(storage: SqlStorage) -> dict[str, list[WindowState]]:
@@ -191,9 +191,8 @@ def test_windows_that_were_refused_for_want_of_a_class_wait_again(fleet: SqlStor
     with fleet.write() as unit:
         unit.windows.mark("WS-1", make.START, WindowState.REFUSED, unknown)
         unit.windows.mark("WS-1", make.START + make.LENGTH, WindowState.REFUSED, other)
-        assert unit.windows.refused_vehicles(ReasonCode.CLASS_UNKNOWN, ["S-7"]) == ["V-1"]
-        assert unit.windows.requeue_vehicle("V-2", ReasonCode.CLASS_UNKNOWN) == 0
-        assert unit.windows.requeue_vehicle("V-1", ReasonCode.CLASS_UNKNOWN) == 1
+        refused = unit.windows.refused_on("S-7", [ReasonCode.CLASS_UNKNOWN])
+        assert unit.windows.look_again([record.key for record in refused]) == [("WS-1", make.START)]
         assert unit.tracks.position("WS-1", make.START) is None
-        assert unit.windows.refused_vehicles(ReasonCode.CLASS_UNKNOWN, ["S-7"]) == []
+        assert unit.windows.refused_on("S-7", [ReasonCode.CLASS_UNKNOWN]) == []
     assert pending(fleet)["WS-1"] == [WindowState.PENDING, WindowState.REFUSED]

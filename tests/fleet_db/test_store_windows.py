@@ -302,10 +302,9 @@ def test_every_window_of_a_section_can_wait_again(fleet: SqlStorage) -> None:
         unit.windows.mark("WS-1", second.start_ns, WindowState.REFUSED, SLOW)
         section = first.track_section
         assert section is not None
-        assert unit.windows.requeue_section("S-other") == 0
-        in_section = [w for w in (first, second) if w.track_section == section]
-        assert unit.windows.requeue_section(section) == len(in_section)
-        assert unit.windows.requeue_section(section) == 0
+        unit.windows.estimate_again("S-other")
+        assert unit.windows.counts()["pending"] == 1
+        unit.windows.estimate_again(section)
         found = unit.windows.get("WS-1", first.start_ns)
         assert found is not None
         assert (found.state, found.reason) == (WindowState.PENDING, None)

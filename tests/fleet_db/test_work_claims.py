@@ -14,8 +14,8 @@ from estimation.values.registry import FleetRecord
 from estimation.values.runs import JobTrigger
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.work_claims import KEPT_NS
-from fleet_db.tables import WorkClaimRow, WorkLeaseRow
+from fleet_db.stores.jobs import KEPT_NS
+from fleet_db.tables.operation import WorkClaimRow, WorkLeaseRow
 
 CLAIMS, LEASES = table_of(WorkClaimRow), table_of(WorkLeaseRow)
 LONG_S, SHORT_S = 600.0, 0.4

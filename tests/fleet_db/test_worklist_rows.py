@@ -19,17 +19,16 @@ from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.worklist_rows import WORKLIST
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
-from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
+from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity, Urgency
 from estimation.values.quantities import Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.windows import WindowRecord, WindowState
-from estimation.values.worklist import Urgency
+from fleet_db.packed_values import from_document
 from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
 from fleet_db.stores.worklist import WorklistFilter, WorklistOrder, WorklistPlace
-from fleet_db.worklist_documents import from_document
 
 SERIALS = [f"D-{number:02d}" for number in range(12)]
 KINDS = ("conicity_limit", "limit_forecast", "hunting", "no_data", "wheel_asymmetry")

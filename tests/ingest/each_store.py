@@ -13,7 +13,7 @@ from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
-from ingest.intake.decoding import DecodedChunks, decode_received
+from ingest.intake.backlog import DecodedChunks, decode_received
 from ingest.intake.store import Arrival, ChunkStorage, Stored
 from ingest.receipts import Chunk
 from ingest.receiver import Receiver

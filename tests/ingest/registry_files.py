@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimation.values.utc_text import utc_text
+from estimation.values.reasons import utc_text
 from estimation.values.windows import Window, WindowQuality
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlStorage
-from ingest.registry_entry.contents import Entry, RegistryRefusedError
-from ingest.registry_entry.contradiction import Rule
+from ingest.registry_entry.contents import Entry, RegistryRefusedError, Rule
 from ingest.registry_file import load_registry
 
 DAY_NS = 86_400 * 10**9

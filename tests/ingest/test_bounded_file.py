@@ -11,12 +11,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from estimation.errors import ExchangeError, InputError
-from ingest import bounded_file
-from ingest.bounded_file import read_text_within
+from ingest import input_file
 from ingest.catalogue import load_catalogue
 from ingest.exchange.description import CsvTable
 from ingest.exchange.table import read_table
-from ingest.input_file import read_json, read_toml
+from ingest.input_file import read_json, read_text_within, read_toml
 from ingest.profiles.files import read_profile
 from ingest.track_file import read_track_columns
 
@@ -54,9 +53,9 @@ def test_every_reader_of_whole_files_has_a_limit(
 
 def test_the_limits_of_files_that_are_read_whole() -> None:
     """Above what the largest such file of a fleet needs, and far below the memory of a small machine."""
-    assert bounded_file.SETTINGS_BYTES == 64 << 20
-    assert bounded_file.TABLE_BYTES == 256 << 20
-    assert bounded_file.PROFILE_BYTES == 16 << 20
+    assert input_file.SETTINGS_BYTES == 64 << 20
+    assert input_file.TABLE_BYTES == 256 << 20
+    assert input_file.PROFILE_BYTES == 16 << 20
     with pytest.raises(InputError, match="No such file"):
         read_toml(Path("/nowhere/a.toml"))
 

@@ -20,7 +20,7 @@ from vehicle_bus import SECOND_NS, Run
 
 from estimation.errors import ParameterError
 from ingest.bus import open_bus, send
-from ingest.canopen import SYNC_ID
+from ingest.catalogue import SYNC_ID
 from ingest.live import listening
 from ingest.live.backoff import Backoff
 from ingest.live.records import FRAME_BYTES, FrameBuffer, pack_frame

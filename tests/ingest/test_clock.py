@@ -12,9 +12,9 @@ from estimation.errors import LogFileError
 from ingest import catalogue as kinds
 from ingest.align.clock import AlignedFrames, align_to_clock, check_sync_rate
 from ingest.align.samples import NodeSamples, node_samples
-from ingest.canopen import SYNC_ID, TIME_ID, sync_counter, time_of_day, vehicle_time_ns
+from ingest.catalogue import SYNC_ID, TIME_ID, sync_counter, time_of_day, vehicle_time_ns
 from ingest.frames import FrameBatch, concatenate, merge, sort_by_time, take
-from ingest.plausibility.vehicle_clock import EARLIEST_NS, LATEST_NS
+from ingest.plausibility import EARLIEST_NS, LATEST_NS
 
 ACCELERATION_1 = 0x181
 STATUS_1 = 0x281

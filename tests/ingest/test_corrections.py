@@ -17,9 +17,8 @@ from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState, RecordingAction
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import WindowRow
-from ingest.canopen import TIME_ID
-from ingest.catalogue import default_catalogue
+from fleet_db.tables.windows import WindowRow
+from ingest.catalogue import TIME_ID, default_catalogue
 from ingest.corrections import Author, RecordingCorrections
 from ingest.frames import FrameBatch, take
 from ingest.logs import write_blf

@@ -13,7 +13,7 @@ from vehicle_bus import CATALOGUE, INTERVAL_NS, SECOND_NS, START_NS
 from ingest import catalogue as kinds
 from ingest.align.clock import AlignedFrames, align_to_clock
 from ingest.align.cycles import UNPLACED, place_frames, sync_clock_of
-from ingest.canopen import SYNC_ID, sync_counter, time_of_day
+from ingest.catalogue import SYNC_ID, sync_counter, time_of_day
 from ingest.codec import encode
 from ingest.frames import FrameBatch, concatenate, merge, sort_by_time, take
 from ingest.logs import read_log

@@ -20,7 +20,7 @@ from fleet_db.decoding_locks import decoding_locks
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.intake.decoding import DecodedChunks, decode_received
+from ingest.intake.backlog import DecodedChunks, decode_received
 from ingest.intake.store import Arrival, ChunkStorage, Stored
 from ingest.receipts import Chunk
 from ingest.receiver import Receiver

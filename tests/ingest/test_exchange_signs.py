@@ -7,8 +7,8 @@ import pytest
 import scipy.signal
 
 from estimation.values.arrays import FloatArray
+from ingest.exchange.intake import Turned, sign_evidence
 from ingest.exchange.run import ExchangeRun
-from ingest.exchange.signs import Turned, sign_evidence
 
 DT, SPEED = 0.004, 20.0
 T = DT * np.arange(7500)

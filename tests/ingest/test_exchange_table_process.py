@@ -10,11 +10,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from estimation.errors import ExchangeError, PassingFaultError
-from ingest.bounded_file import MEBIBYTE
 from ingest.exchange import table_process
 from ingest.exchange.description import CsvTable
 from ingest.exchange.table import read_table
 from ingest.exchange.table_process import read_table_apart
+from ingest.input_file import MEBIBYTE
 
 
 def test_it_gives_what_reading_in_this_process_gives(tmp_path: Path) -> None:

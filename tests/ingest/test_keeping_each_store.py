@@ -13,10 +13,9 @@ from test_receiver import CountingClock
 from vehicle_bus import register
 
 from estimation.errors import PassingFaultError
-from fleet_db.keeping.backup import BackupPlan, back_up
+from fleet_db.keeping.backup import BackupPlan, back_up, digests_file
 from fleet_db.keeping.deep_check import check_deep
-from fleet_db.keeping.manifest import digests_file
-from fleet_db.keeping.orphans import orphaned_recordings
+from fleet_db.keeping.kept_files import orphaned_recordings
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.restore import Installation, restore
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention

@@ -18,8 +18,9 @@ from test_live_receiver import assert_each_once
 from test_receiver import CountingClock
 from vehicle_bus import VEHICLE, Run, register
 
-from api.commands.ingest import ingest
-from api.terminal.live_health import registered
+from api.commands.receiving import ingest
+from api.terminal.health_server import registry_of
+from api.terminal.live import live_measures
 from estimation.errors import ConflictError, ParameterError, StorageError
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
@@ -104,7 +105,7 @@ class Buses:
 
 
 def measured(buses: Buses, name: str) -> dict[str, float]:
-    registry = registered(buses.statuses)
+    registry = registry_of(partial(live_measures, buses.statuses))
     return {
         one: registry.get_sample_value(f"treadwatch_live_{name}", {"vehicle": one}) or 0.0 for one in buses.channels
     }

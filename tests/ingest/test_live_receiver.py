@@ -28,7 +28,8 @@ from test_live_spool import packed
 from test_receiver import CountingClock
 from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
 
-from api.terminal.live_health import serving_health
+from api.terminal.health_server import HealthAddress
+from api.terminal.live import serving_health
 from estimation.errors import ConflictError, MigrationError
 from fleet_db.migrate import upgrade
 from fleet_db.raw_files import FileRawStore
@@ -187,7 +188,7 @@ def outage(live: Live, server: PostgresServer, transmit: Callable[[FrameBatch], 
     for part in parts[1:-1]:
         transmit(part)
     eventually(lambda: live.status.database_fault is not None and live.status.pieces_waiting > 0)
-    with serving_health("127.0.0.1", 0, {VEHICLE: live.status}) as port:
+    with serving_health(HealthAddress("127.0.0.1", 0), {VEHICLE: live.status}) as port:
         code, body = get(port, "/readyz")
         assert (code, list(json.loads(body)["faults"][VEHICLE])) == (503, ["database"])
         assert get(port, "/healthz")[0] == 200
@@ -299,7 +300,7 @@ def get(port: int, path: str) -> tuple[int, str]:
 
 
 def test_health_and_metrics_have_a_port_of_their_own(live: Live) -> None:
-    with serving_health("127.0.0.1", 0, {VEHICLE: live.status}) as port:
+    with serving_health(HealthAddress("127.0.0.1", 0), {VEHICLE: live.status}) as port:
         assert get(port, "/healthz")[0] == 503
         assert get(port, "/nothing")[0] == 404
         with live.running(), transmitting(live.channel) as transmit:
@@ -404,7 +405,7 @@ def measure(port: int, name: str) -> float:
 def test_a_receiver_whose_recordings_are_all_rejected_is_not_ready_and_says_why(live: Live) -> None:
     other_rate = Run(seconds=2.0).frames()
     spooled(live, packed(replace(other_rate, t_ns=other_rate.t_ns[0] + 2 * (other_rate.t_ns - other_rate.t_ns[0]))))
-    with serving_health("127.0.0.1", 0, {VEHICLE: live.status}) as port, live.running():
+    with serving_health(HealthAddress("127.0.0.1", 0), {VEHICLE: live.status}) as port, live.running():
         eventually(lambda: live.status.pieces_rejected == 1)
         code, text = get(port, "/readyz")
         assert code == 503

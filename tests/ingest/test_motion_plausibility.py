@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ingest.plausibility.vehicle_motion import (
+from ingest.plausibility import (
     MOST_ODOMETER,
     MOST_SPEED,
     SPARE_M,

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from vehicle_bus import CATALOGUE, INTERVAL_NS, SECOND_NS, START_NS, Run
 
-from ingest.align.clock import CONTEXT_NS, align_to_clock
-from ingest.align.nearby import frames_near, values_near
-from ingest.canopen import TIME_ID
+from ingest.align.clock import CONTEXT_NS, align_to_clock, frames_near, values_near
+from ingest.catalogue import TIME_ID
 from ingest.frames import FrameBatch, concatenate, merge, sort_by_time, take
 
 SPAN = (START_NS + 60 * SECOND_NS, START_NS + 70 * SECOND_NS)

@@ -26,10 +26,10 @@ from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.chunks import ChosenChunks
-from fleet_db.tables import ChunkRow, WindowRow
+from fleet_db.tables.recordings import ChunkRow
+from fleet_db.tables.windows import WindowRow
 from ingest.assemble_windows import assemble_windows
-from ingest.canopen import TIME_ID
-from ingest.catalogue import default_catalogue
+from ingest.catalogue import TIME_ID, default_catalogue
 from ingest.frames import from_owned_arrays, take
 from ingest.logs import write_blf
 from ingest.logs.processes import stop_server

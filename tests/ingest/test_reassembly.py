@@ -13,7 +13,10 @@ import pytest
 from test_receiver import CountingClock, content, files_of
 from vehicle_bus import OFFSETS_M, SECOND_NS, SECTION, START_NS, VEHICLE, Run, register
 
-from estimation.errors import NotFoundError, StorageError
+from estimation.errors import NotFoundError, StoppedError, StorageError
+from estimation.jobs.job import JobContext
+from estimation.jobs.runner import run
+from estimation.jobs.settings import JobSettings
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
@@ -21,8 +24,9 @@ from estimation.values.windows import WindowPosition, WindowState
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.session import database_engine
-from fleet_db.storage import SqlStorage
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest import reassembly
+from ingest.assembly import Assembler, SpanAssembly
 from ingest.catalogue import default_catalogue
 from ingest.frames import FrameBatch, take
 from ingest.receiver import ChunkReceipt, Receiver
@@ -209,7 +213,7 @@ def test_lost_windows_are_made_again_when_their_recordings_are_received_again(
                 unit.windows.mark(serial, start_ns, WindowState.REFUSED, reason)
             else:
                 unit.windows.mark(serial, start_ns, WindowState.ESTIMATED)
-            unit.tracks.put_position(WindowPosition(serial, start_ns, digest, **position))
+            unit.tracks.put_positions([WindowPosition(serial, start_ns, digest, **position)])
     shutil.rmtree(storage.data_dir / "windows")
     receipts = [receiver.receive_file(path, VEHICLE) for path in files_of(pieces, tmp_path)]
     assert [receipt.known for receipt in receipts] == [True, True]
@@ -264,20 +268,26 @@ def test_a_long_span_is_worked_off_in_pieces_of_which_a_crash_costs_one(
         """The process dies here."""
 
     pieces = []
+    assemble = Assembler.assemble
 
-    def crash(_done: int, _total: int) -> None:
-        with sqlite_storage.read() as unit:
-            pieces.append(len(content(unit)))
+    def crash(self: Assembler, unit: SqlUnitOfWork, *given: object, **named: bool) -> SpanAssembly:
+        pieces.append(len(content(unit)))
         if pieces[-1]:
             raise Crash
+        return assemble(self, unit, *given, **named)  # type: ignore[arg-type]
 
-    with pytest.raises(Crash):
-        receiver.reassembler.work_off(checkpoint=crash)
+    with monkeypatch.context() as patched:
+        patched.setattr(Assembler, "assemble", crash)
+        with pytest.raises(Crash):
+            receiver.reassembler.work_off()
     assert 0 < pieces[-1] < 14
-    again: list[int] = []
-    rest = receiver.reassembler.work_off(checkpoint=lambda done, _: again.append(done))
-    assert rest == SpanChanges(new=14 - pieces[-1])
-    assert len(again) > 1
+    asked = iter((False, True))
+    stopping = JobContext(sqlite_storage, CountingClock(), "", JobSettings(), stopping=lambda: next(asked))
+    with pytest.raises(StoppedError):
+        run(receiver.reassembler.stage, stopping)
+    stopped = len(made_of(sqlite_storage))
+    assert pieces[-1] < stopped < 14
+    assert receiver.reassembler.work_off() == SpanChanges(new=14 - stopped)
     found = made_of(sqlite_storage)
     with sqlite_storage.read() as unit:
         assert unit.stale_spans.all() == []

@@ -23,8 +23,7 @@ from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.assembly import WAITING
-from ingest.canopen import SYNC_ID, TIME_ID
-from ingest.catalogue import ACCELERATION, default_catalogue
+from ingest.catalogue import ACCELERATION, SYNC_ID, TIME_ID, default_catalogue
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.logs import write_blf
 from ingest.receiver import ChunkReceipt, Receiver

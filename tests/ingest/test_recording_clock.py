@@ -17,7 +17,7 @@ from ingest.catalogue import default_catalogue
 from ingest.corrections import Author, RecordingCorrections
 from ingest.frames import FrameBatch, concatenate
 from ingest.logs import write_blf
-from ingest.plausibility.vehicle_clock import (
+from ingest.plausibility import (
     DAY_NS,
     LONGEST_SPAN_NS,
     MOST_AHEAD_NS,

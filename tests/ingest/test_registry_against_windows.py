@@ -10,7 +10,7 @@ from registry_files import DAY_NS, FILE, MOUNTED_NS, at, load, refused, window, 
 
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.storage import SqlStorage
-from ingest.registry_entry.contradiction import Rule
+from ingest.registry_entry.contents import Rule
 
 KM_A_DAY = 400.0
 

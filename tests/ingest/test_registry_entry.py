@@ -13,8 +13,7 @@ from registry_files import DAY_NS, FILE, MOUNTED_NS, NOW_NS, at, load, refused, 
 from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlStorage
-from ingest.registry_entry.contents import RegistryRefusedError
-from ingest.registry_entry.contradiction import Rule
+from ingest.registry_entry.contents import RegistryRefusedError, Rule
 from ingest.vehicle_class_file import class_of_package
 
 Content = dict[str, Any]

@@ -22,7 +22,7 @@ from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.registry_history import RecordKey
 from fleet_db.tables import Base
-from ingest.registry_entry.contradiction import CONFIRMABLE
+from ingest.registry_entry.contents import CONFIRMABLE
 from ingest.registry_export import export_registry, write_export
 from ingest.simulator.fleet import prepare
 from ingest.simulator.scenario_file import read_scenario

@@ -21,7 +21,7 @@ from ingest.registry_entry.checks import (
     unusual_gauge,
     unusual_radius,
 )
-from ingest.registry_entry.contradiction import Kind, RecordName, Rule
+from ingest.registry_entry.contents import Kind, RecordName, Rule
 
 DAY = 86_400 * 10**9
 NOW = 20_000 * DAY

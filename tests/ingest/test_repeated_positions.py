@@ -7,7 +7,7 @@ import pytest
 
 from estimation.values.arrays import FloatArray
 from ingest.align.samples import Track, VehicleMotion
-from ingest.plausibility.repeated_positions import LEAST_RUN, SPARE_M, SPARE_SHARE, without_repeats
+from ingest.plausibility import LEAST_RUN, REPEATED_SPARE_M, REPEATED_SPARE_SHARE, without_repeats
 
 TICK = np.arange(0, 2000)
 RUN = np.asarray(0.4 * TICK, np.float64)  # 20 m/s, a frame each 0.02 s
@@ -30,12 +30,15 @@ def test_a_tunnel_is_passed_by_the_speed(way: float) -> None:
 
 def test_a_tunnel_whose_ends_do_not_fit_is_unknown_inside() -> None:
     distance = frozen(500, 1200)
-    for jump, known in ((SPARE_M + SPARE_SHARE * 280.0 - 0.1, True), (SPARE_M + SPARE_SHARE * 280.0 + 0.1, False)):
+    for jump, known in (
+        (REPEATED_SPARE_M + REPEATED_SPARE_SHARE * 280.0 - 0.1, True),
+        (REPEATED_SPARE_M + REPEATED_SPARE_SHARE * 280.0 + 0.1, False),
+    ):
         found = without_repeats(TICK, positions(distance + jump * (TICK >= 1200)), RUN)[:, 1]
         assert np.isfinite(found[501:1200]).all() == known
         assert np.isfinite(found[:501]).all()
         assert np.isfinite(found[1200:]).all()
-    assert (SPARE_M, SPARE_SHARE, LEAST_RUN) == (1.0, 0.02, 2.0)
+    assert (REPEATED_SPARE_M, REPEATED_SPARE_SHARE, LEAST_RUN) == (1.0, 0.02, 2.0)
 
 
 def test_a_tunnel_without_an_end_or_into_another_section_is_unknown() -> None:

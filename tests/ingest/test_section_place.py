@@ -27,7 +27,7 @@ from ingest import catalogue as kinds
 from ingest.align.clock import align_to_clock
 from ingest.align.windows import MountedWindow, RegistryLookup, vehicle_samples, windows_of
 from ingest.frames import merge
-from ingest.plausibility.vehicle_place import ALONG_M, FEWEST_FIXES, LIMIT_M, off_line_m, steps_m
+from ingest.plausibility import ALONG_M, FEWEST_FIXES, LIMIT_M, off_line_m, steps_m
 from ingest.registry_file import load_registry
 
 DAY_NS = 86_400 * SECOND_NS

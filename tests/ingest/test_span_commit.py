@@ -63,7 +63,7 @@ def test_more_frames_of_windows_without_bin_tables_replace_them_in_one_statement
         before = content(unit)
         for key in before:
             unit.windows.mark(*key, WindowState.ESTIMATED)
-            unit.tracks.put_position(WindowPosition(*key, before[key][0], 1))
+            unit.tracks.put_positions([WindowPosition(*key, before[key][0], 1)])
     with executed_statements() as asked:
         assert receiver.receive_file(paths[1], VEHICLE).windows_changed == 2
     assert sum(statement.startswith("UPDATE windows") for statement in asked) == 1

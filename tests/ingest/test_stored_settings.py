@@ -7,7 +7,6 @@ from pathlib import Path
 from types import MappingProxyType
 
 import pytest
-import sqlalchemy
 from test_own_bus import mapping
 from test_receiver import CountingClock, files_of
 from vehicle_bus import VEHICLE, Run, register
@@ -61,16 +60,12 @@ def stale(storage: SqlStorage) -> list[str]:
     return [span.vehicle for span in spans]
 
 
-@pytest.mark.parametrize("known", ["stored", "from the windows"])
 def test_another_window_length_is_refused_by_every_service_once_a_recording_is_stored(
-    registered: SqlStorage, known: str
+    registered: SqlStorage,
 ) -> None:
     claim(registered, SHIPPED, 7_000_000_000, 1)
     opened(registered, 60.0)  # nothing is stored with it yet
     receive(registered, registered.data_dir.parent)
-    if known == "from the windows":  # a database that is older than the setting: its windows show the length
-        with registered.engine.begin() as connection:
-            connection.execute(sqlalchemy.delete(sqlalchemy.table("stored_settings")))
     opened(registered, 10.0)
     with pytest.raises(ParameterError, match=r"WINDOW_LENGTH_S.*is 60 s, and the windows .* have 10 s: set it to 10"):
         opened(registered, 60.0)

@@ -14,7 +14,7 @@ from live_listening import PATIENCE_S, eventually
 from ingest.topic import reading
 from ingest.topic.client import Topic
 from ingest.topic.reading import Received, TopicReader
-from ingest.topic.status import ConsumerStatus
+from ingest.topic.reference import ConsumerStatus
 
 MESSAGES = [(b"north:L-1", str(number).encode()) for number in range(8)]
 

@@ -19,7 +19,6 @@ from ingest.align.windows import (
     MountedWindow,
     RegistryLookup,
     WindowCounts,
-    add_counts,
     vehicle_samples,
     windows_of,
 )
@@ -47,7 +46,7 @@ def windows(
         if isinstance(outcome, MountedWindow):
             found.append(outcome.window)
         else:
-            counts = add_counts(counts, outcome)
+            counts += outcome
     return found, counts
 
 

@@ -23,8 +23,7 @@ from ingest.intake.backlog import BacklogLimits, BacklogWatch
 from ingest.receiver import Receiver
 from ingest.topic.consuming import Consuming, Decoding
 from ingest.topic.reading import TopicReader
-from ingest.topic.reference import Outcome, Reference, message_of
-from ingest.topic.status import ConsumerStatus
+from ingest.topic.reference import ConsumerStatus, Outcome, Reference, message_of
 from ingest.topic.taking import STAGE, ReferenceTaking
 
 ROOM = BacklogLimits(chunks=1000, size_bytes=1 << 30, free_bytes=0)

@@ -12,8 +12,7 @@ from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, Whe
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import ACCELERATIONS
 from ingest import catalogue as kinds
-from ingest.canopen import sync_counter, time_of_day
-from ingest.catalogue import default_catalogue
+from ingest.catalogue import default_catalogue, sync_counter, time_of_day
 from ingest.codec import encode
 from ingest.frames import FrameBatch, concatenate, sort_by_time
 

@@ -27,7 +27,7 @@ from estimation.values.runs import JobRun, JobTrigger
 from estimation.values.windows import WindowState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import WindowBinTableRow
+from fleet_db.tables.windows import WindowBinTableRow
 from ingest.simulator.fleet import FleetReport
 
 SCRIPT = Path(__file__).with_name("job_process.py")

@@ -26,7 +26,7 @@ from estimation.values.runs import JobRun, JobTrigger, SubjectKind
 from estimation.values.windows import WindowState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import WorkClaimRow, WorkLeaseRow
+from fleet_db.tables.operation import WorkClaimRow, WorkLeaseRow
 from ingest.simulator.fleet import FleetReport
 
 SCRIPT = Path(__file__).with_name("worker_process.py")

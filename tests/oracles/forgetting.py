@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimation.tables.least_squares import Moments, collect
+from bench.moments import Moments, collect
 from estimation.values.arrays import FloatArray
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.motion.axle_distance import runs_backwards
+from estimation.motion.checks import moving_samples
 from estimation.motion.integration import segments
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_sums import (
@@ -19,12 +20,11 @@ from estimation.motion.rolling_sums import (
     USUAL_RATE,
     WAVELENGTHS,
 )
-from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.roll_up import RollingSums
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.equations_of_motion import GRAVITY
-from estimation.vehicle.linear_wheelset import ComplexArray
+from estimation.vehicle.linear_model import ComplexArray
 from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
 
 

@@ -8,7 +8,7 @@ import api_fleet
 import measured_fleet
 
 from estimation.storage import Storage
-from estimation.values.adhesion import CellFriction, LeftOut, SectionAdhesion
+from estimation.values.opinions import CellFriction, LeftOut, SectionAdhesion
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord

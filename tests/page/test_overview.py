@@ -11,8 +11,8 @@ import page_fleet
 from playwright.sync_api import Locator, Page, Route, expect
 from service_process import ServiceProcess
 
+from estimation.values.alerts import Urgency
 from estimation.values.quantities import Status
-from estimation.values.worklist import Urgency
 
 ROWS = "tbody tr[data-index]"
 MOST_DRAWN = 60

@@ -14,20 +14,13 @@ from typing import Annotated, TypeVar
 from annotated_types import Interval
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.data_quality import DataQualityRule
-from estimation.alerts.rules.hunting import HuntingRule
-from estimation.alerts.rules.identity import IdentityRule
-from estimation.alerts.rules.limit_forecast import LimitForecastRule
+from estimation.alerts.rules.contradicted_registry import IdentityRule, UnregisteredChangeRule
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule
-from estimation.alerts.rules.measure import MeasureRule
-from estimation.alerts.rules.no_data import NoDataRule
+from estimation.alerts.rules.near_limit import LimitForecastRule, MeasureRule
 from estimation.alerts.rules.rule import AlertDelays, AlertRule
-from estimation.alerts.rules.sensor_fault import SensorFaultRule
-from estimation.alerts.rules.suspension_change import SuspensionChangeRule
-from estimation.alerts.rules.unregistered_change import UnregisteredChangeRule
-from estimation.alerts.rules.weak_damper import WeakDamperRule
-from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule
-from estimation.alerts.rules.wheel_flat import WheelFlatRule
+from estimation.alerts.rules.running_gear import HuntingRule, SuspensionChangeRule, WeakDamperRule
+from estimation.alerts.rules.sensor_data import DataQualityRule, NoDataRule, SensorFaultRule
+from estimation.alerts.rules.wheels import WheelAsymmetryRule, WheelFlatRule
 
 SHIPPED = "shipped"  # name of the rules where no file changes them
 DIGEST_LETTERS = 12

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from annotated_types import Interval
 
-from estimation.alerts.rules.evidence import Evidence
-from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts
-from estimation.values.adhesion import CellFriction, SectionAdhesion
-from estimation.values.alerts import Finding, Severity
+from estimation.alerts.rules.rule import AlertRule, Evidence, Probability, WheelsetFacts
+from estimation.values.alerts import Finding
+from estimation.values.fields import Served
+from estimation.values.opinions import CellFriction, SectionAdhesion
 from estimation.values.quantities import Estimate
-from estimation.values.served import Served
 
 Friction = Annotated[float, Interval(ge=0.02, le=0.6)]
 Hours = Annotated[float, Interval(ge=0.1, le=720.0)]
@@ -44,9 +43,9 @@ class LowAdhesionEvidence(Evidence):
 class LowAdhesionRule(AlertRule):
     """Friction is below a limit somewhere along a section; the alert is about the section, one for each fleet."""
 
-    kind: ClassVar[str] = "low_adhesion"
-    limit_unit: ClassVar[str] = "1"
-    evidence: ClassVar[type[Evidence] | None] = LowAdhesionEvidence
+    kind = "low_adhesion"
+    limit_unit = "1"
+    evidence = LowAdhesionEvidence
 
     raise_friction: Friction = 0.15
     raise_probability: Probability = 0.45
@@ -58,11 +57,7 @@ class LowAdhesionRule(AlertRule):
 
 
 def section_finding(rule: LowAdhesionRule, found: SectionAdhesion) -> Finding:
-    """Return what the rule finds of a section; its ``wheelset`` is empty.
-
-    Args:
-        found: The newest friction of the section.
-    """
+    """Return what the rule finds in the newest friction of a section; its ``wheelset`` is empty."""
     low = [cell for cell in found.cells if _within(cell, found)]
     worst = max(low, key=lambda cell: cell.low_probability, default=None)
     evidence = LowAdhesionEvidence(
@@ -80,7 +75,6 @@ def section_finding(rule: LowAdhesionRule, found: SectionAdhesion) -> Finding:
         kind=LowAdhesionRule.kind,
         breached=bool(found.low_stretches),
         cleared=not found.low_stretches,
-        severity=Severity.WARNING,
         probability=None if worst is None else round(worst.low_probability, 3),
         evidence=evidence.stored(),
         action="inspect_rail_surface",

@@ -2,24 +2,111 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
+from enum import Enum
 from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 
 from estimation.alerts.identity import IdentityEvent
-from estimation.alerts.rules.evidence import Evidence
-from estimation.alerts.step_causes import StepSurroundings
+from estimation.trend.steps import StepSurroundings
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, Finding
-from estimation.values.dampers import GearDamper
+from estimation.values.fields import JsonValue, Served
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.opinions import GearDamper
+from estimation.values.quantities import Estimate, Forecast
+from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.trend import SuspensionShown, TrendRecord
 from estimation.values.windows import WindowRecord, WindowState
+
+SECOND_NS = 1_000_000_000
+MOST_NS = 2.0**63 - SECOND_NS  # so that the rounded time is within 64 bits
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """What led to a finding; fields are described for the reader of the API."""
+
+    def stored(self) -> dict[str, JsonValue]:
+        """Return the fields as an alert keeps them: JSON under their own names."""
+        kept: dict[str, JsonValue] = {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name == "unknown":
+                kept |= unknown_evidence(value)
+            elif isinstance(value, Forecast) and item.name.endswith("_ns"):
+                kept[item.name] = date_evidence(value)
+            else:
+                kept[item.name] = _stored(value)
+        return kept
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DecidingEvidence(Evidence):
+    """Evidence of a rule that the data may leave undecided."""
+
+    unknown: Annotated[Reason | None, Served("Why the data decide nothing at present; null where they do.")] = None
+
+
+def _stored(value: object) -> JsonValue:
+    if isinstance(value, Estimate | Forecast):
+        return dict(estimate_evidence(value) if isinstance(value, Estimate) else forecast_evidence(value))
+    if isinstance(value, Enum):
+        return str(value.value)
+    if is_dataclass(value):
+        return {item.name: _stored(getattr(value, item.name)) for item in fields(value)}
+    if isinstance(value, tuple | list):
+        return [_stored(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(name): _stored(value[name]) for name in sorted(value)}
+    return value  # type: ignore[return-value]  # a number, a text or None
+
+
+def number_evidence(value: float | None, digits: int = 4) -> float | None:
+    """Return the value with some significant digits; None where unknown or not finite."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(f"{value:.{digits}g}")
+
+
+def estimate_evidence(value: Estimate) -> dict[str, JsonValue]:
+    """Return an estimate with its interval and status, as the API writes it."""
+    return {
+        "value": number_evidence(value.value),
+        "std": number_evidence(value.std, 3),
+        "interval_95": None if value.low is None else [number_evidence(value.low), number_evidence(value.high)],
+        "n_windows": number_evidence(value.count),
+        "status": str(value.status),
+        "reason": text_of(value.reason),
+        "reason_code": code_of(value.reason),
+    }
+
+
+def unknown_evidence(reason: Reason | None) -> dict[str, JsonValue]:
+    """Return why a rule cannot decide, as sentence and code; both None where it can."""
+    return {"unknown_because": text_of(reason), "unknown_because_code": code_of(reason)}
+
+
+def forecast_evidence(value: Forecast, digits: int = 3) -> dict[str, JsonValue]:
+    """Return the quantiles of a forecast."""
+    return {name: number_evidence(getattr(value, name), digits) for name in ("p10", "p50", "p90")}
+
+
+def date_evidence(value: Forecast) -> dict[str, JsonValue]:
+    """Return the quantiles of a date in whole seconds, ns UTC; None beyond what 64 bits hold."""
+    return {name: _whole_second(getattr(value, name)) for name in ("p10", "p50", "p90")}
+
+
+def _whole_second(t_ns: float | None) -> int | None:
+    if t_ns is None or not abs(t_ns) < MOST_NS:
+        return None
+    return round(t_ns / SECOND_NS) * SECOND_NS
+
 
 # ranges of what a rules file may set; a number without one is from 0 to 1e9
 Probability = Annotated[float, Interval(ge=0.5, le=0.9999)]
@@ -136,31 +223,32 @@ class AlertRule(ABC):
         """
 
 
-def newest_windows(windows: Sequence[WindowRecord], count: int) -> list[WindowRecord]:
-    """Return the newest windows, oldest first.
-
-    Args:
-        windows: In any order.
-        count: How many at most.
-    """
-    return sorted(windows, key=lambda window: window.start_ns)[-count:]
-
-
-def measured_until(windows: Sequence[WindowRecord], otherwise_ns: int) -> int:
-    """Return the end of the last window, ns UTC.
-
-    Args:
-        windows: In any order.
-    """
-    return max((window.start_ns + window.length_ns for window in windows), default=otherwise_ns)
+def measured_until(windows: Sequence[WindowRecord], facts: WheelsetFacts) -> int:
+    """Return the end of the last window, ns UTC; the begin of the mounting where there is none."""
+    mounting = facts.wheelset.mounting
+    ends = (window.start_ns + window.length_ns for window in windows)
+    return max(ends, default=0 if mounting is None else mounting.from_ns)
 
 
 def too_few_windows(windows: int, needed: int) -> Reason | None:
-    """Return that there are fewer windows than a rule needs; None where there are enough.
-
-    Args:
-        windows, needed: How many there are, and the least number.
-    """
+    """Return that there are fewer windows than a rule needs; None where there are enough."""
     if windows >= needed:
         return None
     return Reason(ReasonCode.TOO_FEW_WINDOWS, f"{windows} windows, {needed} needed")
+
+
+def restated(alert: Alert, *, breached: bool | None, cleared: bool | None, stands: bool | None = None) -> Finding:
+    """Return a finding that says what an open alert says already."""
+    return Finding(
+        wheelset=alert.wheelset or "",
+        kind=alert.kind,
+        breached=breached,
+        cleared=cleared,
+        severity=alert.severity,
+        evidence={name: value for name, value in alert.evidence.items() if name != "delays"},
+        action=alert.action,
+        raise_limit=alert.raise_limit,
+        clear_limit=alert.clear_limit,
+        measured_ns=alert.last_seen_ns,
+        stands=stands,
+    )

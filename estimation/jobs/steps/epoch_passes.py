@@ -6,20 +6,18 @@ import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from estimation.failures import code_of_error, first_line
 from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
-from estimation.motion.checks import gate
-from estimation.motion.usable_samples import straight_part
-from estimation.track.examination import examine, following, joined
+from estimation.motion.checks import gate, straight_part
 from estimation.track.gridded_pass import resampled
 from estimation.track.partition import Entry
-from estimation.track.passes import Pass
+from estimation.track.passes import Pass, examine, following, joined
 from estimation.values.reasons import Reason
+from estimation.values.runs import code_of_error, first_line
 from estimation.values.track import TrackLayout
 from estimation.values.windows import Window, WindowRecord
 

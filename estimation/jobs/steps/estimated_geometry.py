@@ -11,8 +11,8 @@ from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters, bin_parameters
+from estimation.values.fields import JsonValue
 from estimation.values.geometry import BinTable, WheelsetGeometry
-from estimation.values.json_value import JsonValue
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from estimation.alerts.rules.identity import MOUNTED
+from estimation.alerts.rules.contradicted_registry import MOUNTED
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert
 from estimation.values.registry import Mounting

@@ -9,8 +9,14 @@ import numpy as np
 
 from estimation.errors import DamagedError, NotFoundError, PurgedError
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
-from estimation.motion.axle_distance import bogie_runs_backwards, check_axle_distance, runs_backwards, turned_over
-from estimation.motion.bogie_frame import check_frame_sensors, with_frame_yaw
+from estimation.motion.axle_distance import (
+    bogie_runs_backwards,
+    check_axle_distance,
+    check_frame_sensors,
+    runs_backwards,
+    turned_over,
+    with_frame_yaw,
+)
 from estimation.motion.without_blows import without_blows
 from estimation.storage import UnitOfWork
 from estimation.values.reasons import Reason, ReasonCode

@@ -16,25 +16,25 @@ from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import UnitOfWork
 from estimation.values.quantities import Status
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.windows import WindowKey, WindowMark, WindowState
 
 
 @dataclass(frozen=True, slots=True)
 class Outdated:
-    """What has come for the windows of a section, or for those that are on none.
+    """Windows on a section, or on none, for which something has come.
 
     Attributes:
-        windows: That were estimated on another version of the alignment, or with other parameters, than they are to be.
-        aligned: Whether windows were refused without an alignment, of which there is one.
-        classed: Vehicles with windows that were refused without a class, of which there is one.
+        changed: Estimated on another version of the alignment, or with other parameters, than they are to be.
+        aligned: Refused without an alignment, of which there is one.
+        classed: Refused without a class of their vehicle, of which there is one.
     """
 
-    windows: Sequence[WindowKey]
-    aligned: bool
-    classed: Sequence[str]
+    changed: Sequence[WindowKey]
+    aligned: Sequence[WindowKey]
+    classed: Sequence[WindowKey]
 
 
 def load(unit: UnitOfWork, sections: Sequence[str], context: JobContext) -> Mapping[str, Outdated]:
@@ -45,13 +45,15 @@ def load(unit: UnitOfWork, sections: Sequence[str], context: JobContext) -> Mapp
 
 def _of_section(unit: UnitOfWork, classes: ClassLookup, code: str) -> Outdated:
     known = unit.tracks.in_force(code)
-    aligned = known is not None and known.status is Status.ESTIMATED
-    waiting = unit.windows.refused_vehicles(ReasonCode.CLASS_UNKNOWN, [code])
-    return Outdated(
-        windows=sorted({*unit.epochs.outdated([code]), *_made_otherwise(unit, classes, code)}),
-        aligned=aligned and bool(unit.windows.refused_sections(NO_ALIGNMENT.code, [code])),
-        classed=[vehicle for vehicle in waiting if not isinstance(classes.of_vehicle(vehicle), Reason)],
-    )
+    has_alignment = known is not None and known.status is Status.ESTIMATED
+    aligned, classed = [], []
+    for record in unit.windows.refused_on(code, (NO_ALIGNMENT.code, ReasonCode.CLASS_UNKNOWN)):
+        if code_of(record.reason) is ReasonCode.CLASS_UNKNOWN:
+            classed += [] if isinstance(classes.of_vehicle(record.vehicle), Reason) else [record.key]
+        elif has_alignment:
+            aligned.append(record.key)
+    changed = sorted({*unit.epochs.outdated([code]), *_made_otherwise(unit, classes, code)})
+    return Outdated(changed, aligned, classed)
 
 
 def _made_otherwise(unit: UnitOfWork, classes: ClassLookup, section: str) -> Iterator[WindowKey]:
@@ -63,7 +65,7 @@ def _made_otherwise(unit: UnitOfWork, classes: ClassLookup, section: str) -> Ite
 
 def compute(outdated: Outdated) -> Outcome[None]:
     """Return no result: what follows is that windows wait. Those that do are not found again."""
-    return Outcome(more=bool(outdated.windows or outdated.aligned or outdated.classed))
+    return Outcome(more=bool(outdated.changed or outdated.aligned or outdated.classed))
 
 
 def let_wait(
@@ -71,14 +73,13 @@ def let_wait(
 ) -> Mapping[str, int]:
     """Let windows wait again; count how many do and how many cannot, for their samples were purged."""
     counts: Counter[str] = Counter()
-    for section, (outdated, _outcome) in made.items():
+    for outdated, _outcome in made.values():
         if outdated is None:
             continue
-        again = len(unit.windows.mark_all([WindowMark(*key, WindowState.PENDING) for key in outdated.windows]))
-        counts["passed_over"] += len(outdated.windows) - again
-        come = unit.windows.requeue(section, NO_ALIGNMENT.code) if outdated.aligned else 0
-        classed = sum(unit.windows.requeue_vehicle(code, ReasonCode.CLASS_UNKNOWN) for code in outdated.classed)
-        counts["requeued"] += again + come + classed
+        waiting = [WindowMark(*key, WindowState.PENDING) for key in (*outdated.changed, *outdated.aligned)]
+        again = {mark.key for mark in unit.windows.mark_all(waiting)}
+        counts["passed_over"] += len(set(outdated.changed) - again)
+        counts["requeued"] += len(again) + len(unit.windows.look_again(outdated.classed))
     return counts
 
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from estimation.adhesion.file_errors import FileErrors
-from estimation.adhesion.friction import FrictionParameters
+from estimation.adhesion.parameters import FileErrors, FrictionParameters
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule
 from estimation.storage import UnitOfWork
-from estimation.values.adhesion import WindowAdhesion
+from estimation.values.opinions import WindowAdhesion
 
 HOUR_NS = 3_600_000_000_000
 

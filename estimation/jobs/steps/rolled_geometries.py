@@ -20,8 +20,8 @@ from estimation.jobs.steps.rolling_radius import RadiusOnFile, former, remembere
 from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import weighted_sum
+from estimation.values.fields import JsonValue
 from estimation.values.geometry import LEFT_OUT, PASSED_OVER, BinTable, Contradiction, GeometryRecord
-from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 from estimation.values.roll_up import MOST_CHOSEN, RollUp, RollUpKey, Side

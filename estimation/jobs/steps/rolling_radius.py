@@ -11,8 +11,8 @@ from estimation.jobs.steps.load_window import load_window
 from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
+from estimation.values.fields import JsonValue
 from estimation.values.geometry import RADIUS_DOUBTED, Contradiction, GeometryRecord
-from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.roll_up import RollingSums, WindowRollingSums

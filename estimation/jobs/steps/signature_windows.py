@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 from estimation.errors import DamagedError, PurgedError, TreadwatchError
-from estimation.failures import code_of_error, first_line
 from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
@@ -20,9 +19,9 @@ from estimation.signatures.parameters import SignatureParameters
 from estimation.signatures.window_signatures import window_signatures
 from estimation.storage import UnitOfWork
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.runs import SubjectKind
+from estimation.values.results import Facet
+from estimation.values.runs import SubjectKind, code_of_error, first_line
 from estimation.values.signatures import SIGNATURES, KnownSignatures, Signature, WindowSignatures
-from estimation.values.subjects import Facet
 from estimation.values.track import TrackLayout
 from estimation.values.windows import Window, WindowRecord, key_of_text, text_of_key
 
@@ -61,9 +60,8 @@ def list_other(
     unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Assumptions | None, Outcome[None]]]
 ) -> Mapping[str, int]:
     """List the windows whose signatures were made with other assumptions, or that waited for their class."""
-    for wheelset, (assumptions, _outcome) in made.items():
-        for vehicle, digest in () if assumptions is None else assumptions.of_vehicles:
-            unit.signatures.list_other(wheelset, vehicle, digest)
+    rests_on = {wheelset: assumptions.of_vehicles for wheelset, (assumptions, _) in made.items() if assumptions}
+    unit.signatures.list_other([(wheelset, *one) for wheelset, own in rests_on.items() for one in own])
     return {}
 
 
@@ -114,8 +112,9 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
     windows = [key_of_text(key) for key in keys]
     made_of, expected = unit.signatures.made_of(windows), _Expected.of(unit, context)
     records = sorted(unit.windows.several(windows), key=lambda one: (one.vehicle, one.start_ns, one.axle))
-    expected.classes.look_up([one.wheelset for one in records])
-    loader, layouts = WindowLoader(unit, VehicleLookup(unit)), _Layouts(unit)
+    expected.classes.look_up([one.wheelset for one in records], {one.vehicle for one in records})
+    loader = WindowLoader(unit, VehicleLookup(unit), {record.key: record for record in records})
+    layouts = _Layouts(unit)
     inputs = {}
     for record in (one for one in records if not one.samples_purged):
         assumed, before = expected.classes.assumed(record.vehicle, record.wheelset), made_of.get(record.key)
@@ -242,6 +241,7 @@ def usable(
     Those that were made otherwise and whose samples are purged cannot be made again: their places may be others.
     """
     classes, layouts = ClassLookup(unit, context.settings.estimation), _layout_versions(unit)
+    classes.look_up([one.found.wheelset for one in known], {one.found.vehicle for one in known})
     found, left_out, digests = [], Counter[ReasonCode](), dict[tuple[str, str], str]()
     for one in known:
         pair = one.found.vehicle, one.found.wheelset

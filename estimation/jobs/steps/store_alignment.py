@@ -18,7 +18,7 @@ from estimation.track.passes import Journey
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import AlignmentUpdate
 from estimation.track.versions import changed_vehicles, requires_reestimation
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.track import (
     Correction,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from estimation.jobs.job import JobContext
 from estimation.storage import UnitOfWork
-from estimation.track.panel.stiffness_ratio import PRIOR_STD
+from estimation.track.panel.instrumental_slope import PRIOR_STD
 from estimation.track.update import AlignmentUpdate
 from estimation.values.track import TrackEpoch
 from estimation.values.trend import SuspensionFinding

@@ -8,10 +8,10 @@ from functools import lru_cache
 import numpy as np
 
 from estimation.accuracy.wheel_contact import RailShare
-from estimation.alerts.step_causes import StepSurroundings
 from estimation.jobs.steps.identities import identity_change
 from estimation.rails.parameters import conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
+from estimation.trend.steps import StepSurroundings
 from estimation.values.geometry import IntervalConicities
 from estimation.values.registry import WheelsetRecord
 from estimation.values.track import TrackSectionRecord

@@ -9,22 +9,19 @@ from typing import TypeVar
 from estimation.accuracy.wheel_contact import RailShare
 from estimation.alerts.identity import IDENTITY_EVENT, IdentityEvent
 from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.data_quality import DataQualityRule
-from estimation.alerts.rules.hunting import HuntingRule
-from estimation.alerts.rules.intervals import LOOK_BACK as INTERVALS
 from estimation.alerts.rules.rule import WheelsetFacts
-from estimation.alerts.rules.sensor_fault import SensorFaultRule
-from estimation.alerts.rules.standing import LOOK_BACK, reach_km, within_reach
-from estimation.alerts.rules.wheel_flat import WheelFlatRule
-from estimation.alerts.step_causes import StepSurroundings
+from estimation.alerts.rules.running_gear import HuntingRule
+from estimation.alerts.rules.sensor_data import DataQualityRule, SensorFaultRule
+from estimation.alerts.rules.standing import LOOK_BACK, LOOK_BACK_INTERVALS, reach_km, within_reach
+from estimation.alerts.rules.wheels import WheelFlatRule
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.identities import identity_changes
 from estimation.jobs.steps.trend_steps import rails_of, step_of, surroundings
 from estimation.storage import UnitOfWork
-from estimation.trend.steps import behind_step
+from estimation.trend.steps import StepSurroundings, behind_step
 from estimation.values.alerts import Alert
-from estimation.values.dampers import GearDamper
 from estimation.values.geometry import GeometryRecord, IntervalConicities
+from estimation.values.opinions import GearDamper
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.trend import (
     SUSPENSION,
@@ -215,7 +212,7 @@ def _newest(
     if not conicities:
         return ()
     far_km = max(reach_km(rule.delays) for rule in book.rules)
-    wanted = conicities[-within_reach([one.mileage_km for one in conicities], INTERVALS, far_km) :]
+    wanted = conicities[-within_reach([one.mileage_km for one in conicities], LOOK_BACK_INTERVALS, far_km) :]
     numbers = [one.interval for one in wanted if one.interval is not None]
     found = unit.geometries.intervals(serial, wanted[0].baseline, first=min(numbers), last=max(numbers))
     by_number = {record.interval: record for record in found}

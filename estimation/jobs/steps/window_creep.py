@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from estimation.adhesion.creep_forces import ContactForces, ForceParameters, forces_on
-from estimation.adhesion.gear_segments import gear_segments
+from estimation.adhesion.creep_forces import ContactForces, forces_on, gear_segments
 from estimation.adhesion.window_adhesion import AdhesionInputs, refused, window_adhesion
 from estimation.dampers.window_damper import looked_at, window_damper
 from estimation.errors import DamagedError, PurgedError
@@ -17,9 +16,8 @@ from estimation.jobs.steps.window_inputs import BatchInputs, inputs_of_batch
 from estimation.jobs.steps.window_tracks import TrackLookup, tracks_of_batch
 from estimation.motion.window_motion import window_motion
 from estimation.storage import UnitOfWork
-from estimation.values.adhesion import WindowAdhesion
-from estimation.values.dampers import WindowDamper
 from estimation.values.geometry import GeometryRecord
+from estimation.values.opinions import WindowAdhesion, WindowDamper
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout, TrackSectionRecord
 from estimation.values.windows import Window, WindowKey, WindowRecord
@@ -48,8 +46,7 @@ class Gear:
             if self.content_digest is not None:
                 first = min(self.windows, key=lambda window: window.axle)
                 self.damper = window_damper(first, self.content_digest, segments, self.assumed.on_file)
-            parameters = ForceParameters()
-            self._forces = segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class, parameters)
+            self._forces = segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class)
         return self._forces if isinstance(self._forces, Reason) else self._forces[place]
 
 

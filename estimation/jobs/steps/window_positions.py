@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 from estimation.jobs.steps.epoch_passes import EpochPasses, WindowKey
 from estimation.storage import UnitOfWork
-from estimation.track.passes import Journey
-from estimation.track.screening.screen import PassStatus
+from estimation.track.passes import Journey, PassStatus
 from estimation.track.update import AlignmentUpdate
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction

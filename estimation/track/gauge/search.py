@@ -1,19 +1,9 @@
-"""The gauge deviation along a section by search: at every place the one at which the passes agree, and smooth.
-
-With h(R, e) of every wheelset known, each gauge deviation puts every pass at a place on the track; at the right one all
-passes agree on the alignment there. Their disagreement has several minima over e, so all of a grid are looked
-at, and the best smooth way through them along the section is found by dynamic programming.
-
-Gauge deviation as a second latent function of the place, from the passes alone.
+"""The gauge deviation along a section from the passes alone: least squares, then a search (``docs/gauge.md``).
 
 Gauge moves each wheel against its own rail: a wheelset of difference R sits at h(R, e) = h0(R) + e h1(R) + e^2 h2(R).
-Over R, unlike over y - d, this is smooth: contact jumps are steps of R and flats of h. For given h it is linear in
-the small change of e, and for given e it is linear in h: the two are solved in turn, each exactly, d eliminated. One
-place is seen by all passes, so 48 passes separate d and e where two would not.
-
-That needs h1 beforehand (``initial_shape``), and ends near where it starts; a search goes on from there (``search``).
-h1 and e have a common factor that this leaves open, with its sign; the wheels' own functions (``wheel_functions``) fix
-it.
+For given h this is linear in a small change of e, and for given e in h: both are solved in turn, d eliminated. That
+ends near where it starts. Disagreement has several minima over e, so all of a grid are looked at then, and dynamic
+programming finds the best smooth way along the section.
 """
 
 from __future__ import annotations
@@ -68,12 +58,7 @@ class _LinearisedPass:
 
 
 def with_gauge_effect(solution: PanelSolution, effect: FloatArray, panel: Panel) -> PanelSolution:
-    """Return a solution without gauge with h1 put in.
-
-    Args:
-        solution: Solved without gauge.
-        effect: (w, gauge_basis_count) h1, m for ``gauge_unit`` of gauge.
-    """
+    """Return a solution without gauge with h1 (w, gauge_basis_count) put in, m for ``gauge_unit`` of gauge."""
     h0, stiffness_term = solution.curves[:, :, : panel.parameters.basis_count], solution.curves[:, :, -1:]
     h1 = np.broadcast_to(effect, (len(h0), *effect.shape))
     return replace(solution, curves=np.concatenate([h0, h1, np.zeros_like(h1), stiffness_term], axis=2))
@@ -109,7 +94,7 @@ def _linearised(item: GriddedPass, solution: PanelSolution, panel: Panel) -> _Li
     if item.empty or curve is None:
         return None
     on = panel.grid.contains(item.points)
-    root = float(np.sqrt(panel.known.weight_of(item.life)))
+    root = float(np.sqrt(panel.weight_of(item.life)))
     return _LinearisedPass(
         points=np.clip(item.points, 0, panel.grid.points - 1),
         on=on,
@@ -121,7 +106,6 @@ def _linearised(item: GriddedPass, solution: PanelSolution, panel: Panel) -> _Li
 
 
 def _slope(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
-    """Return dh/de (m,) = h1 + 2 e h2."""
     p = panel.parameters
     R = np.clip(item.difference, -p.reach, p.reach)
     first, second = (np.interp(R, p.gauge_knots, values) for values in gauge_curves(curve, panel))
@@ -202,8 +186,7 @@ def search_gauge(
 ) -> FloatArray:
     """Return the gauge deviation (n,), m, with mean zero, at which ``passes`` agree best.
 
-    Args:
-        passes, solution, panel: As solved last; ``panel.gauge`` is where the slow part of y - d is taken at.
+    The slow part of y - d is taken at ``panel.gauge``.
     """
     levels = parameters.levels
     sums, squares = np.zeros((2, panel.grid.points, len(levels)))
@@ -214,7 +197,7 @@ def search_gauge(
             continue
         at, at_nominal, R = placed
         each = at_nominal[:, None] - item.side * shifts[item.life].over(R, levels)
-        weight = panel.known.weight_of(item.life)
+        weight = panel.weight_of(item.life)
         sums[at] += weight * each
         squares[at] += weight * (each * each)
         count[at] += weight

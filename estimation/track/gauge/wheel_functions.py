@@ -1,15 +1,12 @@
-"""One radius function per wheel, and where a gauge deviation puts the wheelset.
+"""One radius function per wheel, where a gauge deviation puts the wheelset, and what a first guess of that is.
 
 With x = y - d and e the gauge deviation, the left wheel sits at x - e/2 against its rail and the right one at -x - e/2,
 positive towards the flange, so R(x, e) = rho_L(x - e/2) - rho_R(-x - e/2): linear in hat functions of the two. Solved
 for x it gives where the wheelset runs at a given R and e.
 
-What the gauge does to wheelsets, from nothing: the residuals of a panel without gauge vary together.
-
-A residual of the panel is nearly e(s) h1(R), so the covariance of residuals at one place over (wheelset, R) is the
-product of h1 with itself: its leading eigenvectors are h1 and, where the gauge varies much, what its square does. No
-start is needed. Passes at a place mostly have R of one sign, so h1 at R > 0 leaves R < 0 open; wheelsets are
-taken as alike on both sides, h1(-R) = -h1(R). A trial shows which mixture of the two leading vectors h1 is.
+A residual of a panel without gauge is nearly e(s) h1(R), so the leading eigenvectors of the covariance of residuals at
+one place over (wheelset, R) are h1 and what the gauge's square does; a trial shows which mixture h1 is. Passes at a
+place mostly have R of one sign: wheelsets are taken as alike on both sides, h1(-R) = -h1(R).
 """
 
 from __future__ import annotations
@@ -145,16 +142,13 @@ def total_gauge_shifts(solution: PanelSolution, panel: Panel) -> dict[ProfileLif
     for name, curve in zip(solution.lives, solution.curves[0], strict=True):
         first, second = (np.interp(R, p.gauge_knots, values) for values in gauge_curves(curve, panel))
         shift = np.outer(first, e) + np.outer(second, e * e)
-        known = panel.known.gauge_shifts.get(name)
+        known = panel.gauge_shifts.get(name)
         found[name] = GaugeShift(DIFFERENCES, GAUGES, shift if known is None else shift + known.shift)
     return found
 
 
 def gauge_factor(seen: Mapping[ProfileLife, ContactSamples]) -> float:
-    """Return what estimated gauge deviations are to be multiplied with: by the wheels that fit best.
-
-    h1 and e have a common factor that the panel leaves open, a wheel does not.
-    """
+    """Return what estimated gauge deviations are to be multiplied with: h1 and e share a factor, a wheel has none."""
     return _best_factor(_misfits_by_factor(seen).sum(axis=0))
 
 
@@ -231,9 +225,6 @@ def initial_gauge_effect(
     """Return h1 (w, gauge_basis_count), m for ``gauge_unit`` of gauge, from the residuals of a panel without gauge.
 
     None where a gauge that would explain the residuals hardly varies.
-
-    Args:
-        solution, panel: As solved without gauge.
     """
     vectors = _leading_vectors(passes, solution, panel)
     candidates = []
@@ -268,7 +259,7 @@ def _leading_vectors(passes: Sequence[GriddedPass], solution: PanelSolution, pan
         residual = item.side * np.clip(np.where(known, residual, 0.0), -CLIPPED, CLIPPED)
         R = item.difference[item.inside]
         basis = basis_functions(np.minimum(np.abs(R), panel.parameters.reach), knots) * known
-        products = panel.known.weight_of(item.life) * basis * np.sign(R) * residual
+        products = panel.weight_of(item.life) * basis * np.sign(R) * residual
         number = solution.lives.index(item.life)
         columns = slice(number * k, (number + 1) * k)
         sums[at, columns] += item.side * products.T
@@ -292,7 +283,8 @@ def _best_candidate(
     section = panel.grid.length
     length = min(TRIAL_LENGTH, section)
     begin = 0.5 * (section - length)
-    small = Panel.of(replace(panel.parameters, length=length), replace(panel.known, gauge=None))
+    parameters = replace(panel.parameters, length=length)
+    small = replace(panel, parameters=parameters, grid=Panel.of(parameters).grid, gauge=None)
     part = [
         grid_pass(cut, small.grid, item.ratio)
         for item in passes

@@ -60,45 +60,29 @@ class PanelParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class KnownBeforehand:
-    """What is known of a section and its passes before the panel is solved."""
+class Panel:
+    """A panel regression: its parameters, the grid of the section, and what is known before it is solved."""
 
+    parameters: PanelParameters
+    grid: SectionGrid
     gauge: FloatArray | None = None  # (points,) m, deviation; None: none is modelled
-    gauge_shifts: Mapping[ProfileLife, GaugeShift] = field(default_factory=dict)  # by profile life
-    measured: Mapping[ProfileLife, MeasuredCurve] = field(default_factory=dict)  # by profile life
-    weights: Mapping[ProfileLife, float] = field(
-        default_factory=dict
-    )  # of a pass, by profile life; 1 where there is none
+    gauge_shifts: Mapping[ProfileLife, GaugeShift] = field(default_factory=dict)
+    measured: Mapping[ProfileLife, MeasuredCurve] = field(default_factory=dict)
+    weights: Mapping[ProfileLife, float] = field(default_factory=dict)  # of a pass; 1 where there is none
+
+    @classmethod
+    def of(cls, p: PanelParameters, measured: Mapping[ProfileLife, MeasuredCurve] | None = None) -> Panel:
+        """Return the panel with the grid of some parameters."""
+        grid = SectionGrid(p.length, p.step, p.cutoff_wavelength, p.difference_cutoff_wavelength, p.impact)
+        return cls(p, grid, measured=measured or {})
 
     def weight_of(self, life: ProfileLife) -> float:
         """Return how much a pass of this wheelset counts."""
         return self.weights.get(life, 1.0)
 
-
-@dataclass(frozen=True, slots=True)
-class Panel:
-    """A panel regression: its parameters, the grid of the section, and what is known beforehand."""
-
-    parameters: PanelParameters
-    grid: SectionGrid
-    known: KnownBeforehand
-
-    @classmethod
-    def of(cls, parameters: PanelParameters, known: KnownBeforehand | None = None) -> Panel:
-        """Return the panel with the grid of ``parameters``; nothing is known by default."""
-        p = parameters
-        grid = SectionGrid(p.length, p.step, p.cutoff_wavelength, p.difference_cutoff_wavelength, p.impact)
-        return cls(parameters, grid, known or KnownBeforehand())
-
     def with_gauge(self, gauge: FloatArray, gauge_shifts: Mapping[ProfileLife, GaugeShift] | None = None) -> Panel:
         """Return the panel with a gauge deviation (points,), m; its shifts stay as they are by default."""
-        shifts = self.known.gauge_shifts if gauge_shifts is None else gauge_shifts
-        return replace(self, known=replace(self.known, gauge=gauge, gauge_shifts=shifts))
-
-    @property
-    def gauge(self) -> FloatArray | None:
-        """Gauge deviation (points,), m; None where none is modelled."""
-        return self.known.gauge
+        return replace(self, gauge=gauge, gauge_shifts=self.gauge_shifts if gauge_shifts is None else gauge_shifts)
 
     @property
     def unknowns(self) -> int:
@@ -113,38 +97,26 @@ def _knots(reach: float, count: int) -> FloatArray:
 
 
 def unfiltered_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
-    """Return y - h(R) (m,) of a pass at all its grid points, m, before any filter.
-
-    Args:
-        curve: (unknowns,) coefficients of its wheelset.
-    """
+    """Return y - h(R) (m,) of a pass at all its grid points, m, before any filter."""
     shift = known_shift(item, panel)
     return np.asarray(item.displacement - shift - item.side * curve_displacement(item, curve, panel))
 
 
 def pass_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
-    """Return the high-passed y - h(R) (m,) of a pass at all its grid points, m.
-
-    Args:
-        curve: (unknowns,) coefficients of its wheelset.
-    """
+    """Return the high-passed y - h(R) (m,) of a pass at all its grid points, m."""
     return high_pass(unfiltered_residual(item, curve, panel), panel.grid.kernel)
 
 
 def known_shift(item: GriddedPass, panel: Panel) -> FloatArray:
     """Return what is known beforehand of what the gauge does to y (m,), m."""
-    shift = panel.known.gauge_shifts.get(item.life)
+    shift = panel.gauge_shifts.get(item.life)
     if shift is None:
         return np.zeros(len(item.points))
     return item.side * shift.at(item.difference, gauge_at(item.points, panel))
 
 
 def curve_displacement(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
-    """Return ``curve`` (k,) times the functions that a pass's displacement is a sum of (m,), m, before the filter.
-
-    Args:
-        curve: (k,) coefficients of its wheelset.
-    """
+    """Return ``curve`` (k,) times the functions that a pass's displacement is a sum of (m,), m, before the filter."""
     p = panel.parameters
     R = np.clip(item.difference, -p.reach, p.reach)
     displacement = np.interp(R, p.knots, curve[: p.basis_count]) + curve[-1] * item.stiffness_term
@@ -156,21 +128,13 @@ def curve_displacement(item: GriddedPass, curve: FloatArray, panel: Panel) -> Fl
 
 
 def gauge_curves(curve: FloatArray, panel: Panel) -> tuple[FloatArray, FloatArray]:
-    """Return h1 and h2 at the gauge knots (gauge_basis_count,), m, of the coefficients (unknowns,) of a wheelset.
-
-    Args:
-        curve: (unknowns,) coefficients of a wheelset.
-    """
+    """Return h1 and h2 at the gauge knots (gauge_basis_count,), m, of the coefficients (unknowns,) of a wheelset."""
     start, count = panel.parameters.basis_count, panel.parameters.gauge_basis_count
     return curve[start : start + count], curve[start + count : start + 2 * count]
 
 
 def gauge_at(points: IntArray, panel: Panel) -> FloatArray:
-    """Return the gauge deviation (m,) at grid points, m; zero off the section.
-
-    Args:
-        points: (m,) grid points.
-    """
+    """Return the gauge deviation (m,) at grid points (m,), m; zero off the section."""
     assert panel.gauge is not None
     on = panel.grid.contains(points)
     return np.where(on, panel.gauge[np.clip(points, 0, panel.grid.points - 1)], 0.0)
@@ -187,11 +151,6 @@ def basis_functions(R: FloatArray, knots: FloatArray) -> FloatArray:
 
 
 def knot_shares(R: FloatArray, knots: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the number of the knot below R (n,), and the share of the next knot in it (n,).
-
-    Args:
-        R: (n,) m; beyond the knots shares are below 0 or above 1.
-        knots: (k,) m, increasing.
-    """
+    """Return the number of the knot (k,) below R (n,), m, and the share of the next one: outside 0 to 1 beyond them."""
     cell = np.clip(np.searchsorted(knots, R) - 1, 0, len(knots) - 2)
     return cell, (R - knots[cell]) / (knots[cell + 1] - knots[cell])

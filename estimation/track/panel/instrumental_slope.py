@@ -1,27 +1,19 @@
-"""By how much noise of R flattens the curves, from an instrument: R as the mean displacement of the place predicts it.
+"""What errors of R do: they flatten the curves, and make stiffness ratios too small.
 
-Noise of R has no part in what other passes have measured. So each wheelset's R is predicted by a filter along the
-track, fitted to all its passes, from the mean lateral displacement of the place. Between the passes of a place the
-prediction z differs by wheelset, and with the curves h of the panel
+Between the passes of a place noise of R flattens y = d + h(R) (``docs/decisions/errors-in-variables.md``). By how much
+is known from the share r2 of y that the curves explain, and better from an instrument z: each wheelset's R as a filter
+predicts it from the mean displacement of the place, which holds none of that noise,
 
     factor = sum h(z) (y - h_E) / sum h(z) h(R)
 
-is what the curves must be multiplied with, whatever the noise of y and of R (instrumental variables, one common slope;
-h_E stands for the stiffness term). The share of y that the curves explain cannot separate these two noises.
-
-By how much the regression of y on R makes the curves too flat, and what is not known of that.
-
-R of a pass is off: by the noise of its sensors, by terms that its equation leaves out, by a gauge deviation that is not
-modelled. Between the passes of a place such errors stand against differences of R that are small where wheelsets are
-alike. They flatten y = d + h(R) as noise of a regressor does, and what h lacks goes into the alignment, with a small
-standard deviation from blocks of data. Were all of the disagreement in R, the regression of R on y - d would be right,
-and h too flat by the share r2 of the differences of y that the curves explain; were it all in y, h would be right. The
-truth is near the first: the shares that were seen in simulations of many tracks and fleets are below.
+with h_E for the stiffness term. R is a sum of a rolling part, that no uncertain parameter scales, and of the stiffness
+term E, proportional to yaw stiffness over creep coefficient and out of phase with it. A wrong ratio leaves residuals:
+y = d + h(R + delta E) = d + h(R) + h' delta E + ... has one more term, E.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,11 +58,7 @@ def slope_correction(state: PanelState, solution: PanelSolution) -> SlopeCorrect
 
 
 def corrected(state: PanelState, solution: PanelSolution, factor: float) -> PanelSolution:
-    """Return a solution with its curves multiplied by ``factor``, and the alignment that follows from them.
-
-    Args:
-        factor: Of all curves.
-    """
+    """Return a solution with its curves multiplied by ``factor``, and the alignment that follows from them."""
     passes = np.where(state.passes > 0.0, state.passes, 1.0)
     added = (factor - 1.0) * curves_of_sum(state, _without_stiffness(solution.curves[0])) / passes
     return replace(
@@ -81,11 +69,7 @@ def corrected(state: PanelState, solution: PanelSolution, factor: float) -> Pane
 
 
 def common_slope(solution: PanelSolution, other: PanelSolution) -> float:
-    """Return the factor by which the curves of ``solution`` come nearest to those of another.
-
-    Args:
-        solution, other: Of the same wheelsets, perhaps in another order; the second without a gauge.
-    """
+    """Return the factor by which the curves of ``solution`` come nearest to those of another one, without a gauge."""
     count = len(solution.knots)
     along, own = 0.0, 0.0
     for number, life in enumerate(solution.lives):
@@ -120,11 +104,7 @@ class _Filtered:
 def with_instrument(
     slope: SlopeCorrection, passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel
 ) -> SlopeCorrection:
-    """Return the correction of the curves' slope, with what the instrument shows of it; as it was where that is weak.
-
-    Args:
-        solution, panel: As solved, without a gauge that varies.
-    """
+    """Return the slope's correction with what the instrument shows of it, or as it was where that is weak."""
     if not slope.explained > 0.0:
         return slope  # the curves explain nothing, and nothing is known of their slope
     sums = _sums(passes, solution, panel)
@@ -158,7 +138,7 @@ def _sums(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel) 
             continue
         used = one.source.inside & _at(known, one.source.points, panel)
         values = _compared(one, curve, predicted[one.source.life], panel)[:, used]
-        at, weight = one.source.points[used], panel.known.weight_of(one.source.life)
+        at, weight = one.source.points[used], panel.weight_of(one.source.life)
         total[:, at] += weight * values
         count[at] += weight
         terms.append((at, values, weight))
@@ -222,3 +202,109 @@ def _compared(one: _Filtered, curve: FloatArray, predicted: FloatArray, panel: P
 def _at(values: FloatArray | BoolArray, points: IntArray, panel: Panel) -> np.ndarray:
     """Return ``values`` (n,) at grid points (m,), some of which are off the section."""
     return values[np.clip(points, 0, panel.grid.points - 1)]
+
+
+PRIOR_STD = 0.15  # of the ratio, relative
+SYSTEMATIC_STD = 0.02  # of the ratio, relative: a model of small terms is left, blocks of data cannot show it
+LEAST_EXPLAINED = 0.67  # a smaller share says that something else is wrong
+DAMPING = 0.6  # of a step: position and ratio are refined at once, and each would make up for the other's error
+
+
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """Of a vehicle: true yaw stiffness over creep coefficient, relative to the assumed one."""
+
+    value: float = 1.0
+    std: float = PRIOR_STD
+
+
+def ratio_values(ratios: Mapping[str, Ratio]) -> dict[str, float]:
+    """Return the value of each vehicle's ratio."""
+    return {vehicle: one.value for vehicle, one in ratios.items()}
+
+
+def refine_ratios(
+    ratios: Mapping[str, Ratio],
+    passes: Sequence[GriddedPass],
+    solution: PanelSolution,
+    panel: Panel,
+    explained: float = 1.0,
+) -> dict[str, Ratio]:
+    """Return the ratios after one Gauss-Newton step from the solution of the adjusted passes.
+
+    The step of a vehicle is the mean over its wheelsets, weighted by the squares of their slopes, as far as the data
+    are worth against what is known beforehand. What the curves leave of y, besides the share r2 that is ``explained``,
+    is error of R; as far as R is its stiffness term it makes the ratio too small, in every block of data alike. Where
+    measured profiles had to determine the curves, the ratios are as assumed.
+    """
+    if solution.report.curves_fixed:
+        return {item.source.vehicle: Ratio() for item in passes if item.source.stiffness_term is not None}
+    slopes = _slopes(solution, panel)
+    numerators: dict[str, np.ndarray] = {}
+    squares: dict[str, float] = {}
+    for vehicle, life in sorted(
+        {(item.source.vehicle, item.life) for item in passes if item.source.stiffness_term is not None}
+    ):
+        if life not in solution.lives:
+            continue
+        w = solution.lives.index(life)
+        numerators[vehicle] = numerators.get(vehicle, 0.0) + slopes[w] * solution.curves[:, w, -1]
+        squares[vehicle] = squares.get(vehicle, 0.0) + slopes[w] ** 2
+    result = {}
+    flattened = _stiffness_shares(passes)
+    excess = 1.0 / max(explained, LEAST_EXPLAINED) - 1.0
+    for vehicle, numerator in numerators.items():
+        if not squares[vehicle] > 0.0:
+            continue  # its passes met nothing
+        steps = numerator / squares[vehicle]
+        before = ratios.get(vehicle, Ratio())
+        data_std = float(jackknife_std(steps[:, None])[0])
+        if not np.isfinite(data_std):
+            data_std = 0.0  # not computed in this round
+        data_std = float(np.hypot(data_std, excess * flattened[vehicle]))
+        worth = PRIOR_STD**2 / (PRIOR_STD**2 + data_std**2)
+        value = 1.0 + worth * (before.value + DAMPING * float(steps[0]) - 1.0)
+        result[vehicle] = Ratio(float(np.clip(value, 0.5, 1.5)), float(np.sqrt(worth) * data_std))
+    return result
+
+
+def with_ratio_std(
+    ratios: Mapping[str, Ratio],
+    passes: Sequence[GriddedPass],
+    solution: PanelSolution,
+    panel: Panel,
+    explained: float = 1.0,
+) -> dict[str, Ratio]:
+    """Return the ratios with which ``passes`` were adjusted, each with its std from the groups of ``solution``."""
+    found = refine_ratios(ratios, passes, solution, panel, explained)
+    return {
+        vehicle: replace(ratios.get(vehicle, Ratio()), std=float(np.hypot(one.std, SYSTEMATIC_STD)))
+        for vehicle, one in found.items()
+    }
+
+
+def error_of_difference(ratios: Mapping[str, Ratio], passes: Sequence[GriddedPass]) -> float:
+    """Return the relative std of R that the stiffness ratio leaves, of the vehicle where it is largest.
+
+    In a stiff bogie nearly all of R is its stiffness term, a small difference of two yaws, whose errors follow the
+    motion as curves do: there the passes determine neither the ratio nor the curves.
+    """
+    shares = _stiffness_shares([item for item in passes if item.source.vehicle in ratios])
+    return max((float(np.sqrt(share)) * ratios[vehicle].std for vehicle, share in shares.items()), default=0.0)
+
+
+def _stiffness_shares(passes: Sequence[GriddedPass]) -> dict[str, float]:
+    """Return by vehicle the mean square of the stiffness term over that of R, at most 1."""
+    sums: dict[str, np.ndarray] = {}
+    for item in passes:
+        E, R = item.stiffness_term[item.inside], item.difference[item.inside]
+        squares = np.array([E @ E, R @ R])
+        sums[item.source.vehicle] = sums.get(item.source.vehicle, 0.0) + squares
+    return {vehicle: float(np.clip(own / max(whole, 1e-300), 0.0, 1.0)) for vehicle, (own, whole) in sums.items()}
+
+
+def _slopes(solution: PanelSolution, panel: Panel) -> np.ndarray:
+    """Return dh/dR (w,) of every wheelset, averaged over what it has seen."""
+    rise = np.diff(solution.curves[0, :, : panel.parameters.basis_count], axis=1) / np.diff(panel.parameters.knots)
+    seen = np.minimum(solution.weight[:, 1:], solution.weight[:, :-1])
+    return np.asarray((rise * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1e-12))

@@ -59,8 +59,7 @@ def measured_curve(
         at_rails: Whether passes have their displacement at rail level, as EN 15302, or that of the axle, which rolls.
 
     Raises:
-        ContactError: The profiles do not meet the rails.
-        ProfileError: No such rail.
+        ContactError, ProfileError: The profiles do not meet the rails; no such rail.
     """
     rails = rail_profile(rail)
     wheelset = WheelsetOnTrack(left, right, rails, rails, inclination, gauge)

@@ -1,16 +1,8 @@
-"""Alignment and geometry together, from many passes of many wheelsets over one place: a panel regression.
+"""Alignment and geometry together, from many passes over one place: the sums of a panel regression.
 
-At one place, pass p of wheelset w has y = d + h_w(R) + noise, where h_w is the inverse of its rolling radius
-difference R(y - d) and d belongs to the place. With h_w = sum_j c_wj phi_j (piecewise linear functions of R) this is
-linear in d and c: d is the mean over the passes, c follows from the differences between the passes. It needs no start
-and no rounds and has one minimum; and because R is measured far better than y, the noise of R hardly flattens the
-regression of y on R. Everything is compared after the same high-pass.
-
-Two more terms per wheelset are linear too: the stiffness term of R, whose coefficient is the error of the assumed
-ratio of yaw stiffness to creep coefficient; and, where the gauge deviation e(s) is given, functions of R times e and
-times its square, h(R, e) = h0(R) + e h1(R) + e^2 h2(R), because gauge moves each wheel against its own rail.
-
-The rows of the panel regression that one pass makes, high-passed.
+At one place, pass p of wheelset w has y = d + h_w(R) + noise (``docs/unknown-track.md``). With h_w piecewise linear
+this is linear in d and h. Two more terms are, too: the stiffness term of R, and, where the gauge deviation e is given,
+functions of R times e and e^2.
 
 At every grid point at most two of the piecewise linear functions of R are not zero. Their high-pass is made by adding
 the filter's weights at these alone, instead of filtering every function over the whole pass.
@@ -161,7 +153,7 @@ def update(state: PanelState, passes: Sequence[GriddedPass]) -> PanelState:
     )
     for item in passes:
         if not item.empty:
-            _add(sums, lives.index(item.life), pass_rows(item, state.panel), state.panel.known.weight_of(item.life))
+            _add(sums, lives.index(item.life), pass_rows(item, state.panel), state.panel.weight_of(item.life))
     return sums
 
 
@@ -199,14 +191,9 @@ def _by_block(rows: PassRows, panel: Panel) -> Iterator[tuple[int, npt.NDArray[n
 
 
 def groups_of(at: IntArray, panel: Panel) -> IntArray:
-    """Return the group (m,) of each grid point: blocks along the section, assigned in turn.
-
-    Args:
-        at: (m,) grid points.
-    """
+    """Return the group (m,) of each grid point (m,): blocks along the section, assigned in turn."""
     return np.asarray(_block_of(at, panel) % panel.parameters.groups)
 
 
 def _block_of(at: IntArray, panel: Panel) -> IntArray:
-    """Return the number (m,) of the block along the section that each grid point is in."""
     return np.asarray((at * panel.grid.step // panel.parameters.block).astype(np.int64))

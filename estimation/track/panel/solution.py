@@ -1,13 +1,15 @@
-"""The solution of a panel: every wheelset's curve, the alignment of the place, and whether they can be separated."""
+"""The solution of a panel: curves, alignment, whether they can be separated; and what was known before as a pass."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
 
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.track.gridded_pass import SectionGrid
 from estimation.track.panel.basis import Panel
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, groups_of
@@ -15,6 +17,7 @@ from estimation.track.passes import ProfileLife
 from estimation.values.arrays import FloatArray, IntArray, as_slice
 from estimation.values.quantities import Status, jackknife_std
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.track import AlignmentSource, TrackAlignment
 
 LEAST_DIVERSITY = 0.05
 LEAST_WHEELSETS = 2
@@ -133,20 +136,12 @@ def _reduced(state: PanelState, gram: FloatArray, cross: FloatArray, at: IntArra
 
 
 def curves_of_sum(state: PanelState, curves: FloatArray) -> FloatArray:
-    """Return the sum over passes (n,), m, of what curves (w, c) make of displacement.
-
-    Args:
-        curves: (w, c) coefficients of the wheelsets.
-    """
+    """Return the sum over passes (n,), m, of what curves (w, c) make of displacement."""
     return np.asarray(_by_curves(curves[None], state)[0])
 
 
 def prior_of_curves(gram: FloatArray, panel: Panel) -> FloatArray:
-    """Return the normal matrix (c, c) of what is known of one wheelset's columns, for sums (w, c, c) of all.
-
-    Args:
-        gram: (w, c, c) sums of products of the basis functions.
-    """
+    """Return the normal matrix (c, c) of what is known of one wheelset's columns, for sums (w, c, c) of all."""
     size = float(np.einsum("wkk->wk", gram)[:, : panel.parameters.basis_count].mean())
     return _prior(size if size > 0.0 else 1.0, panel)
 
@@ -202,7 +197,7 @@ def _prior(scale: float, panel: Panel) -> FloatArray:
 
 def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
     """Return the curves that have been measured, by the number of their wheelset."""
-    known = state.panel.known.measured
+    known = state.panel.measured
     return {number: known[life] for number, life in enumerate(state.lives) if life in known}
 
 
@@ -244,7 +239,6 @@ def _rough(k: int, roughness: float) -> FloatArray:
 
 
 def _residual_rms(state: PanelState, curve: FloatArray, whole: _Equations) -> float:
-    """Return the rms of y - d - h(R) over all passes, degrees of freedom taken off."""
     c = curve.reshape(-1)
     met = state.passes > 0
     within = state.square.sum() - (state.displacement[met] ** 2 / state.passes[met]).sum()
@@ -282,11 +276,7 @@ def between_pass_std_ratio(state: PanelState) -> float:
 
 
 def too_few_passes(least: int, most: int) -> Reason:
-    """Return that no place has enough passes.
-
-    Args:
-        most: How many there are where there are most.
-    """
+    """Return that no place has enough passes, where the best one has ``most``."""
     return Reason(ReasonCode.TOO_FEW_PASSES, f"no place with {least} passes: {most} at most, {least - most} to go")
 
 
@@ -302,3 +292,81 @@ def _too_little(state: PanelState) -> Reason | None:
         text = f"the passes are too alike: diversity {found:.2f}, {LEAST_DIVERSITY} is needed"
         return Reason(ReasonCode.PASSES_ALIKE, text)
     return None
+
+
+@dataclass(frozen=True, slots=True)
+class PriorAlignment:
+    """Evidence on the grid: filtered alignment (n,), zero where there is none, and its std (n,), inf there."""
+
+    alignment: FloatArray
+    std: FloatArray
+    passes: FloatArray
+    gauge: FloatArray
+    gauge_std: FloatArray
+    gauge_known: bool
+    surveyed: bool = False  # and not what passes have found
+
+    @property
+    def has_alignment(self) -> bool:
+        """Whether it holds an alignment anywhere; it may hold the gauge alone."""
+        return bool(np.isfinite(self.std).any())
+
+
+def prior_on_grid(evidence: TrackAlignment, grid: SectionGrid, cutoff_wavelength: float) -> PriorAlignment:
+    """Return the prior alignment on the grid of the panel.
+
+    Args:
+        cutoff_wavelength: Of the panel's high-pass, m; an alignment filtered at this wavelength is not filtered again.
+    """
+    s = grid.s
+    certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
+    inside = np.interp(s, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
+    d = np.interp(s, evidence.s, np.where(certain, evidence.alignment, 0.0))
+    std = np.interp(s, evidence.s, np.where(certain, evidence.alignment_std, 0.0))
+    if evidence.cutoff_wavelength != cutoff_wavelength:
+        weights = local_cubic_kernel(cutoff_wavelength, grid.step)
+        inside = valid_support(np.asarray(inside), weights)
+        d = high_pass(d, weights)
+    passes = np.interp(s, evidence.s, evidence.passes.astype(np.float64))
+    return PriorAlignment(
+        np.where(inside, d, 0.0),
+        np.where(inside, std, np.inf),
+        np.where(inside, np.rint(passes), 0.0),
+        np.interp(s, evidence.s, evidence.gauge_deviation),
+        np.interp(s, evidence.s, evidence.gauge_deviation_std),
+        evidence.gauge_known,
+        surveyed=evidence.source == AlignmentSource.RECORDED,
+    )
+
+
+def add_prior(state: PanelState, known: PriorAlignment, noise: float, most_weight: float) -> PanelState:
+    """Return the sums with the evidence added, as heavy as its variance makes it against a pass's ``noise`` (m)."""
+    with np.errstate(divide="ignore"):
+        weight = np.minimum((noise / known.std) ** 2, most_weight)
+    d = known.alignment
+    panel = state.panel
+    group = groups_of(np.arange(panel.grid.points), panel)
+    square = state.square + np.bincount(group, weights=weight * d * d, minlength=panel.parameters.groups)
+    return replace(
+        state,
+        panel=replace(panel, parameters=replace(panel.parameters, least_passes=1)),
+        displacement=state.displacement + weight * d,
+        passes=state.passes + weight,
+        square=square,
+        has_alignment=known.has_alignment,
+    )
+
+
+def fleet_step(state: PanelState, solution: PanelSolution, known: PriorAlignment) -> float | None:
+    """Return by how much the fleet as a whole is to be moved onto the prior alignment, m; None where they do not meet.
+
+    Journeys move towards the alignment of all, most of which they have made themselves: as a whole they would come
+    nearer by the share of the evidence in it, round by round, while stiffness ratios make up for what is left.
+    """
+    weight = solution.passes - state.passes
+    observed = (weight > 0) & (state.passes > 0) & np.isfinite(solution.alignment)
+    passes_of_fleet = np.where(observed, state.passes, 1)
+    of_passes = (solution.passes * np.nan_to_num(solution.alignment) - weight * known.alignment) / passes_of_fleet
+    slope = np.where(observed, np.gradient(np.where(observed, of_passes, 0.0), state.panel.grid.step), 0.0)
+    square = float(slope @ slope)
+    return float(slope @ np.where(observed, of_passes - known.alignment, 0.0)) / square if square > 0.0 else None

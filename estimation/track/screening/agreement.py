@@ -1,9 +1,8 @@
 """Whether two signals are of one place: how far what they have in common exceeds chance.
 
-The displacement of a wheelset at a place is y = d + h(R), h near to a straight line. So two passes of one place have a
-combination of (y, R) each that is the same in both, d, whatever their wear; two passes of different places have not.
-The largest canonical correlation between them over the offsets that are searched decides, and its significance is
-that of Wilks' lambda with the number of independent samples that their autocorrelations leave (Bartlett).
+As y = d + h(R), h near to a straight line, two passes of one place have a combination of (y, R) each that is the same
+in both, d, whatever their wear. The largest canonical correlation over the offsets that are searched decides; its
+significance is that of Wilks' lambda with as many samples as the autocorrelations leave independent (Bartlett).
 """
 
 from __future__ import annotations
@@ -37,11 +36,7 @@ class ScreeningParameters:
 
 @compiled(nogil=True)
 def cross_products(first: FloatArray, second: FloatArray, reach: int) -> FloatArray:
-    """Return the sums (2 reach + 1, p, q) over i of first(i) second(i + lag), for lags from -reach to reach.
-
-    Args:
-        first, second: (p, n) and (q, n) in any unit.
-    """
+    """Return the sums (2 reach + 1, p, q) of first (p, n) at i times second (q, n) at i + lag, from lag -reach on."""
     p, n = first.shape
     q = second.shape[0]
     found = np.zeros((p, q, 2 * reach + 1))
@@ -58,11 +53,7 @@ def cross_products(first: FloatArray, second: FloatArray, reach: int) -> FloatAr
 
 @compiled(nogil=True)
 def own_products(signals: FloatArray, reach: int) -> FloatArray:
-    """Return the sums (m, reach + 1) over i of signal(i) signal(i + lag), for lags from 0 to reach.
-
-    Args:
-        signals: (m, n) in any unit.
-    """
+    """Return the sums (m, reach + 1) of signals (m, n) at i times themselves at i + lag, for lags from 0 to reach."""
     m, n = signals.shape
     found = np.zeros((m, reach + 1))
     for a in range(m):
@@ -157,11 +148,6 @@ def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, 
 
     Where they share much, odometers of other scale drift apart by more than a wavelength; a few pieces of it are then
     compared, each by itself, and the one that agrees neither most nor least is returned.
-
-    Args:
-        second: A pass or an alignment, on the same grid spacing.
-        largest_offset: By how much their positions may disagree, m, both ways.
-        least_length: Of what they share, m.
     """
     step = first.step
     start, stop = max(first.first, second.first), min(first.last, second.last) + 1

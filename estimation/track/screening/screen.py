@@ -1,28 +1,22 @@
 """Which passes of a section are used: each is used, or refused with its reason.
 
 First by itself: long enough for the filter. Then against what is known of the place, the alignment and the other
-journeys: two vehicles that ran over the same track have measured the same alignment, whatever their wear. Where passes
-contradict each other, those of more journeys are used; where as many stand on both sides, none is. One pass never
-changes what is done with passes that agree with each other.
-
-Relative positions of passes, from the shifts at which they agree; and which are displaced within their journey.
-
-The passes of a journey share one odometer, whose error grows slowly. Where the position of a vehicle jumped, the passes
-behind the jump are displaced against those before it; the longer part is used.
+journeys. Where passes contradict each other, those of more journeys are used; where as many stand on both sides, none
+is. Where the position of a vehicle jumped, the passes behind the jump are displaced against those before it, by the
+shifts at which passes agree; the longer part is used.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.sparse.linalg import spsolve
 
-from estimation.track.passes import Pass, journeys
+from estimation.track.passes import Pass, PassOutcome, PassStatus, journeys
 from estimation.track.screening.agreement import (
     Agreement,
     FilteredPass,
@@ -56,8 +50,7 @@ def misplaced(links: Sequence[Link], journey_of: IntArray, middle: FloatArray, t
     """Return by pass how far it is from the rest of its journey, m, where its position jumped.
 
     Args:
-        journey_of: (n,) number of each pass's journey.
-        middle: (n,) m along the section.
+        journey_of, middle: (n,) number of each pass's journey; m along the section.
         tolerance: m by which neighbours in a journey may differ, besides the scale of an odometer.
     """
     if not links:
@@ -139,9 +132,7 @@ def compare_pairs(
 ) -> list[Comparison]:
     """Return the comparisons of every pass with up to ``p.peers`` that overlap it most, of as many other journeys.
 
-    Args:
-        journey_of: (n,) number of each pass's journey; those of one journey share their errors and are not compared.
-        p: Limits, and how many peers; the cost is linear in the number of passes.
+    The cost is linear in the number of passes. Those of one journey (``journey_of`` (n,)) share their errors.
     """
     pairs = {(min(i, j), max(i, j)) for i in filtered for j in _peers(i, filtered, journey_of, p.peers)}
     comparisons = (_compare(i, j, filtered, p) for i, j in sorted(pairs))
@@ -221,25 +212,6 @@ def _camps(comparisons: Sequence[Comparison], count: int) -> IntArray:
             first, second = sorted((head(c.first), head(c.second)))
             camp[second] = first
     return np.array([head(i) for i in range(count)], dtype=np.int64)
-
-
-class PassStatus(StrEnum):
-    """What became of a pass."""
-
-    USED = "used"
-    REFUSED = "refused"
-    TOO_SHORT = "too_short"  # for the filter: of no use here, but not refused
-
-
-@dataclass(frozen=True, slots=True)
-class PassOutcome:
-    """What became of the pass of a wheelset in one window; a reason also where only part of it was used."""
-
-    wheelset: str
-    vehicle: str
-    start_ns: int
-    status: PassStatus
-    reason: Reason | None = None
 
 
 @dataclass(frozen=True, slots=True)

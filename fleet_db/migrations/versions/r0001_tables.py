@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import uuid
-from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import sqlalchemy as sa
@@ -17,18 +17,23 @@ down_revision: str | None = None
 branch_labels: str | None = None
 depends_on: str | None = None
 
-INTEGER, BIG, FLAG = sa.Integer(), sa.BigInteger(), sa.Boolean()
-REAL: sa.Double[float] = sa.Double()
-CODE, TEXT, JSON, BLOB = sa.String(64), sa.Text(), sa.JSON(), sa.LargeBinary()
-# SQLite numbers rows by itself only in a column declared INTEGER, which there is 64 bits wide as well
-SERIAL = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
 TABLES = sa.MetaData(naming_convention=NAMING)
-
-required = partial(sa.Column, nullable=False)
-
-
-def where(condition: str) -> dict[str, Any]:
-    return {"sqlite_where": sa.text(condition), "postgresql_where": sa.text(condition)}
+TYPES: dict[str, sa.types.TypeEngine[Any]] = {
+    # SQLite numbers rows by itself only in a column declared INTEGER, which there is 64 bits wide as well
+    "SERIAL": sa.BigInteger().with_variant(sa.Integer(), "sqlite"),
+    "INTEGER": sa.Integer(),
+    "BIG": sa.BigInteger(),
+    "FLAG": sa.Boolean(),
+    "REAL": sa.Double(),
+    "CODE": sa.String(64),
+    "TEXT": sa.Text(),
+    "JSON": sa.JSON(),
+    "BLOB": sa.LargeBinary(),
+    **{f"S{length}": sa.String(length) for length in (8, 16, 32, 40, 128, 192, 255)},
+}
+BIN_QUANTITIES = ("rolling_radius_sum", "rolling_radius_difference", "contact_angle_sum", "contact_angle_difference")
+DEFAULTS: dict[str, Any] = {"0": sa.text("0"), "false": sa.false()}
+Items = list[sa.schema.SchemaItem]
 
 
 def upgrade() -> None:
@@ -38,941 +43,475 @@ def upgrade() -> None:
     op.bulk_insert(feed_branches, [branch])
 
 
-sa.Table(
+def table(name: str, described: str, *parts: Items | sa.schema.SchemaItem, numbered: bool = False) -> sa.Table:
+    """Add a table; ``numbered``: SQLite uses no number of a row twice."""
+    items = columns(described) + [item for part in parts for item in (part if isinstance(part, list) else [part])]
+    return sa.Table(name, TABLES, *items, sqlite_autoincrement=numbered)
+
+
+def columns(described: str) -> Items:
+    """Return columns of ``name TYPE``, each with what more is said of it; ``> table.column`` is what it refers to."""
+    items: Items = []
+    for name, kind, *said in (column.split() for column in described.split(",")):
+        after = dict(pairwise(said))
+        options: dict[str, Any] = {
+            "nullable": "NULL" in said,
+            "primary_key": "KEY" in said,
+            "unique": "UNIQUE" in said or None,
+        }
+        if "DEFAULT" in after:
+            options["server_default"] = DEFAULTS[after["DEFAULT"]]
+        on_delete = {"CASCADE": "CASCADE", "NULLED": "SET NULL"}.get(after.get("DELETE", ""))
+        to = [sa.ForeignKey(after[">"], ondelete=on_delete)] if ">" in after else []
+        items.append(sa.Column(name, TYPES[kind], *to, **options))
+    return items
+
+
+def checks(**conditions: str) -> Items:
+    return [sa.CheckConstraint(condition, name=name) for name, condition in conditions.items()]
+
+
+def known(names: str, values: str) -> Items:
+    return [one_of(name, values.split()) for name in names.split()]
+
+
+def indexes(*names: str) -> Items:
+    return [sa.Index(None, *columns.split()) for columns in names]
+
+
+def part(name: str, names: str, condition: str, *, unique: bool = False) -> sa.Index:
+    """Return the index of the rows that meet a condition."""
+    where = sa.text(condition)
+    return sa.Index(name, *names.split(), unique=unique, sqlite_where=where, postgresql_where=where)
+
+
+def chunks_by_length(first: str, last: str) -> list[sa.Index]:
+    """Return an index each of the decoded chunks of up to a minute, up to an hour and longer."""
+    short, middle = f"{last} - {first} <= 60000000000", f"{last} - {first} <= 3600000000000"
+    lengths = {"short": short, "middle": f"{short.replace('<=', '>')} AND {middle}", "long": middle.replace("<=", ">")}
+    return [
+        part(f"ix_chunks_{name}_{first}", f"vehicle {first}", f"state = 'decoded' AND {condition}")
+        for name, condition in lengths.items()
+    ]
+
+
+table(
     "api_keys",
-    TABLES,
-    sa.Column("prefix", sa.String(8), primary_key=True),
-    required("digest", CODE),
-    required("owner", TEXT),
-    required("scopes", JSON),
-    sa.Column("fleets", JSON),
-    required("created_ns", BIG),
-    required("created_by", TEXT),
-    sa.Column("expires_ns", BIG),
-    sa.Column("revoked_ns", BIG),
-    sa.Column("last_used_ns", BIG),
+    "prefix S8 KEY, digest CODE, owner TEXT, scopes JSON, fleets JSON NULL, created_ns BIG, created_by TEXT, "
+    "expires_ns BIG NULL, revoked_ns BIG NULL, last_used_ns BIG NULL",
 )
-sa.Table(
+table(
     "audit_entries",
-    TABLES,
-    sa.Column("entry_id", SERIAL, primary_key=True),
-    required("at_ns", BIG),
-    sa.Column("owner", TEXT),
-    sa.Column("key_prefix", CODE),
-    required("method", sa.String(16)),
-    required("path", TEXT),
-    required("status", INTEGER),
-    sa.Column("object", TEXT),
-    sa.Column("address", TEXT),
-    sa.Column("request_id", CODE),
-    sa.Index(None, "at_ns"),
-    sa.Index(None, "key_prefix", "entry_id"),
-    sqlite_autoincrement=True,
+    "entry_id SERIAL KEY, at_ns BIG, owner TEXT NULL, key_prefix CODE NULL, method S16, path TEXT, status INTEGER, "
+    "object TEXT NULL, address TEXT NULL, request_id CODE NULL",
+    indexes("at_ns", "key_prefix entry_id"),
+    numbered=True,
 )
-sa.Table(
+table(
     "window_adhesion",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    sa.Column("track_section", CODE, sa.ForeignKey("track_sections.code")),
-    required("content_digest", CODE),
-    required("with_sums", FLAG),
-    required("packed", BLOB),
-    sa.Index(None, "track_section", "start_ns"),
+    "wheelset CODE KEY > wheelsets.serial, start_ns BIG KEY, track_section CODE NULL > track_sections.code, "
+    "content_digest CODE, with_sums FLAG, packed BLOB",
+    indexes("track_section start_ns"),
 )
-sa.Table(
+table(
     "section_adhesion",
-    TABLES,
-    sa.Column("track_section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    sa.Column("to_ns", BIG, primary_key=True),
-    required("from_ns", BIG),
-    required("code_version", TEXT),
-    required("made_with", CODE),
-    required("packed", BLOB),
-    sa.CheckConstraint("from_ns <= to_ns", name="from_before_to"),
+    "track_section CODE KEY > track_sections.code, to_ns BIG KEY, from_ns BIG, code_version TEXT, made_with CODE, "
+    "packed BLOB",
+    checks(from_before_to="from_ns <= to_ns"),
 )
-sa.Table(
+table(
     "alerts",
-    TABLES,
-    sa.Column("alert_id", SERIAL, primary_key=True),
-    required("fleet", CODE, sa.ForeignKey("fleets.code")),
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial")),
-    required("kind", sa.String(32)),
-    required("severity", sa.String(16)),
-    required("condition", sa.String(16)),
-    required("opened_ns", BIG),
-    required("last_seen_ns", BIG),
-    required("occurrence_count", BIG),
-    sa.Column("probability", REAL),
-    required("evidence", JSON),
-    required("action", TEXT),
-    sa.Column("raise_limit", REAL),
-    sa.Column("clear_limit", REAL),
-    sa.Column("cleared_ns", BIG),
-    sa.Column("closed_ns", BIG),
-    sa.Column("close_reason", TEXT),
-    sa.Column("close_code", CODE),
-    sa.Column("acknowledged_by", TEXT),
-    sa.Column("acknowledged_ns", BIG),
-    sa.Column("shelved_until_ns", BIG),
-    sa.Column("shelved_reason", TEXT),
-    required("external_refs", JSON),
-    sa.Column("fleet_alert_id", BIG, sa.ForeignKey("alerts.alert_id")),
-    sa.Column("rules_version", TEXT),
-    sa.Column("track_section", CODE),
-    required("version", INTEGER),
-    one_of("condition", ("pending", "active", "cleared", "unknown")),
-    sa.CheckConstraint("kind <> ''", name="kind_named"),
-    sa.CheckConstraint("wheelset IS NOT NULL OR fleet_alert_id IS NULL", name="members_have_wheelset"),
-    sa.CheckConstraint("occurrence_count > 0", name="occurrences_counted"),
-    one_of("severity", ("info", "warning", "critical")),
-    sa.CheckConstraint("version > 0", name="version_positive"),
-    sa.Index(None, "fleet_alert_id"),
-    sa.Index(None, "severity", "alert_id"),
-    sa.Index(None, "wheelset"),
-    sa.Index("uq_alerts_one_open", "fleet", "wheelset", "kind", unique=True, **where("closed_ns IS NULL")),
-    sa.Index(
+    "alert_id SERIAL KEY, fleet CODE > fleets.code, wheelset CODE NULL > wheelsets.serial, kind S32, severity S16, "
+    "condition S16, opened_ns BIG, last_seen_ns BIG, occurrence_count BIG, probability REAL NULL, evidence JSON, "
+    "action TEXT, raise_limit REAL NULL, clear_limit REAL NULL, cleared_ns BIG NULL, closed_ns BIG NULL, "
+    "close_reason TEXT NULL, close_code CODE NULL, acknowledged_by TEXT NULL, acknowledged_ns BIG NULL, "
+    "shelved_until_ns BIG NULL, shelved_reason TEXT NULL, external_refs JSON, "
+    "fleet_alert_id BIG NULL > alerts.alert_id, rules_version TEXT NULL, track_section CODE NULL, version INTEGER",
+    checks(
+        kind_named="kind <> ''",
+        members_have_wheelset="wheelset IS NOT NULL OR fleet_alert_id IS NULL",
+        occurrences_counted="occurrence_count > 0",
+        version_positive="version > 0",
+    ),
+    known("condition", "pending active cleared unknown"),
+    known("severity", "info warning critical"),
+    indexes("fleet_alert_id", "severity alert_id", "wheelset"),
+    part("uq_alerts_one_open", "fleet wheelset kind", "closed_ns IS NULL", unique=True),
+    part(
         "uq_alerts_one_open_of_fleet",
-        "fleet",
-        "kind",
+        "fleet kind",
+        "wheelset IS NULL AND track_section IS NULL AND closed_ns IS NULL",
         unique=True,
-        **where("wheelset IS NULL AND track_section IS NULL AND closed_ns IS NULL"),
     ),
-    sa.Index(
+    part(
         "uq_alerts_one_open_of_section",
-        "fleet",
-        "track_section",
-        "kind",
+        "fleet track_section kind",
+        "track_section IS NOT NULL AND closed_ns IS NULL",
         unique=True,
-        **where("track_section IS NOT NULL AND closed_ns IS NULL"),
     ),
-    sqlite_autoincrement=True,
+    numbered=True,
 )
-sa.Table(
+table(
     "alert_events",
-    TABLES,
-    sa.Column("sequence", SERIAL, primary_key=True),
-    required("alert_id", BIG, sa.ForeignKey("alerts.alert_id")),
-    required("kind", sa.String(16)),
-    required("alert", JSON),
-    required("recorded_ns", BIG),
-    required("actor", TEXT),
-    required("note", TEXT),
-    required("in_feed", FLAG),
-    one_of("kind", ("raised", "updated", "acknowledged", "shelved", "unshelved", "cleared", "closed")),
-    sa.Index(None, "alert_id"),
-    sqlite_autoincrement=True,
+    "sequence SERIAL KEY, alert_id BIG > alerts.alert_id, kind S16, alert JSON, recorded_ns BIG, actor TEXT, "
+    "note TEXT, in_feed FLAG",
+    known("kind", "raised updated acknowledged shelved unshelved cleared closed"),
+    indexes("alert_id"),
+    numbered=True,
 )
-sa.Table(
+table(
     "window_bin_tables",
-    TABLES,
-    sa.Column("wheelset", CODE, primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    sa.Column("track_version", INTEGER),
-    required("window_digest", CODE),
-    required("parameter_key", sa.String(128)),
-    required("samples", BIG),
-    sa.Column("content_digest", CODE),
-    sa.Column("running_km", REAL),
-    required("packed", BLOB),
+    "wheelset CODE KEY, start_ns BIG KEY, track_version INTEGER NULL, window_digest CODE, parameter_key S128, "
+    "samples BIG, content_digest CODE NULL, running_km REAL NULL, packed BLOB",
     sa.ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
 )
-sa.Table(
+table(
     "window_due",
-    TABLES,
-    sa.Column("stage", sa.String(32), primary_key=True),
-    sa.Column("wheelset", CODE, primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("vehicle", CODE),
-    required("section", CODE),
-    required("version", BIG),
-    sa.Index(None, "stage", "section", "start_ns"),
-    sa.Index(None, "stage", "vehicle", "start_ns"),
+    "stage S32 KEY, wheelset CODE KEY, start_ns BIG KEY, vehicle CODE, section CODE, version BIG",
+    indexes("stage section start_ns", "stage vehicle start_ns"),
 )
-sa.Table(
+table(
     "wheelset_bins",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("bin", INTEGER, primary_key=True),
-    required("geometry_id", BIG, sa.ForeignKey("results.result_id")),
-    required("lateral_displacement_low_m", REAL),
-    required("lateral_displacement_high_m", REAL),
-    sa.Column("samples", REAL),
-    sa.Column("rolling_radius_sum_m", REAL),
-    sa.Column("rolling_radius_sum_std_m", REAL),
-    required("rolling_radius_sum_status", sa.String(40)),
-    sa.Column("rolling_radius_difference_m", REAL),
-    sa.Column("rolling_radius_difference_std_m", REAL),
-    required("rolling_radius_difference_status", sa.String(40)),
-    sa.Column("contact_angle_sum_rad", REAL),
-    sa.Column("contact_angle_sum_std_rad", REAL),
-    required("contact_angle_sum_status", sa.String(40)),
-    sa.Column("contact_angle_difference_rad", REAL),
-    sa.Column("contact_angle_difference_std_rad", REAL),
-    required("contact_angle_difference_status", sa.String(40)),
-    one_of("contact_angle_difference_status", ("estimated", "too_few_samples", "contact_jump", "unobservable")),
-    one_of("contact_angle_sum_status", ("estimated", "too_few_samples", "contact_jump", "unobservable")),
-    one_of("rolling_radius_difference_status", ("estimated", "too_few_samples", "contact_jump", "unobservable")),
-    one_of("rolling_radius_sum_status", ("estimated", "too_few_samples", "contact_jump", "unobservable")),
+    "wheelset CODE KEY > wheelsets.serial, bin INTEGER KEY, geometry_id BIG > results.result_id, "
+    "lateral_displacement_low_m REAL, lateral_displacement_high_m REAL, samples REAL NULL, "
+    "rolling_radius_sum_m REAL NULL, rolling_radius_sum_std_m REAL NULL, rolling_radius_sum_status S40, "
+    "rolling_radius_difference_m REAL NULL, rolling_radius_difference_std_m REAL NULL, "
+    "rolling_radius_difference_status S40, contact_angle_sum_rad REAL NULL, contact_angle_sum_std_rad REAL NULL, "
+    "contact_angle_sum_status S40, contact_angle_difference_rad REAL NULL, "
+    "contact_angle_difference_std_rad REAL NULL, contact_angle_difference_status S40",
+    known(
+        " ".join(f"{quantity}_status" for quantity in BIN_QUANTITIES),
+        "estimated too_few_samples contact_jump unobservable",
+    ),
 )
-sa.Table(
+table(
     "chunks",
-    TABLES,
-    sa.Column("digest", CODE, primary_key=True),
-    required("vehicle", CODE),
-    required("suffix", sa.String(16)),
-    required("size_bytes", BIG),
-    required("state", sa.String(16)),
-    required("reason", TEXT),
-    sa.Column("reason_code", CODE),
-    sa.Column("first_ns", BIG),
-    sa.Column("last_ns", BIG),
-    required("frames", BIG),
-    required("counts", JSON),
-    required("received_ns", BIG),
-    required("recorded_ns", BIG),
-    sa.Column("purged_ns", BIG),
-    sa.Column("clock_checked_ns", BIG),
-    sa.Column("file_name", TEXT),
-    sa.Column("sender", TEXT),
-    sa.Column("recorder_first_ns", BIG),
-    sa.Column("recorder_last_ns", BIG),
-    sa.CheckConstraint("(first_ns IS NULL) = (last_ns IS NULL)", name="both_ends_or_none"),
-    sa.CheckConstraint("last_ns >= first_ns", name="ends_after_start"),
-    sa.CheckConstraint("size_bytes >= 0", name="size_counted"),
-    one_of("state", ("stored", "decoded", "rejected", "set_aside", "deleted")),
-    sa.Index(
-        "ix_chunks_long_first_ns",
-        "vehicle",
-        "first_ns",
-        **where("state = 'decoded' AND last_ns - first_ns > 3600000000000"),
+    "digest CODE KEY, vehicle CODE, suffix S16, size_bytes BIG, state S16, reason TEXT, reason_code CODE NULL, "
+    "first_ns BIG NULL, last_ns BIG NULL, frames BIG, counts JSON, received_ns BIG, recorded_ns BIG, "
+    "purged_ns BIG NULL, clock_checked_ns BIG NULL, file_name TEXT NULL, sender TEXT NULL, "
+    "recorder_first_ns BIG NULL, recorder_last_ns BIG NULL",
+    checks(
+        both_ends_or_none="(first_ns IS NULL) = (last_ns IS NULL)",
+        ends_after_start="last_ns >= first_ns",
+        size_counted="size_bytes >= 0",
     ),
-    sa.Index(
-        "ix_chunks_long_recorder_first_ns",
-        "vehicle",
-        "recorder_first_ns",
-        **where("state = 'decoded' AND recorder_last_ns - recorder_first_ns > 3600000000000"),
-    ),
-    sa.Index(
-        "ix_chunks_middle_first_ns",
-        "vehicle",
-        "first_ns",
-        **where("state = 'decoded' AND last_ns - first_ns > 60000000000 AND last_ns - first_ns <= 3600000000000"),
-    ),
-    sa.Index(
-        "ix_chunks_middle_recorder_first_ns",
-        "vehicle",
-        "recorder_first_ns",
-        **where(
-            "state = 'decoded' AND recorder_last_ns - recorder_first_ns > 60000000000 "
-            "AND recorder_last_ns - recorder_first_ns <= 3600000000000"
-        ),
-    ),
-    sa.Index(None, "received_ns", "digest"),
-    sa.Index(
-        "ix_chunks_short_first_ns",
-        "vehicle",
-        "first_ns",
-        **where("state = 'decoded' AND last_ns - first_ns <= 60000000000"),
-    ),
-    sa.Index(
-        "ix_chunks_short_recorder_first_ns",
-        "vehicle",
-        "recorder_first_ns",
-        **where("state = 'decoded' AND recorder_last_ns - recorder_first_ns <= 60000000000"),
-    ),
-    sa.Index(None, "state", "recorded_ns"),
-    sa.Index(
-        "ix_chunks_undecoded", "recorded_ns", "digest", "size_bytes", **where("reason_code = 'waits_for_decoding'")
-    ),
+    known("state", "stored decoded rejected set_aside deleted"),
+    indexes("received_ns digest", "state recorded_ns"),
+    *chunks_by_length("first_ns", "last_ns"),
+    *chunks_by_length("recorder_first_ns", "recorder_last_ns"),
+    part("ix_chunks_undecoded", "recorded_ns digest size_bytes", "reason_code = 'waits_for_decoding'"),
 )
-sa.Table(
+table(
     "window_dampers",
-    TABLES,
-    sa.Column("vehicle", CODE, sa.ForeignKey("vehicles.code"), primary_key=True),
-    sa.Column("first_axle", INTEGER, primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("wheelset", CODE, sa.ForeignKey("wheelsets.serial")),
-    required("content_digest", CODE),
-    required("packed", BLOB),
-    sa.CheckConstraint("first_axle > 0", name="first_axle_positive"),
+    "vehicle CODE KEY > vehicles.code, first_axle INTEGER KEY, start_ns BIG KEY, wheelset CODE > wheelsets.serial, "
+    "content_digest CODE, packed BLOB",
+    checks(first_axle_positive="first_axle > 0"),
 )
-feed_branches = sa.Table(
-    "feed_branches",
-    TABLES,
-    sa.Column("branch_id", SERIAL, primary_key=True),
-    required("identity", sa.String(32), unique=True),
-    required("after_sequence", BIG),
-    required("began_ns", BIG),
-    sqlite_autoincrement=True,
+feed_branches = table(
+    "feed_branches", "branch_id SERIAL KEY, identity S32 UNIQUE, after_sequence BIG, began_ns BIG", numbered=True
 )
-sa.Table(
-    "fleets",
-    TABLES,
-    sa.Column("code", CODE, primary_key=True),
-    required("name", TEXT),
-)
-sa.Table(
-    "idempotency_keys",
-    TABLES,
-    sa.Column("key", sa.String(255), primary_key=True),
-    required("request_digest", CODE),
-    required("status_code", INTEGER),
-    required("body", TEXT),
-    required("recorded_ns", BIG),
-)
-sa.Table(
+table("fleets", "code CODE KEY, name TEXT")
+table("idempotency_keys", "key S255 KEY, request_digest CODE, status_code INTEGER, body TEXT, recorded_ns BIG")
+table(
     "job_runs",
-    TABLES,
-    sa.Column("run_id", SERIAL, primary_key=True),
-    required("job", CODE),
-    required("trigger", sa.String(16)),
-    required("started_ns", BIG),
-    sa.Column("finished_ns", BIG),
-    required("outcome", sa.String(16)),
-    required("counts", JSON),
-    sa.Column("error", TEXT),
-    sa.Column("owner", BIG),
-    one_of("outcome", ("running", "succeeded", "failed", "abandoned")),
-    sa.CheckConstraint("(outcome = 'running') = (finished_ns IS NULL)", name="running_until_finished"),
-    sa.Index(None, "job", "run_id"),
-    sqlite_autoincrement=True,
+    "run_id SERIAL KEY, job CODE, trigger S16, started_ns BIG, finished_ns BIG NULL, outcome S16, counts JSON, "
+    "error TEXT NULL, owner BIG NULL",
+    checks(running_until_finished="(outcome = 'running') = (finished_ns IS NULL)"),
+    known("outcome", "running succeeded failed abandoned"),
+    indexes("job run_id"),
+    numbered=True,
 )
-sa.Table(
+table(
     "measured_profiles",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("at_ns", BIG, primary_key=True),
-    required("mileage_km", REAL),
-    required("std_m", REAL),
-    required("packed", BLOB),
-    sa.CheckConstraint("std_m > 0", name="std_positive"),
+    "wheelset CODE KEY > wheelsets.serial, at_ns BIG KEY, mileage_km REAL, std_m REAL, packed BLOB",
+    checks(std_positive="std_m > 0"),
 )
-sa.Table(
+table(
     "mountings",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("from_ns", BIG, primary_key=True),
-    sa.Column("to_ns", BIG),
-    required("vehicle", CODE, sa.ForeignKey("vehicles.code")),
-    required("axle", INTEGER),
-    required("vehicle_odometer_km", REAL),
-    required("wheelset_mileage_km", REAL),
-    required("reversed", FLAG),
-    sa.CheckConstraint("axle > 0", name="axle_positive"),
-    sa.CheckConstraint("to_ns IS NULL OR to_ns > from_ns", name="ends_after_start"),
+    "wheelset CODE KEY > wheelsets.serial, from_ns BIG KEY, to_ns BIG NULL, vehicle CODE > vehicles.code, "
+    "axle INTEGER, vehicle_odometer_km REAL, wheelset_mileage_km REAL, reversed FLAG",
+    checks(axle_positive="axle > 0", ends_after_start="to_ns IS NULL OR to_ns > from_ns"),
     sa.UniqueConstraint("vehicle", "axle", "from_ns"),
 )
-sa.Table(
+table(
     "purges",
-    TABLES,
-    sa.Column("purge_id", SERIAL, primary_key=True),
-    required("kind", sa.String(32)),
-    required("before_ns", BIG),
-    required("items", BIG),
-    required("item_bytes", BIG),
-    required("purged_ns", BIG),
-    sa.CheckConstraint("items >= 0", name="items_counted"),
-    sa.Index(None, "kind", "before_ns"),
-    sqlite_autoincrement=True,
+    "purge_id SERIAL KEY, kind S32, before_ns BIG, items BIG, item_bytes BIG, purged_ns BIG",
+    checks(items_counted="items >= 0"),
+    indexes("kind before_ns"),
+    numbered=True,
 )
-sa.Table(
+table(
     "quarantine",
-    TABLES,
-    sa.Column("kind", sa.String(16), primary_key=True),
-    sa.Column("key", sa.String(128), primary_key=True),
-    sa.Column("stage", CODE, primary_key=True),
-    required("code", CODE),
-    required("error", TEXT),
-    required("inputs", TEXT),
-    required("first_ns", BIG),
-    required("last_ns", BIG),
-    required("due_ns", BIG),
-    required("attempts", BIG),
-    required("state", sa.String(16)),
-    one_of("kind", ("recording", "window", "wheelset", "section", "vehicle", "fleet")),
-    one_of("state", ("held", "resolved")),
-    sa.CheckConstraint("attempts >= 1", name="tried"),
-    sa.Index(None, "stage", "state"),
-    sa.Index(None, "state", "last_ns"),
+    "kind S16 KEY, key S128 KEY, stage CODE KEY, code CODE, error TEXT, inputs TEXT, first_ns BIG, last_ns BIG, "
+    "due_ns BIG, attempts BIG, state S16",
+    checks(tried="attempts >= 1"),
+    known("kind", "recording window wheelset section vehicle fleet"),
+    known("state", "held resolved"),
+    indexes("stage state", "state last_ns"),
 )
-sa.Table(
+table(
     "recording_changes",
-    TABLES,
-    sa.Column("id", SERIAL, primary_key=True),
-    required("digest", CODE),
-    required("action", sa.String(16)),
-    required("recorded_ns", BIG),
-    required("actor", TEXT),
-    required("why", TEXT),
-    required("vehicle_before", CODE),
-    required("state_before", sa.String(16)),
-    required("vehicle_after", CODE),
-    required("state_after", sa.String(16)),
-    one_of("action", ("retry", "set_aside", "restore", "reassign", "delete", "take_again")),
-    one_of("state_after", ("stored", "decoded", "rejected", "set_aside", "deleted")),
-    one_of("state_before", ("stored", "decoded", "rejected", "set_aside", "deleted")),
-    sa.Index(None, "digest", "id"),
-    sqlite_autoincrement=True,
+    "id SERIAL KEY, digest CODE, action S16, recorded_ns BIG, actor TEXT, why TEXT, vehicle_before CODE, "
+    "state_before S16, vehicle_after CODE, state_after S16",
+    known("action", "retry set_aside restore reassign delete take_again"),
+    known("state_after state_before", "stored decoded rejected set_aside deleted"),
+    indexes("digest id"),
+    numbered=True,
 )
-sa.Table(
-    "raw_marks",
-    TABLES,
-    sa.Column("mark", CODE, primary_key=True),
-    required("recorded_ns", BIG),
-)
-sa.Table(
+table("raw_marks", "mark CODE KEY, recorded_ns BIG")
+table(
     "rail_cells",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("baseline", INTEGER, primary_key=True),
-    sa.Column("mileage_interval", INTEGER, primary_key=True),
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    sa.Column("period", INTEGER, primary_key=True),
-    required("digest", CODE),
-    required("interval_digest", CODE),
-    required("document", JSON),
-    sa.CheckConstraint("baseline >= 0", name="baseline_counted"),
-    sa.CheckConstraint("period >= 0", name="period_counted"),
+    "wheelset CODE KEY > wheelsets.serial, baseline INTEGER KEY, mileage_interval INTEGER KEY, "
+    "section CODE KEY > track_sections.code, period INTEGER KEY, digest CODE, interval_digest CODE, document JSON",
+    checks(baseline_counted="baseline >= 0", period_counted="period >= 0"),
 )
-sa.Table(
+table(
     "raw_scrubs",
-    TABLES,
-    sa.Column("scrub_id", SERIAL, primary_key=True),
-    required("started_ns", BIG),
-    sa.Column("finished_ns", BIG),
-    required("after_digest", CODE),
-    required("files", BIG),
-    required("file_bytes", BIG),
-    required("faults", BIG),
+    "scrub_id SERIAL KEY, started_ns BIG, finished_ns BIG NULL, after_digest CODE, files BIG, file_bytes BIG, "
+    "faults BIG",
 )
-sa.Table(
+table(
     "registry_events",
-    TABLES,
-    sa.Column("id", SERIAL, primary_key=True),
-    required("kind", sa.String(16)),
-    required("subject", CODE),
-    sa.Column("at_ns", BIG),
-    required("action", sa.String(16)),
-    required("actor", TEXT),
-    required("reason", TEXT),
-    required("record", JSON),
-    sa.Column("recorded_ns", BIG),
-    sa.Column("after", JSON),
-    one_of("action", ("entered", "changed", "voided", "restored")),
-    one_of(
-        "kind",
-        ("mounting", "reprofiling", "measurement", "wheelset", "section", "vehicle", "vehicle_class", "sensor_change"),
-    ),
-    sa.Index(None, "subject", "kind"),
-    sqlite_autoincrement=True,
+    "id SERIAL KEY, kind S16, subject CODE, at_ns BIG NULL, action S16, actor TEXT, reason TEXT, record JSON, "
+    "recorded_ns BIG NULL, after JSON NULL",
+    known("action", "entered changed voided restored"),
+    known("kind", "mounting reprofiling measurement wheelset section vehicle vehicle_class sensor_change"),
+    indexes("subject kind"),
+    numbered=True,
 )
-sa.Table(
+table(
     "roll_ups",
-    TABLES,
-    sa.Column("number", SERIAL, primary_key=True),
-    required("wheelset", CODE, sa.ForeignKey("wheelsets.serial")),
-    required("baseline", INTEGER),
-    required("baseline_interval", INTEGER),
-    required("side", INTEGER),
-    required("table_key", sa.String(128)),
-    required("vehicle_class", CODE),
-    required("windows", BIG),
-    required("content", CODE),
-    required("first_ns", BIG),
-    required("last_ns", BIG),
-    required("sealed", FLAG, server_default=sa.false()),
-    required("summary", JSON),
-    required("plain", BLOB),
-    sa.Column("forgetting", BLOB),
-    sa.CheckConstraint("windows >= 0", name="windows_counted"),
+    "number SERIAL KEY, wheelset CODE > wheelsets.serial, baseline INTEGER, baseline_interval INTEGER, side INTEGER, "
+    "table_key S128, vehicle_class CODE, windows BIG, content CODE, first_ns BIG, last_ns BIG, "
+    "sealed FLAG DEFAULT false, summary JSON, plain BLOB, forgetting BLOB NULL",
+    checks(windows_counted="windows >= 0"),
     sa.UniqueConstraint(
         "wheelset", "baseline", "baseline_interval", "side", "table_key", "vehicle_class", name="uq_roll_ups_key"
     ),
 )
-sa.Table(
+table(
     "roll_up_states",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("rules", CODE),
-    required("classes", JSON),
-    sa.Column("earlier_digest", CODE),
-    sa.Column("earlier", BLOB),
+    "wheelset CODE KEY > wheelsets.serial, rules CODE, classes JSON, earlier_digest CODE NULL, earlier BLOB NULL",
 )
-sa.Table(
+table(
     "rolling_sums",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("window_digest", CODE),
-    required("assumed", sa.String(192)),
-    required("packed", BLOB),
+    "wheelset CODE KEY > wheelsets.serial, start_ns BIG KEY, window_digest CODE, assumed S192, packed BLOB",
 )
-sa.Table(
-    "stage_marks",
-    TABLES,
-    sa.Column("stage", sa.String(32), primary_key=True),
-    sa.Column("subject", CODE, primary_key=True),
-    required("seen", BIG),
-    required("common", CODE),
-    required("made_from", CODE),
-    sa.Column("again_ns", BIG),
-)
-sa.Table(
-    "subject_versions",
-    TABLES,
-    sa.Column("kind", sa.String(16), primary_key=True),
-    sa.Column("subject", CODE, primary_key=True),
-    sa.Column("facet", sa.String(32), primary_key=True),
-    required("version", BIG),
-)
-sa.Table(
+table("stage_marks", "stage S32 KEY, subject CODE KEY, seen BIG, common CODE, made_from CODE, again_ns BIG NULL")
+table("subject_versions", "kind S16 KEY, subject CODE KEY, facet S32 KEY, version BIG")
+table(
     "sensor_changes",
-    TABLES,
-    sa.Column("vehicle", CODE, sa.ForeignKey("vehicles.code"), primary_key=True),
-    sa.Column("axle", INTEGER, primary_key=True),
-    sa.Column("at_ns", BIG, primary_key=True),
-    required("work", sa.String(16)),
-    required("removed", TEXT),
-    required("fitted", TEXT),
-    required("note", TEXT),
-    sa.CheckConstraint("axle > 0", name="axle_positive"),
-    one_of("work", ("swap", "calibration")),
+    "vehicle CODE KEY > vehicles.code, axle INTEGER KEY, at_ns BIG KEY, work S16, removed TEXT, fitted TEXT, note TEXT",
+    checks(axle_positive="axle > 0"),
+    known("work", "swap calibration"),
 )
-sa.Table(
-    "stored_settings",
-    TABLES,
-    sa.Column("name", CODE, primary_key=True),
-    required("value", TEXT),
-    required("recorded_ns", BIG),
-)
-sa.Table(
+table("stored_settings", "name CODE KEY, value TEXT, recorded_ns BIG")
+table(
     "wear_signatures",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("vehicle", CODE, sa.ForeignKey("vehicles.code")),
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code")),
-    sa.Column("speed_band_m_s", INTEGER),
-    required("window_digest", CODE),
-    required("assumed", CODE),
-    required("places", BIG),
-    required("reason", TEXT),
-    sa.Column("reason_code", CODE),
-    required("packed", BLOB),
-    sa.CheckConstraint("places >= 0", name="places_counted"),
+    "wheelset CODE KEY > wheelsets.serial, start_ns BIG KEY, vehicle CODE > vehicles.code, "
+    "section CODE NULL > track_sections.code, speed_band_m_s INTEGER NULL, window_digest CODE, assumed CODE, "
+    "places BIG, reason TEXT, reason_code CODE NULL, packed BLOB",
+    checks(places_counted="places >= 0"),
 )
-sa.Table(
+table(
     "stale_spans",
-    TABLES,
-    sa.Column("id", SERIAL, primary_key=True),
-    required("vehicle", CODE),
-    required("from_ns", BIG),
-    required("to_ns", BIG),
-    required("cause", TEXT),
-    sa.CheckConstraint("to_ns > from_ns", name="ends_after_start"),
-    sa.Index(None, "vehicle", "from_ns"),
-    sqlite_autoincrement=True,
+    "id SERIAL KEY, vehicle CODE, from_ns BIG, to_ns BIG, cause TEXT",
+    checks(ends_after_start="to_ns > from_ns"),
+    indexes("vehicle from_ns"),
+    numbered=True,
 )
-sa.Table(
+table(
     "suspension_findings",
-    TABLES,
-    sa.Column("vehicle", CODE, sa.ForeignKey("vehicles.code"), primary_key=True),
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    sa.Column("to_ns", BIG, primary_key=True),
-    required("from_ns", BIG),
-    required("ratio", REAL),
-    required("ratio_std", REAL),
-    required("assumed_m", REAL),
-    required("code_version", TEXT),
-    sa.Column("epoch", INTEGER),
-    required("recorded_ns", BIG),
-    sa.CheckConstraint("assumed_m > 0", name="assumed_positive"),
-    sa.CheckConstraint("from_ns <= to_ns", name="from_before_to"),
-    sa.CheckConstraint("ratio > 0", name="ratio_positive"),
-    sa.CheckConstraint("ratio_std > 0", name="ratio_std_positive"),
+    "vehicle CODE KEY > vehicles.code, section CODE KEY > track_sections.code, to_ns BIG KEY, from_ns BIG, "
+    "ratio REAL, ratio_std REAL, assumed_m REAL, code_version TEXT, epoch INTEGER NULL, recorded_ns BIG",
+    checks(
+        assumed_positive="assumed_m > 0",
+        from_before_to="from_ns <= to_ns",
+        ratio_positive="ratio > 0",
+        ratio_std_positive="ratio_std > 0",
+    ),
 )
-sa.Table(
+table(
     "track_epochs",
-    TABLES,
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    sa.Column("number", INTEGER, primary_key=True),
-    required("before", TEXT),
-    required("input_digest", CODE),
-    required("horizon_ns", BIG),
-    required("windows", BIG),
-    required("waits", FLAG),
-    required("stale", FLAG),
-    sa.Column("version", INTEGER),
-    sa.Column("same_since", INTEGER),
-    sa.Column("estimated_on", INTEGER),
-    required("survey", TEXT),
-    sa.Column("survey_code", CODE),
-    required("report", BIG),
-    required("recorded_ns", BIG),
-    sa.CheckConstraint("number > 0", name="number_positive"),
+    "section CODE KEY > track_sections.code, number INTEGER KEY, before TEXT, input_digest CODE, horizon_ns BIG, "
+    "windows BIG, waits FLAG, stale FLAG, version INTEGER NULL, same_since INTEGER NULL, estimated_on INTEGER NULL, "
+    "survey TEXT, survey_code CODE NULL, report BIG, recorded_ns BIG",
+    checks(number_positive="number > 0"),
 )
-sa.Table(
+table(
     "track_epoch_windows",
-    TABLES,
-    sa.Column("wheelset", CODE, primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("section", CODE),
-    required("epoch", INTEGER),
-    required("vehicle", CODE),
-    required("content_digest", CODE),
-    required("mileage_km", REAL),
-    required("context", CODE),
-    required("assumed", CODE),
-    sa.Column("estimated_version", INTEGER),
+    "wheelset CODE KEY, start_ns BIG KEY, section CODE, epoch INTEGER, vehicle CODE, content_digest CODE, "
+    "mileage_km REAL, context CODE, assumed CODE, estimated_version INTEGER NULL",
+    indexes("section epoch"),
     sa.ForeignKeyConstraint(["section", "epoch"], ["track_epochs.section", "track_epochs.number"], ondelete="CASCADE"),
-    sa.Index(None, "section", "epoch"),
 )
-sa.Table(
+table(
     "track_epoch_vehicles",
-    TABLES,
-    sa.Column("section", CODE, primary_key=True),
-    sa.Column("vehicle", CODE, primary_key=True),
-    sa.Column("epoch", INTEGER, primary_key=True),
-    required("version", INTEGER),
-    required("stiffness_ratio", REAL),
+    "section CODE KEY, vehicle CODE KEY, epoch INTEGER KEY, version INTEGER, stiffness_ratio REAL",
     sa.ForeignKeyConstraint(["section", "epoch"], ["track_epochs.section", "track_epochs.number"], ondelete="CASCADE"),
 )
-sa.Table(
+table(
     "track_sections",
-    TABLES,
-    sa.Column("code", CODE, primary_key=True),
-    required("number", INTEGER, unique=True),
-    required("name", TEXT),
-    required("rail_profile", TEXT),
-    required("rail_inclination", REAL),
-    required("nominal_gauge_m", REAL),
-    required("length_m", REAL),
-    sa.Column("line", JSON),
-    sa.Column("tonnage_mgt_per_year", REAL),
-    sa.CheckConstraint("length_m > 0", name="length_positive"),
+    "code CODE KEY, number INTEGER UNIQUE, name TEXT, rail_profile TEXT, rail_inclination REAL, nominal_gauge_m REAL, "
+    "length_m REAL, line JSON NULL, tonnage_mgt_per_year REAL NULL",
+    checks(length_positive="length_m > 0"),
 )
-sa.Table(
+table(
     "track_alignments",
-    TABLES,
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    sa.Column("version", INTEGER, primary_key=True),
-    required("status", sa.String(16)),
-    required("points", BIG),
-    required("content_digest", CODE),
-    required("packed", BLOB),
-    one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
-    sa.CheckConstraint("version > 0", name="version_positive"),
+    "section CODE KEY > track_sections.code, version INTEGER KEY, status S16, points BIG, content_digest CODE, "
+    "packed BLOB",
+    checks(version_positive="version > 0"),
+    known("status", "unestimated estimated invalid model_mismatch"),
 )
-sa.Table(
+table(
     "track_versions",
-    TABLES,
-    sa.Column("section", CODE, primary_key=True),
-    sa.Column("version", INTEGER, primary_key=True),
-    required("source", sa.String(16)),
-    required("same_since", INTEGER),
-    sa.Column("cut_off_m", REAL),
-    required("scale_std", REAL),
-    required("gauge_known", FLAG),
-    sa.Column("alignment_std_m", REAL),
-    required("recorded_ns", BIG),
-    sa.Column("superseded_ns", BIG),
-    sa.CheckConstraint("same_since <= version", name="same_since_before"),
-    one_of("source", ("recorded", "fleet")),
+    "section CODE KEY, version INTEGER KEY, source S16, same_since INTEGER, cut_off_m REAL NULL, scale_std REAL, "
+    "gauge_known FLAG, alignment_std_m REAL NULL, recorded_ns BIG, superseded_ns BIG NULL",
+    checks(same_since_before="same_since <= version"),
+    known("source", "recorded fleet"),
     sa.ForeignKeyConstraint(["section", "version"], ["track_alignments.section", "track_alignments.version"]),
 )
-sa.Table(
+table(
     "track_reports",
-    TABLES,
-    sa.Column("report_id", SERIAL, primary_key=True),
-    required("section", CODE, sa.ForeignKey("track_sections.code")),
-    sa.Column("version", INTEGER),
-    required("made", FLAG),
-    required("status", sa.String(16)),
-    required("reason", TEXT),
-    sa.Column("reason_code", CODE),
-    required("windows", BIG),
-    required("input_digest", CODE),
-    required("code_version", TEXT),
-    required("report", JSON),
-    required("recorded_ns", BIG),
-    one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
-    sa.Index(None, "section", "report_id"),
-    sqlite_autoincrement=True,
+    "report_id SERIAL KEY, section CODE > track_sections.code, version INTEGER NULL, made FLAG, status S16, "
+    "reason TEXT, reason_code CODE NULL, windows BIG, input_digest CODE, code_version TEXT, report JSON, "
+    "recorded_ns BIG",
+    known("status", "unestimated estimated invalid model_mismatch"),
+    indexes("section report_id"),
+    numbered=True,
 )
-sa.Table(
+table(
     "window_positions",
-    TABLES,
-    sa.Column("wheelset", CODE, primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("content_digest", CODE),
-    sa.Column("version", INTEGER),
-    required("offset_m", REAL),
-    required("scale", REAL),
-    required("middle_m", REAL),
-    required("reason", TEXT),
-    sa.Column("reason_code", CODE),
+    "wheelset CODE KEY, start_ns BIG KEY, content_digest CODE, version INTEGER NULL, offset_m REAL, scale REAL, "
+    "middle_m REAL, reason TEXT, reason_code CODE NULL",
     sa.ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
 )
-sa.Table(
+table(
     "track_layouts",
-    TABLES,
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    sa.Column("version", INTEGER, primary_key=True),
-    required("points", BIG),
-    required("content_digest", CODE),
-    required("packed", BLOB),
-    sa.CheckConstraint("version > 0", name="version_positive"),
+    "section CODE KEY > track_sections.code, version INTEGER KEY, points BIG, content_digest CODE, packed BLOB",
+    checks(version_positive="version > 0"),
 )
-sa.Table(
+table(
     "results",
-    TABLES,
-    sa.Column("result_id", SERIAL, primary_key=True),
-    required("stage", sa.String(32)),
-    required("kind", sa.String(16)),
-    required("subject", CODE),
-    required("part", CODE),
-    required("made_from", CODE),
-    required("numerics", TEXT),
-    required("status", sa.String(16)),
-    required("reason", TEXT),
-    sa.Column("reason_code", CODE),
-    sa.Column("head", TEXT),
-    sa.Column("value", BLOB),
-    required("parameters", JSON),
-    required("recorded_ns", BIG),
-    sa.Column("superseded_ns", BIG),
-    one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
-    sa.Index("ix_results_put_last", "stage", "subject", "result_id", **where("superseded_ns IS NULL")),
-    sa.Index("ix_results_in_force", "stage", "subject", "part", unique=True, **where("superseded_ns IS NULL")),
-    sa.Index(None, "recorded_ns"),
-    sa.Index(
-        "ix_results_superseded",
-        *("stage", "subject", "part", "recorded_ns", "result_id"),
-        **where("superseded_ns IS NOT NULL"),
-    ),
-    sa.Index(None, "superseded_ns"),
-    sqlite_autoincrement=True,
+    "result_id SERIAL KEY, stage S32, kind S16, subject CODE, part CODE, made_from CODE, numerics TEXT, status S16, "
+    "reason TEXT, reason_code CODE NULL, head TEXT NULL, value BLOB NULL, parameters JSON, recorded_ns BIG, "
+    "superseded_ns BIG NULL",
+    known("status", "unestimated estimated invalid model_mismatch"),
+    indexes("recorded_ns", "superseded_ns"),
+    part("ix_results_put_last", "stage subject result_id", "superseded_ns IS NULL"),
+    part("ix_results_in_force", "stage subject part", "superseded_ns IS NULL", unique=True),
+    part("ix_results_superseded", "stage subject part recorded_ns result_id", "superseded_ns IS NOT NULL"),
+    numbered=True,
 )
-sa.Table(
+table(
     "vehicle_classes",
-    TABLES,
-    sa.Column("code", CODE, primary_key=True),
-    sa.Column("version", INTEGER, primary_key=True),
-    required("document", JSON),
-    required("recorded_ns", BIG),
-    sa.CheckConstraint("version > 0", name="version_counted"),
+    "code CODE KEY, version INTEGER KEY, document JSON, recorded_ns BIG",
+    checks(version_counted="version > 0"),
 )
-sa.Table(
+table(
     "vehicles",
-    TABLES,
-    sa.Column("code", CODE, primary_key=True),
-    required("fleet", CODE, sa.ForeignKey("fleets.code")),
-    required("vehicle_class", TEXT),
-    required("axles", INTEGER),
-    required("max_speed_m_s", REAL),
-    required("axle_offsets_m", JSON),
-    sa.CheckConstraint("axles > 0", name="axles_positive"),
-    sa.Index(None, "fleet"),
+    "code CODE KEY, fleet CODE > fleets.code, vehicle_class TEXT, axles INTEGER, max_speed_m_s REAL, "
+    "axle_offsets_m JSON",
+    checks(axles_positive="axles > 0"),
+    indexes("fleet"),
 )
-sa.Table(
+table(
     "webhooks",
-    TABLES,
-    sa.Column("webhook_id", SERIAL, primary_key=True),
-    required("url", TEXT),
-    required("description", TEXT),
-    required("fleets", JSON),
-    required("kinds", JSON),
-    required("severities", JSON),
-    required("state", sa.String(16)),
-    sa.Column("disabled_reason", sa.String(32)),
-    required("since_ns", BIG),
-    required("created_ns", BIG),
-    required("created_by", TEXT),
-    required("position", BIG),
-    required("revision", BIG),
-    required("delivered", BIG),
-    required("failed", BIG),
-    one_of("disabled_reason", ("gone", "failing")),
-    sa.CheckConstraint("(state = 'disabled') = (disabled_reason IS NOT NULL)", name="disabled_with_reason"),
-    one_of("state", ("active", "paused", "disabled")),
-    sqlite_autoincrement=True,
+    "webhook_id SERIAL KEY, url TEXT, description TEXT, fleets JSON, kinds JSON, severities JSON, state S16, "
+    "disabled_reason S32 NULL, since_ns BIG, created_ns BIG, created_by TEXT, position BIG, revision BIG, "
+    "delivered BIG, failed BIG",
+    checks(disabled_with_reason="(state = 'disabled') = (disabled_reason IS NOT NULL)"),
+    known("disabled_reason", "gone failing"),
+    known("state", "active paused disabled"),
+    numbered=True,
 )
-sa.Table(
-    "webhook_fleets",
-    TABLES,
-    sa.Column("webhook_id", SERIAL, sa.ForeignKey("webhooks.webhook_id"), primary_key=True),
-    sa.Column("fleet", CODE, primary_key=True),
-)
-sa.Table(
+table("webhook_fleets", "webhook_id SERIAL KEY > webhooks.webhook_id, fleet CODE KEY")
+table(
     "webhook_secrets",
-    TABLES,
-    sa.Column("secret_id", SERIAL, primary_key=True),
-    required("webhook_id", SERIAL, sa.ForeignKey("webhooks.webhook_id")),
-    required("secret", TEXT),
-    required("created_ns", BIG),
-    sa.Column("until_ns", BIG),
-    sa.Index(None, "webhook_id"),
-    sqlite_autoincrement=True,
+    "secret_id SERIAL KEY, webhook_id SERIAL > webhooks.webhook_id, secret TEXT, created_ns BIG, until_ns BIG NULL",
+    indexes("webhook_id"),
+    numbered=True,
 )
-sa.Table(
+table(
     "webhook_deliveries",
-    TABLES,
-    sa.Column("delivery_id", SERIAL, primary_key=True),
-    required("webhook_id", SERIAL, sa.ForeignKey("webhooks.webhook_id")),
-    required("sequence", BIG),
-    required("event_id", TEXT),
-    required("event_kind", sa.String(32)),
-    required("alert_id", BIG),
-    required("event_ns", BIG),
-    required("state", sa.String(16)),
-    required("attempts", BIG),
-    required("first_ns", BIG),
-    required("last_ns", BIG),
-    sa.Column("next_ns", BIG),
-    sa.Column("status_code", INTEGER),
-    sa.Column("failure", sa.String(32)),
-    sa.Column("detail", TEXT),
-    one_of("state", ("waiting", "delivered", "failed", "withdrawn")),
-    sa.CheckConstraint("(state = 'waiting') = (next_ns IS NOT NULL)", name="waiting_for_a_time"),
-    sa.Index(None, "state", "last_ns"),
-    sa.Index(None, "webhook_id", "delivery_id"),
-    sqlite_autoincrement=True,
+    "delivery_id SERIAL KEY, webhook_id SERIAL > webhooks.webhook_id, sequence BIG, event_id TEXT, event_kind S32, "
+    "alert_id BIG, event_ns BIG, state S16, attempts BIG, first_ns BIG, last_ns BIG, next_ns BIG NULL, "
+    "status_code INTEGER NULL, failure S32 NULL, detail TEXT NULL",
+    checks(waiting_for_a_time="(state = 'waiting') = (next_ns IS NOT NULL)"),
+    known("state", "waiting delivered failed withdrawn"),
+    indexes("state last_ns", "webhook_id delivery_id"),
+    numbered=True,
 )
-sa.Table(
+table(
     "wheelsets",
-    TABLES,
-    sa.Column("serial", CODE, primary_key=True),
-    required("fleet", CODE, sa.ForeignKey("fleets.code")),
-    required("wheel_profile", TEXT),
-    required("nominal_radius_m", REAL),
-    sa.CheckConstraint("nominal_radius_m > 0", name="radius_positive"),
-    sa.Index(None, "fleet"),
+    "serial CODE KEY, fleet CODE > fleets.code, wheel_profile TEXT, nominal_radius_m REAL",
+    checks(radius_positive="nominal_radius_m > 0"),
+    indexes("fleet"),
 )
-sa.Table(
-    "reprofilings",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("at_ns", BIG, primary_key=True),
-    required("mileage_km", REAL),
-    required("note", TEXT),
-)
-sa.Table(
+table("reprofilings", "wheelset CODE KEY > wheelsets.serial, at_ns BIG KEY, mileage_km REAL, note TEXT")
+table(
     "windows",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("length_ns", BIG),
-    required("vehicle", CODE, sa.ForeignKey("vehicles.code")),
-    required("axle", INTEGER),
-    sa.Column("track_section", CODE, sa.ForeignKey("track_sections.code")),
-    required("mileage_km", REAL),
-    sa.Column("coverage", REAL),
-    sa.Column("longest_gap_s", REAL),
-    required("gaps", BIG),
-    sa.Column("clipped", REAL),
-    sa.Column("invalid", REAL),
-    sa.Column("speed_min_m_s", REAL),
-    sa.Column("speed_max_m_s", REAL),
-    sa.Column("position_quality", REAL),
-    required("sensor_fault", FLAG),
-    sa.Column("hunting_share", REAL),
-    sa.Column("hunting_hz", REAL),
-    sa.Column("hunting_amplitude_m", REAL),
-    sa.Column("blows_share", REAL),
-    sa.Column("blows_m_s2", REAL),
-    sa.Column("blows_turn_m", REAL),
-    sa.Column("blows_side", INTEGER),
-    required("state", sa.String(16)),
-    required("reason", TEXT),
-    sa.Column("reason_code", CODE),
-    required("content_digest", CODE),
-    required("sample_bytes", BIG),
-    required("recorded_ns", BIG),
-    required("odometer_excess_m", REAL, server_default=sa.text("0")),
-    required("off_line_m", REAL, server_default=sa.text("0")),
-    sa.Column("implausible", TEXT),
-    sa.Column("implausible_code", CODE),
-    sa.Column("samples_purged_ns", BIG),
-    sa.Column("table_purged_ns", BIG),
-    sa.Column("passed_over", sa.String(16)),
-    sa.CheckConstraint("length_ns > 0", name="length_positive"),
-    one_of("state", ("pending", "estimated", "refused")),
-    sa.Index("ix_windows_implausible", "wheelset", "start_ns", **where("implausible_code IS NOT NULL")),
-    sa.Index("ix_windows_passed_over", "wheelset", "start_ns", **where("passed_over IS NOT NULL")),
-    sa.Index("ix_windows_pending", "wheelset", "start_ns", **where("state = 'pending'")),
-    sa.Index("ix_windows_refused", "wheelset", "reason_code", **where("reason_code IS NOT NULL")),
-    sa.Index(None, "track_section", "start_ns"),
-    sa.Index(None, "vehicle", "start_ns"),
-    sa.Index("ix_windows_with_samples", "start_ns", **where("samples_purged_ns IS NULL")),
+    "wheelset CODE KEY > wheelsets.serial, start_ns BIG KEY, length_ns BIG, vehicle CODE > vehicles.code, "
+    "axle INTEGER, track_section CODE NULL > track_sections.code, mileage_km REAL, coverage REAL NULL, "
+    "longest_gap_s REAL NULL, gaps BIG, clipped REAL NULL, invalid REAL NULL, speed_min_m_s REAL NULL, "
+    "speed_max_m_s REAL NULL, position_quality REAL NULL, sensor_fault FLAG, hunting_share REAL NULL, "
+    "hunting_hz REAL NULL, hunting_amplitude_m REAL NULL, blows_share REAL NULL, blows_m_s2 REAL NULL, "
+    "blows_turn_m REAL NULL, blows_side INTEGER NULL, state S16, reason TEXT, reason_code CODE NULL, "
+    "content_digest CODE, sample_bytes BIG, recorded_ns BIG, odometer_excess_m REAL DEFAULT 0, "
+    "off_line_m REAL DEFAULT 0, implausible TEXT NULL, implausible_code CODE NULL, samples_purged_ns BIG NULL, "
+    "table_purged_ns BIG NULL, passed_over S16 NULL",
+    checks(length_positive="length_ns > 0"),
+    known("state", "pending estimated refused"),
+    indexes("track_section start_ns", "vehicle start_ns"),
+    part("ix_windows_implausible", "wheelset start_ns", "implausible_code IS NOT NULL"),
+    part("ix_windows_passed_over", "wheelset start_ns", "passed_over IS NOT NULL"),
+    part("ix_windows_pending", "wheelset start_ns", "state = 'pending'"),
+    part("ix_windows_refused", "wheelset reason_code", "reason_code IS NOT NULL"),
+    part("ix_windows_with_samples", "start_ns", "samples_purged_ns IS NULL"),
 )
-sa.Table(
+table(
     "work_leases",
-    TABLES,
-    sa.Column("lease_id", SERIAL, primary_key=True),
-    required("holder", TEXT),
-    sa.Column("owner", BIG, sa.ForeignKey("work_leases.lease_id", ondelete="CASCADE")),
-    sa.Column("unit", sa.String(32)),
-    required("length_ns", BIG),
-    required("until_ns", BIG),
-    sa.CheckConstraint("length_ns > 0", name="length_positive"),
-    sa.Index(None, "until_ns"),
-    sqlite_autoincrement=True,
+    "lease_id SERIAL KEY, holder TEXT, owner BIG NULL > work_leases.lease_id DELETE CASCADE, unit S32 NULL, "
+    "length_ns BIG, until_ns BIG",
+    checks(length_positive="length_ns > 0"),
+    indexes("until_ns"),
+    numbered=True,
 )
-sa.Table(
+table(
     "work_claims",
-    TABLES,
-    sa.Column("stage", CODE, primary_key=True),
-    sa.Column("key", sa.String(128), primary_key=True),
-    sa.Column("lease_id", BIG, sa.ForeignKey("work_leases.lease_id", ondelete="SET NULL")),
-    required("attempts", BIG),
-    required("begun_ns", BIG),
-    sa.CheckConstraint("attempts >= 1", name="begun"),
-    sa.Index(None, "lease_id"),
+    "stage CODE KEY, key S128 KEY, lease_id BIG NULL > work_leases.lease_id DELETE NULLED, attempts BIG, begun_ns BIG",
+    checks(begun="attempts >= 1"),
+    indexes("lease_id"),
 )
-sa.Table(
+table(
     "worklist_entries",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("fleet", CODE),
-    sa.Column("vehicle", CODE),
-    sa.Column("vehicle_class", TEXT),
-    required("status", sa.String(16)),
-    required("urgency", sa.String(16)),
-    sa.Column("worst_severity", sa.String(16)),
-    required("urgency_key", REAL),
-    sa.Column("distance_key", REAL),
-    sa.Column("conicity_key", REAL),
-    sa.Column("trend_key", REAL),
-    sa.Column("mileage_key", REAL),
-    sa.Column("last_data_ns", BIG),
-    required("document", TEXT),
-    one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
-    one_of("urgency", ("over_limit", "critical_alert", "due", "warning_alert", "unknown", "not_due", "not_mounted")),
-    one_of("worst_severity", ("info", "warning", "critical")),
-    sa.Index(None, "conicity_key", "wheelset"),
-    sa.Index(None, "distance_key", "wheelset"),
-    sa.Index(None, "fleet", "conicity_key", "wheelset"),
-    sa.Index(None, "fleet", "distance_key", "wheelset"),
-    sa.Index(None, "fleet", "last_data_ns", "wheelset"),
-    sa.Index(None, "fleet", "mileage_key", "wheelset"),
-    sa.Index(None, "fleet", "trend_key", "wheelset"),
-    sa.Index(None, "fleet", "urgency_key", "wheelset"),
-    sa.Index(None, "fleet", "wheelset"),
-    sa.Index(None, "last_data_ns", "wheelset"),
-    sa.Index(None, "mileage_key", "wheelset"),
-    sa.Index(None, "status", "wheelset"),
-    sa.Index(None, "trend_key", "wheelset"),
-    sa.Index(None, "urgency_key", "wheelset"),
-    sa.Index(None, "urgency", "wheelset"),
-    sa.Index(None, "vehicle_class", "wheelset"),
-    sa.Index(None, "vehicle", "wheelset"),
-    sa.Index(None, "worst_severity", "wheelset"),
+    "wheelset CODE KEY > wheelsets.serial, fleet CODE, vehicle CODE NULL, vehicle_class TEXT NULL, status S16, "
+    "urgency S16, worst_severity S16 NULL, urgency_key REAL, distance_key REAL NULL, conicity_key REAL NULL, "
+    "trend_key REAL NULL, mileage_key REAL NULL, last_data_ns BIG NULL, document TEXT",
+    known("status", "unestimated estimated invalid model_mismatch"),
+    known("urgency", "over_limit critical_alert due warning_alert unknown not_due not_mounted"),
+    known("worst_severity", "info warning critical"),
+    indexes(
+        "conicity_key wheelset",
+        "distance_key wheelset",
+        "fleet conicity_key wheelset",
+        "fleet distance_key wheelset",
+        "fleet last_data_ns wheelset",
+        "fleet mileage_key wheelset",
+        "fleet trend_key wheelset",
+        "fleet urgency_key wheelset",
+        "fleet wheelset",
+        "last_data_ns wheelset",
+        "mileage_key wheelset",
+        "status wheelset",
+        "trend_key wheelset",
+        "urgency_key wheelset",
+        "urgency wheelset",
+        "vehicle_class wheelset",
+        "vehicle wheelset",
+        "worst_severity wheelset",
+    ),
 )
-sa.Table(
-    "worklist_alerts",
-    TABLES,
-    sa.Column("kind", sa.String(32), primary_key=True),
-    sa.Column("wheelset", CODE, sa.ForeignKey("worklist_entries.wheelset", ondelete="CASCADE"), primary_key=True),
-    sa.Index(None, "wheelset"),
+table(
+    "worklist_alerts", "kind S32 KEY, wheelset CODE KEY > worklist_entries.wheelset DELETE CASCADE", indexes("wheelset")
 )

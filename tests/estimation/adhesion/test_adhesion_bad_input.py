@@ -18,7 +18,7 @@ from api.factory import create_app
 from api.settings import Settings
 from estimation.jobs import refresh_adhesion
 from estimation.jobs.job import JobContext
-from estimation.values.adhesion import WindowAdhesion
+from estimation.values.opinions import WindowAdhesion
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import FleetRecord

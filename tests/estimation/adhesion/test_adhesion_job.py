@@ -17,8 +17,7 @@ from api.factory import create_app
 from api.settings import Settings
 from api.times import to_rfc3339
 from bench.adhesion_fleet import true_friction
-from estimation.adhesion.file_errors import FileErrors
-from estimation.adhesion.friction import FrictionParameters
+from estimation.adhesion.parameters import FileErrors, FrictionParameters
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule
 from estimation.jobs import refresh_adhesion
@@ -28,8 +27,8 @@ from estimation.jobs.section_replay import section_replayed
 from estimation.jobs.steps.pooled_friction import friction_parameters, pool_ends
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.window_inputs import inputs_of_batch
-from estimation.values.adhesion import SectionAdhesion
 from estimation.values.alerts import AlertEventKind, AlertScope
+from estimation.values.opinions import SectionAdhesion
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobTrigger

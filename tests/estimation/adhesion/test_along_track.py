@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from estimation.adhesion.along_track import (
-    GRID,
-    WRONG_BY,
-    WRONG_SHARE,
-    Along,
-    AlongParameters,
-    along_track,
-)
-from estimation.values.adhesion import INVERSE
+from estimation.adhesion.along_track import GRID, WRONG_BY, WRONG_SHARE, along_track
+from estimation.adhesion.parameters import FrictionParameters
 from estimation.values.arrays import FloatArray
+from estimation.values.opinions import INVERSE
 
 PLACE_STD = 0.45
-KNOWN = AlongParameters(3.3, 3.0, 0.2, 0.05)
+KNOWN = FrictionParameters(usual=3.3, usual_std=3.0, change_std=0.2, fresh=0.05)
 
 
 def misfits_of(inverse: FloatArray, std: float) -> FloatArray:
@@ -25,7 +21,7 @@ def misfits_of(inverse: FloatArray, std: float) -> FloatArray:
     return np.asarray(((INVERSE - inverse[:, None]) / std) ** 2)
 
 
-def chained(cells: FloatArray, misfits: FloatArray, known: AlongParameters = KNOWN) -> Along:
+def chained(cells: FloatArray, misfits: FloatArray, known: FrictionParameters = KNOWN) -> tuple[FloatArray, FloatArray]:
     return along_track(cells.astype(np.int64), misfits, np.full(len(cells), PLACE_STD), known)
 
 
@@ -53,17 +49,17 @@ def test_three_places_are_the_sum_over_all_courses() -> None:
     for place, axes in enumerate(((1, 2), (0, 2), (0, 1))):
         marginal = courses.sum(axis=axes)
         mean = float(marginal @ GRID)
-        assert found.mean[place] == pytest.approx(mean, abs=0.02)
-        assert found.std[place] == pytest.approx(np.sqrt(marginal @ GRID**2 - mean**2), rel=0.05)
+        assert found[0][place] == pytest.approx(mean, abs=0.02)
+        assert found[1][place] == pytest.approx(np.sqrt(marginal @ GRID**2 - mean**2), rel=0.05)
 
 
 def test_places_behind_a_gap_and_places_with_nothing_in_common_stand_alone() -> None:
     inverse = np.array([3.0, 9.0])
     alone = [chained(np.array([0]), misfits_of(inverse[[place]], 0.5), KNOWN) for place in (0, 1)]
     gap = chained(np.array([0, 2]), misfits_of(inverse, 0.5), KNOWN)
-    assert gap.mean == pytest.approx([one.mean[0] for one in alone], rel=1e-12)
-    alike = chained(np.array([0, 1]), misfits_of(inverse, 0.5), AlongParameters(3.3, 3.0, 0.2, 1.0))
-    assert alike.mean == pytest.approx(gap.mean, rel=1e-9)
+    assert gap[0] == pytest.approx([one[0][0] for one in alone], rel=1e-12)
+    alike = chained(np.array([0, 1]), misfits_of(inverse, 0.5), replace(KNOWN, fresh=1.0))
+    assert alike[0] == pytest.approx(gap[0], rel=1e-9)
 
 
 def test_a_sharp_end_stays_where_it_is_and_noise_gets_less() -> None:
@@ -72,7 +68,7 @@ def test_a_sharp_end_stays_where_it_is_and_noise_gets_less() -> None:
     alone, along = [], []
     for _ in range(40):
         measured = true + 0.6 * rng.standard_normal(len(true))
-        found = chained(np.arange(len(true)), misfits_of(measured, 0.4), KNOWN).mean
+        found = chained(np.arange(len(true)), misfits_of(measured, 0.4), KNOWN)[0]
         assert (found[:12] < 6.67).all()
         assert (found[12:24] > 6.67).all()
         assert (found[24:] < 6.67).all()
@@ -85,8 +81,8 @@ def test_each_place_has_an_error_of_its_own() -> None:
     misfits = misfits_of(np.array([6.0, 6.0]), 0.3)
     apart = along_track(np.array([0, 2]), misfits, np.array([0.45, 1.0]), KNOWN)
     wide, narrow = (along_track(np.array([0]), misfits[:1], np.array([std]), KNOWN) for std in (1.0, 0.45))
-    assert apart.std == pytest.approx([narrow.std[0], wide.std[0]])
-    assert wide.std[0] > 1.5 * narrow.std[0]
+    assert apart[1] == pytest.approx([narrow[1][0], wide[1][0]])
+    assert wide[1][0] > 1.5 * narrow[1][0]
 
 
 def test_what_is_known_of_the_chain_is_pinned() -> None:

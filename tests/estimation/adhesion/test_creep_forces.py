@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from bogie_run import SOFT, joined, motions, of_bogie, wheelset
 
-from estimation.adhesion.creep_forces import MOST_INNOVATION, ContactForces, ForceParameters, contact_forces
+from bench.adhesion_case import contact_forces
+from estimation.adhesion.creep_forces import MOST_INNOVATION, ContactForces
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import FloatArray
@@ -17,7 +18,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import VehicleClass
 
-SIGNALS, KNOWN = SignalParameters(), ForceParameters()
+SIGNALS = SignalParameters()
 TRIMMED = slice(500, -500)
 
 
@@ -26,7 +27,7 @@ def gear(number: int = 0) -> list[Window]:
 
 
 def found(windows: list[Window], vehicle_class: VehicleClass) -> tuple[ContactForces, ...]:
-    forces = contact_forces(windows, vehicle_class, SIGNALS, KNOWN)
+    forces = contact_forces(windows, vehicle_class, SIGNALS)
     assert not isinstance(forces, Reason), forces
     return forces
 
@@ -75,7 +76,7 @@ def test_a_class_with_far_softer_springs_diverges() -> None:
     right = of_bogie(SOFT)
     stiffness = 0.2 * right.parameters.lateral_stiffness
     softer = replace(right, parameters=replace(right.parameters, lateral_stiffness=stiffness))
-    forces = contact_forces(gear(), softer, SIGNALS, KNOWN)
+    forces = contact_forces(gear(), softer, SIGNALS)
     assert isinstance(forces, Reason)
     assert forces.code is ReasonCode.DIVERGED
 
@@ -97,7 +98,7 @@ def noisy(window: Window) -> FloatArray:
 def test_a_sensor_that_does_not_measure_the_frame_diverges(given: Callable[[Window], FloatArray]) -> None:
     front, rear = gear()
     broken = replace(front, mass_lateral_acceleration=given(front))
-    forces = contact_forces([broken, rear], of_bogie(SOFT), SIGNALS, KNOWN)
+    forces = contact_forces([broken, rear], of_bogie(SOFT), SIGNALS)
     assert isinstance(forces, Reason)
     assert forces.code is ReasonCode.DIVERGED
 
@@ -105,19 +106,19 @@ def test_a_sensor_that_does_not_measure_the_frame_diverges(given: Callable[[Wind
 def test_what_is_believed_is_pinned() -> None:
     assert MOST_INNOVATION == 10.0
     forces = found(gear(), of_bogie(SOFT))[0]
-    just = ForceParameters(most_innovation=1.01 * forces.innovation)
-    below = ForceParameters(most_innovation=0.99 * forces.innovation)
+    just = 1.01 * forces.innovation
+    below = 0.99 * forces.innovation
     assert not isinstance(contact_forces(gear(), of_bogie(SOFT), SIGNALS, just), Reason)
     assert isinstance(contact_forces(gear(), of_bogie(SOFT), SIGNALS, below), Reason)
 
 
 def test_windows_of_another_gear_are_a_mistake() -> None:
     with pytest.raises(ValueError, match="running gear"):
-        contact_forces(gear()[:1], of_bogie(SOFT), SIGNALS, KNOWN)
+        contact_forces(gear()[:1], of_bogie(SOFT), SIGNALS)
 
 
 def test_windows_that_stand_still_have_no_forces() -> None:
     still = [replace(window, speed=np.zeros(len(window.valid))) for window in gear()]
-    forces = contact_forces(still, of_bogie(SOFT), SIGNALS, KNOWN)
+    forces = contact_forces(still, of_bogie(SOFT), SIGNALS)
     assert isinstance(forces, Reason)
     assert forces.code is ReasonCode.NO_USABLE_SAMPLE

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from test_friction import KNOWN, NO_ERRORS, TRUE, a_pass, section_friction
 
-from estimation.adhesion.file_errors import LATERAL_AS_CREEP, YAW_AS_CREEP, FileErrors, ForceErrors, lateral_scale_std
-from estimation.values.adhesion import CellFriction
+from estimation.adhesion.parameters import LATERAL_AS_CREEP, YAW_AS_CREEP, FileErrors, force_errors, lateral_scale_std
+from estimation.values.opinions import CellFriction
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import (
     LOAD_STD,
@@ -92,8 +92,8 @@ def test_where_friction_is_low_is_decided_without_the_scales_of_sensors() -> Non
 def test_stds_of_forces_hold_springs_masses_load_and_sensors() -> None:
     """Each by its own terms, and by no others."""
     stds = {"wheelset_mass": 0.03, "lateral_stiffness": 0.06, "yaw_stiffness": 0.2, "load": 0.12}
-    found = ForceErrors.of(replace(WELL_KNOWN, relative_std=stds))
+    lateral, moment, load = force_errors(replace(WELL_KNOWN, relative_std=stds))
     scale = lateral_scale_std(WELL_KNOWN.sensors)
-    assert found.lateral == pytest.approx(np.sqrt(0.03**2 + 0.06**2 + scale**2))
-    assert found.moment == pytest.approx(np.hypot(0.2, WELL_KNOWN.sensors.yaw.usual_scale_std))
-    assert found.load == 0.12
+    assert lateral == pytest.approx(np.sqrt(0.03**2 + 0.06**2 + scale**2))
+    assert moment == pytest.approx(np.hypot(0.2, WELL_KNOWN.sensors.yaw.usual_scale_std))
+    assert load == 0.12

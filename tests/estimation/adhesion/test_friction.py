@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from oracles.creep_excess import creep_excess
 
-from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.friction import (
     LEARNT,
     FrictionParameters,
@@ -18,7 +17,8 @@ from estimation.adhesion.friction import (
     pooled_friction,
     section_adhesion,
 )
-from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
+from estimation.adhesion.parameters import FileErrors
+from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from test_friction import KNOWN, TRUE, a_pass
 
-from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.friction import pooled_friction, section_adhesion
-from estimation.adhesion.pass_sums import pass_sums
-from estimation.adhesion.scales import (
+from estimation.adhesion.parameters import FileErrors
+from estimation.adhesion.pass_sums import (
     FAR,
     FEWEST_VEHICLES,
     GRID,
@@ -20,9 +19,10 @@ from estimation.adhesion.scales import (
     WHEELSET_SCATTER,
     Agreed,
     contradicting,
+    pass_sums,
     scales,
 )
-from estimation.values.adhesion import WindowAdhesion
+from estimation.values.opinions import WindowAdhesion
 from estimation.values.reasons import ReasonCode
 
 WEIGHED = replace(KNOWN, file=FileErrors(0.1, 0.05, 0.02, 0.03, 0.03))  # a load that is known

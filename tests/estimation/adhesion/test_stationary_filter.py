@@ -12,26 +12,26 @@ from scipy.linalg import block_diag, expm
 
 from estimation.adhesion import stationary_filter as module
 from estimation.adhesion.creep_forces import smoothed_states
-from estimation.adhesion.stationary_filter import FilterParameters, gear_equations, stationary_filter
+from estimation.adhesion.stationary_filter import CORNER_WAVELENGTH, gear_equations, stationary_filter
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.vehicle_class import VehicleClass
 
-DT, SPEED, KNOWN = 0.004, 20.0, FilterParameters()
+DT, SPEED = 0.004, 20.0
 SAMPLES, SUB_STEPS = 30, 200
 
 
 def model(vehicle_class: VehicleClass) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return transition, its noise, measured rows and their noise, in scaled states, by summing over sub-steps."""
     gear = gear_equations(vehicle_class.parameters, vehicle_class.bogie)
-    rates, noise, scale = module._with_inputs(gear, vehicle_class.parameters.load, KNOWN)
+    rates, noise, scale = module._with_inputs(gear, vehicle_class.parameters.load)
     rates, noise = rates * scale / scale[:, None], noise / np.outer(scale, scale)
     step = expm(rates * DT / SUB_STEPS)
     halfway, process = expm(rates * 0.5 * DT / SUB_STEPS), np.zeros_like(rates)
     for _ in range(SUB_STEPS):
         process = step @ process @ step.T + halfway @ noise @ halfway.T * DT / SUB_STEPS
     wheelbase = None if vehicle_class.bogie is None else vehicle_class.bogie.wheelbase
-    corner = 2.0 * math.pi * SPEED / KNOWN.corner_wavelength
-    variances = module._variances(gear, vehicle_class.sensors, wheelbase, DT, corner, KNOWN)
+    corner = 2.0 * math.pi * SPEED / CORNER_WAVELENGTH
+    variances = module._variances(gear, vehicle_class.sensors, wheelbase, DT, corner)
     return expm(rates * DT), process, module._measured(gear, len(rates), SPEED) * scale, np.diag(variances)
 
 
@@ -57,7 +57,7 @@ def single() -> tuple[FloatArray, ...]:
 
 def test_the_stationary_gain_is_what_a_filter_ends_at(single: tuple[FloatArray, ...]) -> None:
     transition, _, rows, noise, predicted = single
-    made = stationary_filter(PAPER_CLASS, DT, SPEED, KNOWN)
+    made = stationary_filter(PAPER_CLASS, DT, SPEED)
     np.testing.assert_allclose(made.transition, transition, rtol=1e-9, atol=1e-12)
     innovation = rows @ predicted @ rows.T + noise
     gain = np.linalg.solve(innovation, rows @ predicted).T
@@ -68,7 +68,7 @@ def test_the_stationary_gain_is_what_a_filter_ends_at(single: tuple[FloatArray, 
 def test_filter_and_smoother_give_the_posterior_mean_of_all_samples(single: tuple[FloatArray, ...]) -> None:
     """A path that begins with that covariance, every state of every sample in one least squares problem."""
     transition, process, rows, noise, predicted = single
-    made = stationary_filter(PAPER_CLASS, DT, SPEED, KNOWN)
+    made = stationary_filter(PAPER_CLASS, DT, SPEED)
     n, m = made.gain.shape
     measurements = np.sqrt(np.diag(noise)) * np.random.default_rng(7).standard_normal((SAMPLES, m))
     covariance = _path_covariance(transition, process, predicted)
@@ -96,7 +96,7 @@ def _path_covariance(transition: FloatArray, process: FloatArray, first: FloatAr
 
 def test_a_speed_that_varies_moves_the_rolling_measurement_alone() -> None:
     """With y' known, psi + creepage is measured as y'/V: at another speed the innovation differs by y' (1/V - 1/V0)."""
-    made = stationary_filter(PAPER_CLASS, DT, SPEED, KNOWN)
+    made = stationary_filter(PAPER_CLASS, DT, SPEED)
     measurements = np.random.default_rng(8).standard_normal((50, len(made.measured)))
     known = np.ones(50, bool)
     _, even = smoothed_states(made, measurements, known, np.full(50, SPEED))
@@ -109,8 +109,8 @@ def test_a_speed_that_varies_moves_the_rolling_measurement_alone() -> None:
 
 
 def test_speeds_are_rounded_to_filters_that_are_kept() -> None:
-    made = stationary_filter(of_bogie(SOFT), DT, 20.1, KNOWN)
-    assert stationary_filter(of_bogie(SOFT), DT, 19.9, KNOWN) is made
-    assert stationary_filter(of_bogie(SOFT), DT, 20.6, KNOWN) is not made
+    made = stationary_filter(of_bogie(SOFT), DT, 20.1)
+    assert stationary_filter(of_bogie(SOFT), DT, 19.9) is made
+    assert stationary_filter(of_bogie(SOFT), DT, 20.6) is not made
     assert made.axles == 2
     assert made.accelerations == 6

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bogie_run import SOFT, of_bogie
-from test_creep_forces import KNOWN, SIGNALS, found, gear, high_passed, true_forces
+from test_creep_forces import SIGNALS, found, gear, high_passed, true_forces
 
-from estimation.adhesion.creep_forces import BAND_HZ, VIBRATING, contact_forces, without_vibration
+from bench.adhesion_case import contact_forces
+from estimation.adhesion.creep_forces import BAND_HZ, VIBRATING, without_vibration
 from estimation.adhesion.window_adhesion import FORCE_ERROR, SMOOTHED_ERROR
 from estimation.values.reasons import Reason
 from estimation.values.windows import ACCELERATIONS, Window
@@ -56,7 +57,7 @@ def test_vibration_in_the_band_of_the_forces_diverges() -> None:
         return replace(window, **{name: getattr(window, name) + row for name, row in named})
 
     windows = [slow(window, seed) for seed, window in enumerate(gear())]
-    assert isinstance(contact_forces(windows, of_bogie(SOFT), SIGNALS, KNOWN), Reason)
+    assert isinstance(contact_forces(windows, of_bogie(SOFT), SIGNALS), Reason)
 
 
 @pytest.mark.parametrize(("rms", "smoothed"), [(0.245, False), (0.255, True)])

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
+from windows_finding import windows_finding
 
-from estimation.alerts.rules.data_quality import DataQualityRule, data_quality_finding
 from estimation.alerts.rules.rule import WheelsetFacts
+from estimation.alerts.rules.sensor_data import DataQualityRule
 from estimation.values.alerts import Finding
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, WheelsetRecord
@@ -40,7 +41,7 @@ def test_two_implausible_windows_of_the_newest_ten_raise_and_none_clears(
     windows: str, *, breached: bool | None, cleared: bool | None
 ) -> None:
     records = [replace(GOOD if kind == "g" else BAD, start_ns=60 * at) for at, kind in enumerate(windows)]
-    found = data_quality_finding(DataQualityRule(), "WS-1", records[::-1], 7)
+    found = windows_finding(DataQualityRule(), records[::-1], mounted_ns=7)
     assert (found.breached, found.cleared) == (breached, cleared)
     reasons = {"odometer_implausible": windows[-10:].count("b")} if "b" in windows[-10:] else {}
     assert found.evidence["reasons"] == reasons
@@ -86,4 +87,4 @@ def test_what_stands_without_rejected_recordings_is_of_windows(windows: str, *, 
 )
 def test_a_place_that_is_not_believed_has_its_own_action(codes: list[ReasonCode], action: str) -> None:
     records = [replace(GOOD, start_ns=60 * at, implausible=Reason(code, "")) for at, code in enumerate(codes)]
-    assert data_quality_finding(DataQualityRule(), "WS-1", records, 7).action == action
+    assert windows_finding(DataQualityRule(), records, mounted_ns=7).action == action

@@ -14,7 +14,7 @@ from wheelset_life import DAY_NS, START_NS, SetClock, register, run_windows
 from estimation.alerts.actions import acknowledge
 from estimation.alerts.fleet_alerts import HOUR_NS, in_flood, opened, refreshed
 from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
-from estimation.alerts.rules.no_data import NoDataRule
+from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.errors import ConflictError, InputError
 from estimation.jobs import evaluate_alerts
 from estimation.jobs.job import JobContext, run_job

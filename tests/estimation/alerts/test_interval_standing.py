@@ -9,19 +9,18 @@ from itertools import product
 import pytest
 from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, known
 
+from estimation.alerts.evaluation import findings
 from estimation.alerts.identity import IdentityEvent, Mistake
 from estimation.alerts.life_cycle import transition
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.evaluation import findings
-from estimation.alerts.rules.intervals import LOOK_BACK
-from estimation.alerts.rules.limit_forecast import LimitForecastRule
+from estimation.alerts.rules.near_limit import LimitForecastRule
 from estimation.alerts.rules.rule import AlertDelays, AlertRule, WheelsetFacts
-from estimation.alerts.rules.standing import latest_run
-from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule
+from estimation.alerts.rules.standing import LOOK_BACK_INTERVALS, latest_run
+from estimation.alerts.rules.wheels import WheelAsymmetryRule
 from estimation.trend.extrapolation import conicity_points
 from estimation.trend.trend import refresh
-from estimation.values.alerts import Alert, Finding, Severity
+from estimation.values.alerts import Alert, Finding
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry, interval_conicities
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
@@ -119,7 +118,7 @@ def test_no_wear_alert_is_opened_while_the_identity_is_in_doubt() -> None:
 
 
 def test_what_no_interval_has_shown_for_long_stands_no_more() -> None:
-    between = [0.45, 0.45, *[0.395] * (LOOK_BACK - 1)]
+    between = [0.45, 0.45, *[0.395] * (LOOK_BACK_INTERVALS - 1)]
 
     def standing(conicities: Sequence[float]) -> bool | None:
         found = ConicityLimitRule().find(replace(facts_of(records_of(conicities)), trend=None), 0)
@@ -153,7 +152,9 @@ def test_between_the_limits_of_asymmetry_an_alert_stands_once_it_was_raised() ->
 
 
 def found(state: str) -> Finding:
-    return Finding("W", "k", state == "r", state == "c", Severity.WARNING, None, {}, "", None, None, 0)
+    return Finding(
+        wheelset="W", kind="k", breached=state == "r", cleared=state == "c", evidence={}, action="", measured_ns=0
+    )
 
 
 def forwards(states: str, delays: AlertDelays) -> bool:

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from scipy import stats
 from wheelset_life import DAY_NS, geometry_of, known, window_record
+from windows_finding import silence_finding, windows_finding
 
-from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand, conicity_limit_finding
-from estimation.alerts.rules.limit_forecast import LimitForecastRule, limit_forecast_finding
-from estimation.alerts.rules.limit_state import LimitState
-from estimation.alerts.rules.no_data import NoDataRule, no_data_finding
-from estimation.alerts.rules.sensor_fault import SensorFaultRule, sensor_fault_finding
-from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule, asymmetry_of, wheel_asymmetry_finding
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule, LimitState, SpeedBand, conicity_limit_finding
+from estimation.alerts.rules.near_limit import LimitForecastRule, limit_forecast_finding
+from estimation.alerts.rules.sensor_data import NoDataRule, SensorFaultRule
+from estimation.alerts.rules.wheels import WheelAsymmetryRule, asymmetry_of, wheel_asymmetry_finding
 from estimation.trend.trend import TrendPoint, refresh
 from estimation.values.alerts import Severity
 from estimation.values.quantities import Estimate, Forecast, Status
@@ -126,22 +125,22 @@ def test_bins_on_one_side_only_say_nothing_of_the_shape() -> None:
 
 def test_silence_counts_from_the_last_usable_data_or_from_mounting() -> None:
     rule, now = NoDataRule(days=7.0, critical_days=28.0), 100 * DAY_NS
-    fresh = no_data_finding(rule, "W", 95 * DAY_NS, 0, now)
+    fresh = silence_finding(rule, 95 * DAY_NS, 0, now)
     assert (fresh.breached, fresh.cleared, fresh.measured_ns) == (False, True, 95 * DAY_NS)
-    silent = no_data_finding(rule, "W", 90 * DAY_NS, 0, now)
+    silent = silence_finding(rule, 90 * DAY_NS, 0, now)
     assert (silent.breached, silent.severity, silent.measured_ns) == (True, Severity.WARNING, 97 * DAY_NS)
-    assert no_data_finding(rule, "W", 90 * DAY_NS, 0, now + 12345).evidence == silent.evidence
-    assert no_data_finding(rule, "W", 60 * DAY_NS, 0, now).severity is Severity.CRITICAL
-    assert no_data_finding(rule, "W", None, 99 * DAY_NS, now).breached is False
-    assert no_data_finding(rule, "W", None, 50 * DAY_NS, now).breached is True
-    assert no_data_finding(rule, "W", 20 * DAY_NS, 99 * DAY_NS, now).breached is False  # mounted yesterday
+    assert silence_finding(rule, 90 * DAY_NS, 0, now + 12345).evidence == silent.evidence
+    assert silence_finding(rule, 60 * DAY_NS, 0, now).severity is Severity.CRITICAL
+    assert silence_finding(rule, None, 99 * DAY_NS, now).breached is False
+    assert silence_finding(rule, None, 50 * DAY_NS, now).breached is True
+    assert silence_finding(rule, 20 * DAY_NS, 99 * DAY_NS, now).breached is False  # mounted yesterday
 
 
 @pytest.mark.parametrize(("faulty", "good"), [(3, 0), (2, 0), (5, 15), (18, 2), (0, 20), (1, 19), (0, 3)])
 def test_the_share_of_faulty_windows_is_judged_by_its_posterior(faulty: int, good: int) -> None:
     rule = SensorFaultRule()
     windows = [window_record("W", i, sensor_fault=i < faulty) for i in range(faulty + good)]
-    found = sensor_fault_finding(rule, "W", windows[::-1], 5)
+    found = windows_finding(rule, windows[::-1])
     if faulty + good < 3:
         assert found.breached is None
         return
@@ -154,9 +153,9 @@ def test_the_share_of_faulty_windows_is_judged_by_its_posterior(faulty: int, goo
 def test_only_the_latest_windows_count_and_clipping_is_a_fault_too() -> None:
     old = [window_record("W", i, sensor_fault=True) for i in range(40)]
     new = [window_record("W", 100 + i) for i in range(20)]
-    assert sensor_fault_finding(SensorFaultRule(), "W", old + new, 5).cleared is True
+    assert windows_finding(SensorFaultRule(), old + new).cleared is True
     clipped = [window_record("W", 200 + i, clipped=0.2) for i in range(15)]
     invalid = [window_record("W", 300 + i, invalid=0.5) for i in range(5)]
-    found = sensor_fault_finding(SensorFaultRule(), "W", old + new + clipped + invalid, 5)
+    found = windows_finding(SensorFaultRule(), old + new + clipped + invalid)
     assert found.breached is True
     assert found.evidence["reasons"] == {"clipping": 15, "invalid_values": 5}

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 from wheelset_life import START_NS, window_record
 
+from estimation.alerts.evaluation import superseded
 from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.evaluation import superseded
 from estimation.alerts.rules.rule import WheelsetFacts
-from estimation.alerts.rules.sensor_fault import SensorFaultRule
+from estimation.alerts.rules.sensor_data import SensorFaultRule
 from estimation.values.alerts import Alert, CloseReason, Condition, Severity
 from estimation.values.registry import Mounting, WheelsetRecord
 

@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import pytest
 from wheelset_life import START_NS, window_record
+from windows_finding import windows_finding
 
 from estimation.alerts.life_cycle import transition
 from estimation.alerts.rules.rule import AlertDelays, WheelsetFacts
-from estimation.alerts.rules.sensor_fault import SensorFaultRule, faulty, sensor_fault_finding
+from estimation.alerts.rules.sensor_data import SensorFaultRule, faulty
 from estimation.alerts.rules.standing import LOOK_BACK
 from estimation.values.alerts import Alert, Finding
 from estimation.values.registry import Mounting, WheelsetRecord
@@ -22,7 +23,7 @@ WHEELSET = WheelsetRecord("W", "F", "P8", 0.45, Mounting("W", "V", 1, START_NS, 
 
 
 def found(windows: Sequence[WindowRecord]) -> Finding:
-    return sensor_fault_finding(RULE, "W", windows, START_NS)
+    return windows_finding(RULE, windows, mounted_ns=START_NS)
 
 
 def evaluated_now(windows: Sequence[WindowRecord], delays: AlertDelays | None = None) -> Finding:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from estimation.alerts.step_causes import TOGETHER_NS, StepSurroundings, explanations
+from estimation.trend.steps import TOGETHER_NS, StepSurroundings, explanations
 from estimation.values.geometry import KnownConicity
 from estimation.values.quantities import Estimate, Status
 from estimation.values.trend import StepCause, StepExplanation, TrendStep

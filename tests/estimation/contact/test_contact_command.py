@@ -12,7 +12,7 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from api.commands.contact import contact
+from api.commands.studies import contact
 from estimation.contact.profiles import rail_profile, wheel_profile
 
 KEYS = [

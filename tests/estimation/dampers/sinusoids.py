@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from bench.adhesion_fleet import GOOD
-from estimation.adhesion.gear_segments import gear_segments
+from estimation.adhesion.creep_forces import gear_segments
 from estimation.dampers.window_damper import window_damper
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import FloatArray
-from estimation.values.dampers import WindowDamper
+from estimation.values.opinions import WindowDamper
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import (

@@ -11,7 +11,7 @@ from sinusoids import SINGLE, SOFT, judged, several, stiffer, windows_of
 
 from estimation.dampers import pooled
 from estimation.dampers.pooled import DamperParameters, gear_damper
-from estimation.values.dampers import GearDamper, WindowDamper
+from estimation.values.opinions import GearDamper, WindowDamper
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from sinusoids import DENSITY, SENSORS, SINGLE, SOFT, judged, windows_of
 
-from estimation.adhesion.gear_segments import gear_segments
+from estimation.adhesion.creep_forces import gear_segments
 from estimation.dampers import window_damper
 from estimation.dampers.damper_filters import LATE_STD_S, add_products, damper_filters, gain_std, of_signals
 from estimation.dampers.pooled import posterior
 from estimation.dampers.window_damper import EVERY, looked_at, not_judged
 from estimation.motion.parameters import SignalParameters
-from estimation.values.dampers import SHARES
+from estimation.values.opinions import SHARES
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import SensorChannel, VehicleClass
@@ -155,8 +155,8 @@ def test_what_noise_adds_to_the_products_is_known() -> None:
         for segment in gear.segments:
             taken = window_damper._taken(segment, gear, filters.apart)
             assert taken is not None
-            add_products(filters, taken.below, taken.above, taken.counted, products)
-            samples += int(taken.counted.sum())
+            add_products(filters, taken[0], taken[1], taken[2], products)
+            samples += int(taken[2].sum())
     found = of_signals(filters, products) / samples
     scale = np.sqrt(np.einsum("paa->pa", filters.noise))
     apart = (found - filters.noise) / (scale[:, :, None] * scale[:, None, :])

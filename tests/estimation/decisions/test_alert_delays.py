@@ -23,7 +23,10 @@ UPDATED = (AlertEventKind.UPDATED,)
 def finding(at: int, *, breached: bool | None = True, cleared: bool | None = None, **changes: object) -> Finding:
     if cleared is None and breached is not None:
         cleared = not breached
-    plain = Finding("W", "no_data", breached, cleared, Severity.WARNING, 0.9, {"x": 1}, "check", 2.0, 1.0, at)
+    plain = Finding(
+        wheelset="W", kind="no_data", breached=breached, cleared=cleared, probability=0.9, evidence={"x": 1},
+        action="check", raise_limit=2.0, clear_limit=1.0, measured_ns=at,
+    )  # fmt: skip
     return replace(plain, **changes)  # type: ignore[arg-type]
 
 

@@ -22,15 +22,24 @@ from plain_facts import (
 )
 from scipy import stats
 from wheelset_life import DAY_NS, geometry_of, known, quality, window_record
+from windows_finding import silence_finding, windows_finding
 
+from estimation.alerts.evaluation import findings, superseded
 from estimation.alerts.identity import IdentityEvent, Mistake
 from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.evaluation import findings, superseded
-from estimation.alerts.rules.evidence import estimate_evidence, forecast_evidence, number_evidence
-from estimation.alerts.rules.identity import IdentityRule, identity_finding, mounting_corrected
-from estimation.alerts.rules.no_data import NoDataRule, no_data_finding
-from estimation.alerts.rules.rule import AlertDelays, WheelsetFacts
-from estimation.alerts.rules.sensor_fault import SensorFaultRule, faulty, sensor_fault_finding
+from estimation.alerts.rules.contradicted_registry import IdentityRule, identity_finding, mounting_corrected
+from estimation.alerts.rules.rule import (
+    AlertDelays,
+    WheelsetFacts,
+    estimate_evidence,
+    forecast_evidence,
+    number_evidence,
+)
+from estimation.alerts.rules.sensor_data import (
+    NoDataRule,
+    SensorFaultRule,
+    faulty,
+)
 from estimation.values.alerts import CloseReason, Finding, Severity
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -40,7 +49,7 @@ from estimation.values.windows import WindowState
 
 def test_silence_is_reported_after_seven_days_and_critical_after_28() -> None:
     rule = NoDataRule()
-    at = {days: no_data_finding(rule, "W", 0, 0, round(days * DAY_NS)) for days in (6.99, 7.01, 27.99, 28.01)}
+    at = {days: silence_finding(rule, 0, 0, round(days * DAY_NS)) for days in (6.99, 7.01, 27.99, 28.01)}
     assert [one.breached for one in at.values()] == [False, True, True, True]
     assert [one.cleared for one in at.values()] == [True, False, False, False]
     assert [one.probability for one in at.values()] == [0.0, 1.0, 1.0, 1.0]
@@ -52,9 +61,9 @@ def test_silence_is_reported_after_seven_days_and_critical_after_28() -> None:
 
 def test_silence_counts_from_data_or_mounting() -> None:
     rule, ten = NoDataRule(), 10 * DAY_NS
-    assert no_data_finding(rule, "W", None, 0, ten).breached is True
-    assert no_data_finding(rule, "W", 5 * DAY_NS, 0, ten).breached is False
-    assert no_data_finding(rule, "W", 0, 5 * DAY_NS, ten).breached is False
+    assert silence_finding(rule, None, 0, ten).breached is True
+    assert silence_finding(rule, 5 * DAY_NS, 0, ten).breached is False
+    assert silence_finding(rule, 0, 5 * DAY_NS, ten).breached is False
     assert rule.find(facts_of(wheelset=replace(WHEELSET, mounting=None)), ten) is None
     window = replace(window_record("W", 0), start_ns=5 * DAY_NS, length_ns=DAY_NS)
     for state, breached in ((WindowState.REFUSED, True), (WindowState.ESTIMATED, False), (WindowState.PENDING, False)):
@@ -84,7 +93,7 @@ def test_what_makes_a_window_faulty(changes: dict[str, float], what: str) -> Non
 
 def sensor(bad: int, good: int) -> Finding:
     windows = [window_record("W", i, sensor_fault=i < bad) for i in range(bad + good)]
-    return sensor_fault_finding(SensorFaultRule(), "W", windows, 5)
+    return windows_finding(SensorFaultRule(), windows)
 
 
 def test_the_share_of_faulty_windows_by_its_posterior() -> None:
@@ -104,7 +113,7 @@ def test_the_sensor_clears_by_the_posterior_of_few_faults(share: float) -> None:
     cleared = {}
     for bad in range(8):
         windows = [window_record("W", i, sensor_fault=i < bad) for i in range(20)]
-        cleared[bad] = sensor_fault_finding(rule, "W", windows, 5).cleared
+        cleared[bad] = windows_finding(rule, windows).cleared
     assert cleared == {bad: stats.beta(bad + 1, 21 - bad).cdf(share) >= 0.8 for bad in range(8)}
     assert set(cleared.values()) == {True, False}
 
@@ -119,7 +128,7 @@ def test_the_sensor_is_judged_by_the_latest_twenty_windows_and_not_by_fewer_than
     assert sensor(1, 19).evidence["faulty_windows"] == 1
     last = window_record("W", 20)
     assert old.measured_ns == last.start_ns + last.length_ns
-    assert sensor_fault_finding(SensorFaultRule(), "W", [], 5).measured_ns == 5
+    assert windows_finding(SensorFaultRule(), []).measured_ns == 5
     assert SensorFaultRule().find(facts_of(wheelset=replace(WHEELSET, mounting=None)), 0) is None
 
 

@@ -16,11 +16,11 @@ from estimation.motion.checks import (
     high_pass_running_mean,
     jumps_reason,
     position_jumps,
-    to_wheelset_axes,
     without_jumps,
 )
 from estimation.motion.integration import IntegratedSegment, IntegratedWindow, integrate
 from estimation.motion.parameters import SignalParameters
+from estimation.motion.window_motion import to_wheelset_axes
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.windows import Window

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from plain_windows import DT, SPEED, layout, plain_window
 
-from estimation.motion.parameters import SignalParameters
-from estimation.motion.usable_samples import (
+from estimation.motion.checks import (
     cant_deficiency_acceleration_range,
     detect_uncompensated_acceleration,
     moving_samples,
@@ -15,13 +14,14 @@ from estimation.motion.usable_samples import (
     straight_part,
     usable_samples,
 )
+from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackLayout
 from estimation.values.windows import Window
 
 SIGNALS = SignalParameters()
-LIMITS = SIGNALS.curve_limits
+LIMITS = SIGNALS
 N = 1500
 EVERY = np.ones(N, dtype=bool)
 T = DT * np.arange(N)

@@ -11,7 +11,7 @@ from plain_windows import DT, SPEED, plain_track, plain_window
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.integration import integrate
-from estimation.motion.parameters import FusionParameters, SignalParameters
+from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_radius_difference import fuse, motion_signals
 from estimation.motion.track_lookup import gauge_shift
 from estimation.values.arrays import FloatArray
@@ -108,7 +108,7 @@ def test_the_radius_difference_has_lost_what_is_longer_than_a_hundred_and_twenty
     )
     found = shift(track(per_difference=0.3), window)
     (segment,) = integrate(window, window.valid, SIGNALS).segments
-    fused = fuse(motion_signals(segment, VEHICLE), VEHICLE, FusionParameters())
+    fused = fuse(motion_signals(segment, VEHICLE), VEHICLE)
     certain = (fused.run >= ENDS) & (fused.run <= fused.run[-1] - ENDS)
     (left,) = remove_wander(np.where(certain, fused.difference, 0.0)[None, :], fused.run, certain, 120.0)
     known = np.isfinite(found)

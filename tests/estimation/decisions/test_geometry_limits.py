@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from bench.moments import collect
 from estimation.geometry.estimate import GeometryParameters, _displacement_noise, _Replicates, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.tables import least_squares
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
@@ -77,7 +77,7 @@ class Wheelset:
         z2[:, 0] = self.A * a + c * (self.R[b] + self.by_group[g] + self.rise[b] * u) + self._noise(yaw, b)
         z2[:, 1] = self.A_by_creep * a + c * self.R_by_creep
         one = np.zeros(n, dtype=np.int64)
-        return least_squares.collect(lateral, z1, one, 1).packed[0], least_squares.collect(yaw, z2, one, 1).packed[0]
+        return collect(lateral, z1, one, 1).packed[0], collect(yaw, z2, one, 1).packed[0]
 
     def _noise(self, features: FloatArray, b: int) -> FloatArray:
         """Return noise that no regressor explains, of the wanted residual of the bin."""

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import pytest
 from wheelset_life import window_record
+from windows_finding import windows_finding
 
-from estimation.alerts.rules.hunting import HuntingRule, hunting_finding
-from estimation.alerts.rules.sensor_fault import SensorFaultRule, faulty
+from estimation.alerts.rules.running_gear import HuntingRule
+from estimation.alerts.rules.sensor_data import SensorFaultRule, faulty
 from estimation.values.alerts import Finding, Severity
 from estimation.values.windows import Hunting, WindowRecord
 
@@ -22,7 +23,7 @@ def window(number: int, share: float = 1.0, clipped: float = 0.0) -> WindowRecor
 
 def of_windows(hunting: int, calm: int, share: float = 1.0) -> Finding:
     windows = [window(n, share if n < hunting else 0.0) for n in range(hunting + calm)]
-    return hunting_finding(RULE, "W", list(reversed(windows)), 5)
+    return windows_finding(RULE, list(reversed(windows)))
 
 
 @pytest.mark.parametrize(
@@ -54,7 +55,7 @@ def test_a_window_hunts_from_half_of_its_time_on() -> None:
     assert of_windows(3, 0, share=0.5).breached is True
     assert of_windows(3, 0, share=0.49).breached is False
     some = replace(RULE, hunting_share=0.0)
-    assert hunting_finding(some, "W", [window(n, 0.0) for n in range(3)], 5).breached is False
+    assert windows_finding(some, [window(n, 0.0) for n in range(3)]).breached is False
 
 
 def test_the_evidence_names_the_oscillation() -> None:
@@ -64,7 +65,7 @@ def test_the_evidence_names_the_oscillation() -> None:
     assert found.evidence["wavelength_m"] == 5.0  # at 15 to 20 m/s
     assert (found.evidence["amplitude_mm"], found.evidence["speed_max_m_s"]) == (6.0, 20.0)
     assert of_windows(0, 3).evidence["frequency_hz"] is None
-    assert hunting_finding(RULE, "W", [], 5).measured_ns == 5
+    assert windows_finding(RULE, []).measured_ns == 5
 
 
 def test_a_sensor_that_clips_because_its_wheelset_hunts_is_sound() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bench import moments
 from estimation.tables import least_squares
 from estimation.values.arrays import FloatArray
 
@@ -58,11 +59,11 @@ def test_a_regressor_that_is_zero_throughout_leaves_its_cell_unsolved_and_no_oth
 @pytest.mark.parametrize("compiled", [True, False])
 def test_the_moments_of_a_cell_are_its_products(monkeypatch: pytest.MonkeyPatch, *, compiled: bool) -> None:
     if not compiled:
-        monkeypatch.setattr(least_squares, "_collect", least_squares._collect.py_func)
+        monkeypatch.setattr(moments, "_collect", moments._collect.py_func)
     rng = np.random.default_rng(1)
     X, Z = rng.standard_normal((40, 3)), rng.standard_normal((40, 2))
     cell = np.arange(40) % 4 - 1  # a quarter belongs nowhere
-    found = least_squares.collect(X, Z, cell, 4)
+    found = moments.collect(X, Z, cell, 4)
     assert found.packed.shape == (4, least_squares.packed_size(3, 2)) == (4, 6 + 6 + 1)
     gram, cross, square = least_squares.unpack(found.packed, 3, 2)
     for c in range(3):
@@ -78,7 +79,7 @@ def test_mistakes_are_refused() -> None:
     ones = np.ones((4, 1))
     for features, targets, cell in ((ones, ones[:3], 4), (ones, ones, 3), (ones[:3], ones, 4)):
         with pytest.raises(ValueError, match="lengths"):
-            least_squares.collect(features, targets, np.zeros(cell, dtype=np.int64), 1)
+            moments.collect(features, targets, np.zeros(cell, dtype=np.int64), 1)
     with pytest.raises(ValueError, match="cell 2 of 2"):
-        least_squares.collect(ones, ones, np.array([0, 1, 2, 0]), 2)
-    assert not least_squares.collect(ones[:0], ones[:0], np.zeros(0, dtype=np.int64), 2).weight.any()
+        moments.collect(ones, ones, np.array([0, 1, 2, 0]), 2)
+    assert not moments.collect(ones[:0], ones[:0], np.zeros(0, dtype=np.int64), 2).weight.any()

@@ -7,17 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.track.alignment_std import LongWaveAlignment, _gauge_std, _scale_std, _std
 from estimation.track.gridded_pass import place
 from estimation.track.iteration import IterationParameters, IterationResult, _largest_move, _ratio_change
 from estimation.track.panel.basis import Panel, PanelParameters
+from estimation.track.panel.instrumental_slope import Ratio
 from estimation.track.panel.normal_equations import init
-from estimation.track.panel.prior_alignment import PriorAlignment
-from estimation.track.panel.solution import result
-from estimation.track.panel.stiffness_ratio import Ratio
+from estimation.track.panel.solution import PriorAlignment, result
 from estimation.track.passes import Pass, ProfileLife
-from estimation.track.results import SectionResults, nothing
-from estimation.track.section import Residuals, _find_outliers, _MeanSquare, residuals
+from estimation.track.results import LongWaveAlignment, SectionResults, _gauge_std, _scale_std, _std, nothing
+from estimation.track.section import Residuals, _find_outliers, residuals
 from estimation.track.settings import AlignmentSettings, SectionParameters
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -82,14 +80,6 @@ def test_what_sensors_leave_open_is_usual() -> None:
     assert weights(0.01e-3, 0.01e-3, 1.42 * 0.12e-3) == {2: pytest.approx(1.42**-4)}
     assert weights(float("nan"), float("nan")) == {}
     assert weights(float("nan"), 0.01e-3, 0.01e-3, 1.0e-3) == {3: pytest.approx((0.12 / 1.0) ** 4)}
-
-
-def test_a_residual_is_a_root_mean_square() -> None:
-    sums = _MeanSquare()
-    assert np.isnan(sums.rms)
-    sums.add(np.array([1.0, 2.0]))
-    sums.add(np.array([4.0]))
-    assert sums.rms == pytest.approx(np.sqrt(7.0))
 
 
 def test_residuals_are_those_of_passes_with_a_curve_where_the_alignment_is_known() -> None:

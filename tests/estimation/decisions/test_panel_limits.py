@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.track.panel.basis import KnownBeforehand, Panel, PanelParameters
+from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, init
 from estimation.track.panel.solution import PanelSolution, between_pass_std_ratio, result
@@ -102,11 +102,11 @@ def test_a_place_needs_three_passes(most: float, outcome: tuple[Status, ReasonCo
 
 
 def test_measured_profiles_separate_what_the_passes_cannot() -> None:
-    measured = replace(PANEL, known=KnownBeforehand(measured={LIVES[0]: KNOWN}))
+    measured = replace(PANEL, measured={LIVES[0]: KNOWN})
     alone, alike = state(spread(0.5), 1, panel=measured), state(spread(0.03), panel=measured)
     assert report(alone) == report(alike) == (Status.ESTIMATED, None, True)
     assert report(state(spread(0.5), panel=measured)) == PUBLISHED
     assert report(replace(alike, has_alignment=True)) == refused(ReasonCode.PASSES_ALIKE)
     assert report(replace(alike, passes=np.full(N, 2.0))) == refused(ReasonCode.TOO_FEW_PASSES)
-    of_another = replace(PANEL, known=KnownBeforehand(measured={ProfileLife("W9"): KNOWN}))
+    of_another = replace(PANEL, measured={ProfileLife("W9"): KNOWN})
     assert report(replace(alike, panel=of_another)) == refused(ReasonCode.PASSES_ALIKE)

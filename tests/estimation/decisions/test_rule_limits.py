@@ -23,8 +23,8 @@ from plain_facts import (
 from wheelset_life import geometry_of, known
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
-from estimation.alerts.rules.limit_forecast import LimitForecastRule
-from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule, asymmetry_of
+from estimation.alerts.rules.near_limit import LimitForecastRule
+from estimation.alerts.rules.wheels import WheelAsymmetryRule, asymmetry_of
 from estimation.values.alerts import Severity
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from test_agreement_limits import pair, smooth
 
-from estimation.track.passes import Pass, ProfileLife
+from estimation.track.passes import Pass, PassStatus, ProfileLife
 from estimation.track.screening.agreement import FilteredPass, ScreeningParameters, agreement
 from estimation.track.screening.screen import (
     Comparison,
     Link,
-    PassStatus,
     _peers,
     compare_pairs,
     minority,

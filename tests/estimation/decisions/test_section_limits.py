@@ -9,18 +9,15 @@ import numpy as np
 import pytest
 from test_agreement_limits import smooth
 
-from estimation.track.alignment_std import merged_alignment
-from estimation.track.convergence import Convergence, Iterated
 from estimation.track.gridded_pass import PlacedJourney, grid_pass
 from estimation.track.iteration import IterationResult
-from estimation.track.panel.basis import KnownBeforehand, Panel, PanelParameters
-from estimation.track.panel.instrumental_slope import SlopeCorrection
+from estimation.track.panel.basis import Panel, PanelParameters
+from estimation.track.panel.instrumental_slope import Ratio, SlopeCorrection
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import init
-from estimation.track.panel.prior_alignment import prior_on_grid
-from estimation.track.panel.solution import PanelReport, result
-from estimation.track.panel.stiffness_ratio import Ratio
+from estimation.track.panel.solution import PanelReport, prior_on_grid, result
 from estimation.track.passes import Journey, Pass, ProfileLife, journeys
+from estimation.track.results import merged_alignment
 from estimation.track.section import (
     SectionEstimate,
     _Accepted,
@@ -34,7 +31,7 @@ from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.track import AlignmentSource, Correction, TrackAlignment
+from estimation.values.track import AlignmentSource, Convergence, Correction, Iterated, TrackAlignment
 
 LENGTH = 600
 P = SectionParameters(panel=PanelParameters(length=float(LENGTH), groups=4, block=75.0))
@@ -157,7 +154,7 @@ def test_one_wheelset_is_enough_where_its_profile_was_measured() -> None:
     whole = ((0.0, 600.0),) * 3
     assert reason_against(*whole, wheelsets=1) is ReasonCode.SINGLE_WHEELSET
     for serial, code in (("W0", None), ("W9", ReasonCode.SINGLE_WHEELSET)):
-        known = replace(PANEL, known=KnownBeforehand(measured={ProfileLife(serial): KNOWN}))
+        known = replace(PANEL, measured={ProfileLife(serial): KNOWN})
         assert reason_against(*whole, wheelsets=1, panel=known) is code
 
 
@@ -245,11 +242,11 @@ def test_wheelsets_of_low_weight_are_named() -> None:
         ({lives[1]: 0.125, lives[0]: 0.5}, "W1 (0.50 of a pass), W2 (0.12 of a pass)"),
         ({lives[1]: 0.25, ProfileLife("W3"): 0.1}, "W2 (0.25 of a pass)"),
     ):
-        panel = replace(PANEL, known=KnownBeforehand(weights=weights))
+        panel = replace(PANEL, weights=weights)
         reason = _low_weight_reason(iterated(panel=panel, lives=lives))
         assert code_of(reason) is ReasonCode.LOW_WEIGHT
         assert str(reason).endswith(f": {text}")
-    elsewhere = replace(PANEL, known=KnownBeforehand(weights={ProfileLife("W3"): 0.1}))
+    elsewhere = replace(PANEL, weights={ProfileLife("W3"): 0.1})
     assert _low_weight_reason(iterated(panel=elsewhere, lives=lives)) is None
 
 

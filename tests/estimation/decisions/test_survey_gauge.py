@@ -180,7 +180,7 @@ def test_what_cannot_be_seen_is_not_refused() -> None:
     assert judge_gauge(unmoved, replace(on_file, gauge_known=False), converged=True) is None
     assert judge_gauge(unmoved, survey(np.full(len(place().s), 1e-3)), converged=True) is None
     assert judge_gauge(unmoved, survey(0.29 / 2.0 * place().gauge), converged=True) is None
-    without = replace(unmoved.panel, known=replace(unmoved.panel.known, gauge=None))
+    without = replace(unmoved.panel, gauge=None)
     assert judge_gauge(replace(unmoved, panel=without), on_file, converged=True) is None
 
 

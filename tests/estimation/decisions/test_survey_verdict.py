@@ -9,7 +9,7 @@ import pytest
 from test_section_limits import ELSEWHERE, LENGTH, P, a_pass, estimated, prior
 
 from estimation.track.panel.basis import Panel
-from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
+from estimation.track.panel.solution import PriorAlignment, prior_on_grid
 from estimation.track.screening.screen import Screened
 from estimation.track.survey_verdict import (
     MIRRORED,

@@ -9,10 +9,10 @@ import pytest
 from plain_facts import facts_of
 from plain_windows import GOOD
 from wheelset_life import START_NS, WINDOW_NS, window_record
+from windows_finding import windows_finding
 
-from estimation.alerts.rules.no_data import NoDataRule
-from estimation.alerts.rules.sensor_fault import SensorFaultRule, faulty
-from estimation.alerts.rules.wheel_flat import MOST_APART, SAME_SIDE, WheelFlatRule, strikes, wheel_flat_finding
+from estimation.alerts.rules.sensor_data import NoDataRule, SensorFaultRule, faulty
+from estimation.alerts.rules.wheels import MOST_APART, SAME_SIDE, WheelFlatRule, strikes
 from estimation.motion.checks import gate
 from estimation.motion.parameters import Gates
 from estimation.values.alerts import Finding, Severity
@@ -35,7 +35,7 @@ def window(
 
 def of_windows(striking: int, calm: int, size: float = 20.0) -> Finding:
     windows = [window(n, 1.0 if n < striking else 0.0, size=size) for n in range(striking + calm)]
-    return wheel_flat_finding(RULE, WHEELSET, list(reversed(windows)), TURN)
+    return windows_finding(RULE, list(reversed(windows)))
 
 
 @pytest.mark.parametrize(
@@ -77,8 +77,8 @@ def test_the_evidence_names_size_wheel_and_turn() -> None:
         "probability": pytest.approx(0.987, abs=1e-3),
     }
     assert (found.action, of_windows(0, 3).evidence["wheel"]) == ("inspect_wheel_treads", None)
-    turned = replace(WHEELSET, mounting=replace(MOUNTING, reversed=True))
-    assert wheel_flat_finding(RULE, turned, [window(n) for n in range(3)], TURN).evidence["wheel"] == "right"
+    turned = windows_finding(RULE, [window(n) for n in range(3)], reversed_=True)
+    assert turned.evidence["wheel"] == "right"
 
 
 def test_severity_is_by_size() -> None:
@@ -89,7 +89,7 @@ def test_severity_is_by_size() -> None:
 def test_a_wheel_is_named_where_windows_agree() -> None:
     def wheel(*sides: int) -> object:
         windows = [window(n, side=side) for n, side in enumerate(sides)]
-        return wheel_flat_finding(RULE, WHEELSET, windows, TURN).evidence["wheel"]
+        return windows_finding(RULE, windows).evidence["wheel"]
 
     assert (wheel(-1, -1, -1), wheel(1, 1, -1), wheel(1, 1, 0), wheel(1, 0, 0)) == ("right", None, "left", None)
     assert wheel(*[1] * 9, -1) == "left"

@@ -17,8 +17,8 @@ from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.tables import bin_table
-from estimation.tables.bin_table import tabulate_window
-from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
+from estimation.tables.bin_table import cells_of_window
+from estimation.values.geometry import COMBINATIONS, BinStatus, FilledCells, WheelsetGeometry
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 
@@ -29,8 +29,8 @@ CERTAIN = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inv
 @cache
 def from_mems(seed: int, cone: float, seconds: int = 300, density: float = 1e-3) -> WheelsetGeometry:
     m = run(seconds, seed=seed, cone=cone, swing=4.0)
-    tables = [tabulate_window(w, alignment(track(seed)), WINDOWS) for w in mems_windows(m, seed, density)]
-    merged = bin_table.merge_all([t for t in tables if isinstance(t, BinTable)], BINS)
+    tables = [cells_of_window(w, alignment(track(seed)), WINDOWS) for w in mems_windows(m, seed, density)]
+    merged = bin_table.merge_all([t for t in tables if isinstance(t, FilledCells)], BINS)
     return estimate_geometry(merged, BINS, SETTINGS.geometry)
 
 
@@ -144,11 +144,11 @@ def test_a_table_of_other_parameters_is_refused() -> None:
 def test_gates_refuse_a_window_with_their_reason(change: dict[str, float], reason: str) -> None:
     window = mems_windows(run(60), seed=0)[0]
     bad = replace(window, quality=replace(window.quality, **change))
-    outcome = tabulate_window(bad, alignment(track(1)), WINDOWS)
+    outcome = cells_of_window(bad, alignment(track(1)), WINDOWS)
     assert isinstance(outcome, Reason)
     assert reason in outcome.text
 
 
 def test_a_section_without_alignment_refuses_for_now() -> None:
-    outcome = tabulate_window(mems_windows(run(60), seed=0)[0], None, WINDOWS)
+    outcome = cells_of_window(mems_windows(run(60), seed=0)[0], None, WINDOWS)
     assert outcome == NO_ALIGNMENT

@@ -15,8 +15,8 @@ from smooth_wheelset import alignment, track
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import ModelFit, displaced, mismatch, model_fit
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
-from estimation.values.geometry import BinTable, Contradiction
+from estimation.tables.bin_table import bin_parameters, cells_of_window, merge_all
+from estimation.values.geometry import BinTable, Contradiction, FilledCells
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.windows import Window
@@ -29,8 +29,8 @@ def table_of(found: list[Window], vehicle_class: VehicleClass) -> BinTable:
     parameters = bogie_run.parameters(vehicle_class)
     tables = []
     for window in found:
-        one = tabulate_window(window, alignment(track(1)), parameters)
-        assert isinstance(one, BinTable), one
+        one = cells_of_window(window, alignment(track(1)), parameters)
+        assert isinstance(one, FilledCells), one
         tables.append(one)
     return merge_all(tables, bin_parameters(parameters))
 

@@ -11,7 +11,7 @@ from bogie_run import BOGIE, COACH, SOFT, WHEELBASE, joined, of_bogie, wheelset
 from smooth_wheelset import SmoothTable, mems_windows, track
 
 from estimation.geometry.rolling_radius import EXPECTED_STD, check_radius, rolling_radius
-from estimation.motion.bogie_frame import with_frame_yaw
+from estimation.motion.axle_distance import with_frame_yaw
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_sums import BANDS, TERMS, UNKNOWNS, RollingSums, rolling_sums
 from estimation.values.arrays import FloatArray

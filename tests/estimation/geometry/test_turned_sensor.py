@@ -14,9 +14,9 @@ from smooth_wheelset import alignment, track
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import model_fit
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
+from estimation.tables.bin_table import bin_parameters, cells_of_window, merge_all
 from estimation.values.arrays import FloatArray
-from estimation.values.geometry import BinTable, WheelsetGeometry
+from estimation.values.geometry import FilledCells, WheelsetGeometry
 from estimation.values.windows import Window
 
 ANGLE, RADIUS = np.radians(2.0), 0.45
@@ -48,8 +48,8 @@ def found(angle: float, *, rolling: bool = True, std: float | None = None) -> Wh
     bins = bin_parameters(assumed)
     tables = []
     for window in joined(COACH, 1):
-        table = tabulate_window(turned(window, angle, rolling=rolling), alignment(track(1)), assumed)
-        assert isinstance(table, BinTable), table
+        table = cells_of_window(turned(window, angle, rolling=rolling), alignment(track(1)), assumed)
+        assert isinstance(table, FilledCells), table
         tables.append(table)
     usual = ParameterUncertainty()
     *scales, angle_std = usual.of_bogie
@@ -91,8 +91,8 @@ def test_the_spring_error_is_that_of_sensors_that_are_not_turned() -> None:
     assumed = bogie_run.parameters(of_bogie(COACH))
     bins = bin_parameters(assumed)
     track_of_run = alignment(track(1))
-    tables = [tabulate_window(turned(window, ANGLE), track_of_run, assumed) for window in joined(COACH, 1)]
-    merged = merge_all([table for table in tables if isinstance(table, BinTable)], bins)
+    tables = [cells_of_window(turned(window, ANGLE), track_of_run, assumed) for window in joined(COACH, 1)]
+    merged = merge_all([table for table in tables if isinstance(table, FilledCells)], bins)
     fits = [model_fit(merged, bins, std) for std in (1e-6, 0.1)]
     assert fits[0] is not None
     assert fits[1] is not None

@@ -22,15 +22,14 @@ from estimation.jobs.stage import AnyStage
 from estimation.jobs.stages import ALL_STAGES
 from estimation.storage import Storage, UnitOfWork
 from estimation.trend.trend import TrendParameters
-from estimation.values.adhesion import CREEP, FRICTION
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
 from estimation.values.geometry import GEOMETRY
+from estimation.values.opinions import CREEP, FRICTION
 from estimation.values.quantities import with_interval
 from estimation.values.rails import CELLS
 from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
-from estimation.values.results import Result
+from estimation.values.results import EVERYTHING, Facet, Mark, Result
 from estimation.values.signatures import ANSWERS, SIGNATURES
-from estimation.values.subjects import EVERYTHING, Facet, Mark
 from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import (
     AFTER,
@@ -55,20 +54,24 @@ READS: Mapping[str, str] = {
     "registry.vehicle_class": Facet.REGISTRY,
     "registry.wheelsets": Facet.REGISTRY,
     "registry.measured_wheelsets": Facet.REGISTRY,
+    "registry.measured_profiles_of": Facet.REGISTRY,
     "tracks.sections": Facet.REGISTRY,
     "alerts.page": Facet.RESTARTS,
     "trends.latest": TREND.name,
     "geometries.interval_digests": GEOMETRY.stage,
     "roll_ups.state": GEOMETRY.stage,
+    "roll_ups.read_ahead": GEOMETRY.stage,
     "roll_ups.of": GEOMETRY.stage,
     "due.of_wheelset": GEOMETRY.stage,
     "results.trend.head": "trend.head",
     "geometries.baselines": GEOMETRY.stage,
+    "geometries.read_ahead": GEOMETRY.stage,
     "geometries.estimable": Facet.TABLES,
     "windows.passed_over": Facet.TABLES,
     "registry.wheelset": Facet.REGISTRY,
     "tables.tabled": GEOMETRY.stage,
     "tables.last_reading": GEOMETRY.stage,
+    "tables.read_ahead": GEOMETRY.stage,
     "rails.cells": CELLS,
     "tracks.standings": Facet.LAYOUTS,
     "signatures.vehicles": Facet.LAYOUTS,
@@ -97,8 +100,7 @@ READS: Mapping[str, str] = {
     "results.identity": "identity",
     "results.suspension": Facet.BESIDE,
     "tracks.in_force": Facet.ALIGNMENT,
-    "windows.refused_sections": Facet.PLACES,
-    "windows.refused_vehicles": Facet.PLACES,
+    "windows.refused_on": Facet.PLACES,
     "epochs.outdated": Facet.PLACES,
     "tables.parameter_keys": Facet.PLACES,
     "tables.made_with": Facet.PLACES,

@@ -25,7 +25,9 @@ from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.windows import WindowStore
-from fleet_db.tables import ResultRow, TrackAlignmentRow, WindowBinTableRow, WindowRow
+from fleet_db.tables.results import ResultRow
+from fleet_db.tables.track import TrackAlignmentRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 NAMES = ("W0", "W1", "W2")
 MINUTE_NS = 60 * 10**9
@@ -148,7 +150,7 @@ def test_a_window_that_is_another_when_it_is_stored_is_estimated_again_in_the_sa
     ) -> Sequence[WindowRecord]:
         if held and not changes:
             position = WindowPosition(*victim.key, victim.content_digest, 1, 2.5)
-            changes.append(TrackStore(store.connection, store.subjects).put_position(position))
+            changes.append(TrackStore(store.connection, store.subjects).put_positions([position]))
         return several(store, keys, held=held)
 
     monkeypatch.setattr(WindowStore, "several", turned_meanwhile)

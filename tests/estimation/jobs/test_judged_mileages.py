@@ -24,7 +24,7 @@ from estimation.values.windows import DueStage
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.windows import implausible_reason
-from fleet_db.tables import WindowRow
+from fleet_db.tables.windows import WindowRow
 
 WINDOWS = table_of(WindowRow)
 

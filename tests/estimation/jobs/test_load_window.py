@@ -13,7 +13,7 @@ from smooth_wheelset import GOOD
 
 from estimation.errors import DamagedError
 from estimation.jobs.steps.load_window import load_window
-from estimation.motion.bogie_frame import check_frame_sensors
+from estimation.motion.axle_distance import check_frame_sensors
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.windows import Window

@@ -21,9 +21,9 @@ from estimation.jobs.job import JobContext
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
 from estimation.values.signatures import ANSWERS, SIGNATURES, Basis, Signature, SignatureFinding, WindowSignatures
-from estimation.values.subjects import Facet
 from estimation.values.trend import IdentityChange
 from fleet_db.migrate import upgrade
 from fleet_db.rows import table_of
@@ -31,7 +31,7 @@ from fleet_db.storage import SqlStorage
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.signatures import SignatureStore
-from fleet_db.tables import WearSignatureRow, WindowRow
+from fleet_db.tables.windows import WearSignatureRow, WindowRow
 from ingest.simulator.scenario_file import load_scenario
 
 SCENARIO = """\

@@ -22,7 +22,7 @@ from estimation.jobs.steps.rolling import rolled, sums
 from estimation.jobs.steps.running_mileage import running_mileage
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.tables.bin_table import TableSum, bin_parameters, init, tabulate_window
+from estimation.tables.bin_table import TableSum, bin_parameters, cells_of_window, init
 from estimation.values.geometry import BinTable, FilledCells
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import (
@@ -47,8 +47,8 @@ BINS = bin_parameters(WINDOWS)
 def tables() -> list[BinTable]:
     """Return bin tables of some real windows."""
     on = alignment(track(1))
-    found = [tabulate_window(window, on, WINDOWS) for number in (1, 2, 4) for window in windows(number)]
-    return [table for table in found if isinstance(table, BinTable)]
+    found = [cells_of_window(window, on, WINDOWS) for number in (1, 2, 4) for window in windows(number)]
+    return [cells.table() for cells in found if isinstance(cells, FilledCells)]
 
 
 def register(storage: SqlStorage) -> None:

@@ -10,9 +10,8 @@ from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register,
 
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
-from estimation.alerts.rules.no_data import NoDataRule
 from estimation.alerts.rules.rule import AlertDelays
-from estimation.alerts.rules.sensor_fault import SensorFaultRule
+from estimation.alerts.rules.sensor_data import NoDataRule, SensorFaultRule
 from estimation.jobs import evaluate_alerts, refresh_trends
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.rules_difference import Change, Difference, differences

@@ -21,7 +21,7 @@ from estimation.errors import AlreadyRunningError, StorageError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.scheduler import build_scheduler, clock_was_set, serve_jobs
 from estimation.jobs.settings import JobSettings
-from estimation.storage import LeasedStorage, Storage, UnitOfWork
+from estimation.storage import Storage, UnitOfWork
 from estimation.values.runs import JobRun, JobTrigger
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
@@ -244,7 +244,7 @@ class FailsOnce:
         return self.real.read()
 
     @contextmanager
-    def owned(self, kind: JobTrigger, holder: str, length_s: float) -> Iterator[LeasedStorage]:
+    def owned(self, kind: JobTrigger, holder: str, length_s: float) -> Iterator[Storage]:
         with self.real.owned(kind, holder, length_s) as owned:
             yield FailsOnce(owned, self.fails_at)
 

@@ -365,7 +365,7 @@ def test_where_sealed_windows_were_is_forgotten(life: Life) -> None:
         unit.windows.mark("W1", 5 * MINUTE, WindowState.REFUSED, Reason(ReasonCode.IN_CURVES, "why"))
         records = unit.windows.list("W1")
         for record in records:
-            unit.tracks.put_position(WindowPosition("W1", record.start_ns, record.content_digest, 1))
+            unit.tracks.put_positions([WindowPosition("W1", record.start_ns, record.content_digest, 1)])
         for number, first in enumerate(range(0, 130, 50), start=1):
             own = [EpochMember(record, "context", "assumed") for record in records[first : first + 50]]
             last_ns = own[-1].record.start_ns

@@ -25,7 +25,7 @@ from estimation.jobs.steps.outdated_windows import OUTDATED
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling
-from estimation.values.subjects import Mark
+from estimation.values.results import Mark
 from estimation.values.track import EpochMember, TrackLayout
 from estimation.values.windows import DueStage, WindowState
 from fleet_db.alignment_due import WINDOWS

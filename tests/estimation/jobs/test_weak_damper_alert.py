@@ -10,17 +10,16 @@ from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, register, run_windows
 
 from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.no_data import NoDataRule
-from estimation.alerts.rules.weak_damper import WeakDamperRule, weak_damper_finding
+from estimation.alerts.rules.running_gear import WeakDamperRule, weak_damper_finding
+from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.jobs import evaluate_alerts, refresh_adhesion
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.made_from import made_from
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage, UnitOfWork
-from estimation.values.adhesion import CREEP
 from estimation.values.alerts import Alert, Condition
-from estimation.values.dampers import GEAR_DAMPERS, GearDamper, WindowDamper, part_of_gear
+from estimation.values.opinions import CREEP, GEAR_DAMPERS, GearDamper, WindowDamper, part_of_gear
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting

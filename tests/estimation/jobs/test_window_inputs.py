@@ -58,7 +58,7 @@ def test_inputs_are_those_of_each_window(bogie: SqlStorage) -> None:
 
 
 def put_position(unit: SqlUnitOfWork) -> None:
-    unit.tracks.put_position(WindowPosition("W1", START, "d" * 64, 1, 2.5))
+    unit.tracks.put_positions([WindowPosition("W1", START, "d" * 64, 1, 2.5)])
 
 
 def put_layout(unit: SqlUnitOfWork) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from smooth_wheelset import GOOD
 
-from estimation.motion.bogie_frame import with_frame_yaw
+from estimation.motion.axle_distance import with_frame_yaw
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window
 

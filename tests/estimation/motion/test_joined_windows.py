@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from smooth_wheelset import mems_windows, run
 
-from estimation.track.examination import MOST, following, joined
+from estimation.track.passes import MOST, following, joined
 from estimation.values.windows import Window
 
 SECOND_NS = 10**9

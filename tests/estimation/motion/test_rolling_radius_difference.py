@@ -12,7 +12,7 @@ from smooth_wheelset import mems_windows, run
 from whole_runs import whole_runs
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.motion.parameters import FusionParameters, SignalParameters
+from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_radius_difference import MotionSignals, _sampled, _shortest
 from estimation.track.passes import Pass, passes
 from estimation.values.arrays import FloatArray
@@ -96,8 +96,8 @@ def test_short_waves_stay_where_the_axle_box_does_not_vibrate() -> None:
         zero, shaken = np.zeros(len(at)), size * np.sqrt(2.0) * np.sin(2 * np.pi * at / 1.2)
         signals = MotionSignals(at, zero + 20.0, zero, jumps, zero, shaken, zero)
         run = np.arange(8.0, 292.0, 0.25)
-        shortest = _shortest(signals, run, FusionParameters())
-        return _sampled(jumps[None], at, run, shortest, FusionParameters())[0]
+        shortest = _shortest(signals, run)
+        return _sampled(jumps[None], at, run, shortest)[0]
 
     quiet, vibrating = of_rolling_yaw(0.07e-3), of_rolling_yaw(0.1e-3)
     assert np.abs(np.diff(quiet)).max() > 1.5 * np.abs(np.diff(vibrating)).max()

@@ -12,13 +12,18 @@ from smooth_wheelset import alignment, mems_windows, run, track
 from whole_runs import whole_runs
 
 from estimation.geometry.rolling_radius import rolling_radius
-from estimation.motion.axle_distance import bogie_runs_backwards, check_axle_distance, runs_backwards, turned_over
-from estimation.motion.bogie_frame import with_frame_yaw
+from estimation.motion.axle_distance import (
+    bogie_runs_backwards,
+    check_axle_distance,
+    runs_backwards,
+    turned_over,
+    with_frame_yaw,
+)
 from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.motion.window_motion import window_motion
 from estimation.signatures.window_signatures import axle_position
-from estimation.track.examination import examine
+from estimation.track.passes import examine
 from estimation.values.signatures import AxlePosition
 from estimation.values.windows import Motion, Window
 

@@ -7,9 +7,15 @@ import pytest
 from striking import INTERVAL, Struck, once_a_turn, struck_at
 from swaying import rough_track, sway
 
-from estimation.motion.blows import LEAST_BLOW, LEAST_STDS, struck
 from estimation.motion.hunting import find_hunting
-from estimation.motion.without_blows import blow_times, blows_unless_hunting, find_turn_blows
+from estimation.motion.without_blows import (
+    LEAST_BLOW,
+    LEAST_STDS,
+    blow_times,
+    blows_unless_hunting,
+    find_turn_blows,
+    struck,
+)
 from estimation.values.arrays import BoolArray
 from estimation.values.windows import NO_BLOWS, TurnBlows
 

@@ -11,20 +11,19 @@ from hypothesis import strategies as st
 from smooth_wheelset import SmoothTable, alignment, mems_windows, run, track
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.motion.parameters import CurveLimits, SignalParameters
+from estimation.motion.checks import straight, straight_part
+from estimation.motion.parameters import SignalParameters
 from estimation.motion.track_lookup import deconvolved
-from estimation.motion.usable_samples import straight, straight_part
 from estimation.motion.window_motion import motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackLayout
 from estimation.values.windows import Motion, Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from ingest.simulator.curves import Curve
 from ingest.simulator.motion import simulate_wheelset
-from ingest.simulator.track import TrackRecipe, make_track
+from ingest.simulator.track import Curve, TrackRecipe, make_track
 
 PARAMETERS = SignalParameters()
-LIMITS = CurveLimits(1e-4, 0.02, 30.0)
+LIMITS = SignalParameters(sharpest_curvature=1e-4, highest_cant=0.02, curve_margin=30.0)
 
 
 def moved(window: Window, layout: TrackLayout | None = None) -> Motion:

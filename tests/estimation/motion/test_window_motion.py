@@ -13,7 +13,7 @@ from smooth_wheelset import alignment, track
 from estimation.geometry.estimate import estimate_geometry
 from estimation.motion.checks import direction
 from estimation.tables import bin_table
-from estimation.tables.bin_table import tabulate_window
+from estimation.tables.bin_table import cells_of_window
 from estimation.values.reasons import Reason
 from estimation.values.windows import Window
 
@@ -21,7 +21,7 @@ KNOWN = alignment(track(1))
 
 
 def curve(found: tuple[Window, ...], *, mounted_reversed: bool = False) -> np.ndarray:
-    tables = [tabulate_window(window, KNOWN, WINDOWS, mounted_reversed=mounted_reversed) for window in found]
+    tables = [cells_of_window(window, KNOWN, WINDOWS, mounted_reversed=mounted_reversed) for window in found]
     assert not any(isinstance(table, Reason) for table in tables), tables
     merged = bin_table.merge_all([table for table in tables if not isinstance(table, Reason)], BINS)
     return estimate_geometry(merged, BINS, SETTINGS.geometry).rolling_radius_difference.value
@@ -42,7 +42,7 @@ def test_a_wheelset_mounted_reversed_is_its_own_mirror_image() -> None:
 
 
 def reason(window: Window) -> str:
-    refusal = tabulate_window(window, KNOWN, WINDOWS)
+    refusal = cells_of_window(window, KNOWN, WINDOWS)
     assert isinstance(refusal, Reason)
     return refusal.text
 

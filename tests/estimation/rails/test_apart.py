@@ -9,7 +9,7 @@ import pytest
 from drawn_cells import AMPLITUDE, DESIGN, SECTIONS, anchors, cell, drawn_fleet, wheel
 
 from estimation.errors import ParameterError
-from estimation.rails.apart import init, reported, result, update
+from estimation.rails.apart import rails_apart, reported
 from estimation.rails.parameters import Anchors, RailsParameters
 from estimation.values.quantities import Status
 from estimation.values.rails import KnownWheel, RailPart, RailsApart, RailsReference, SectionConicity, WheelPart
@@ -21,7 +21,7 @@ PARAMETERS = RailsParameters()
 def apart(
     cells: list[SectionConicity], held: Anchors | None = None, parameters: RailsParameters = PARAMETERS
 ) -> RailsApart:
-    return result(update(init(parameters, AMPLITUDE), cells), held or anchors("A"))
+    return rails_apart(cells, AMPLITUDE, held or anchors("A"), parameters)
 
 
 def rails(found: RailsApart, section: str) -> RailPart:
@@ -76,12 +76,10 @@ def test_the_reference_wheel_is_covered_on_all_sections() -> None:
     assert 0.90 <= np.mean(covered) <= 1.0
 
 
-def test_any_order_and_any_split_gives_the_same_answer() -> None:
+def test_any_order_gives_the_same_answer() -> None:
     cells = drawn_fleet(3).cells
     whole = apart(cells)
-    turned = cells[::-1]
-    state = update(update(init(PARAMETERS, AMPLITUDE), turned[:7]), turned[7:])
-    again = result(state, anchors("A"))
+    again = apart(cells[::-1])
     assert again.rails == whole.rails
     assert again.wheels == whole.wheels
 
@@ -273,11 +271,11 @@ def test_a_trend_has_no_periods_of_which_nothing_is_said() -> None:
 
 
 def test_a_cell_comes_once_and_with_the_amplitudes_of_all() -> None:
-    state = update(init(PARAMETERS, AMPLITUDE), [cell(wheel("W0"), "A", 0.2)])
+    first = cell(wheel("W0"), "A", 0.2)
     with pytest.raises(ParameterError, match="two cells of W0 on A"):
-        update(state, [cell(wheel("W0"), "A", 0.3)])
+        apart([first, cell(wheel("W0"), "A", 0.3)])
     with pytest.raises(ParameterError, match="other amplitudes"):
-        update(state, [replace(cell(wheel("W1"), "A", 0.2), amplitude=AMPLITUDE + 1e-3)])
+        apart([first, replace(cell(wheel("W1"), "A", 0.2), amplitude=AMPLITUDE + 1e-3)])
 
 
 def test_no_cells_give_nothing() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from drawn_cells import DESIGN, anchors, cell, wheel
 
-from estimation.rails.apart import init, result, update
+from estimation.rails.apart import rails_apart
 from estimation.rails.parameters import Anchors, RailsParameters
 from estimation.rails.published import next_to_jump, on_rise
 from estimation.values.arrays import FloatArray
@@ -38,7 +38,7 @@ def held(on_reference: FloatArray, on_b: FloatArray | None = None) -> Anchors:
 
 
 def apart(worn: FloatArray, on_file: Anchors) -> RailsApart:
-    return result(update(init(RailsParameters(), AMPLITUDE), cells(worn)), on_file)
+    return rails_apart(cells(worn), AMPLITUDE, on_file, RailsParameters())
 
 
 def codes(estimates: tuple[Estimate, ...]) -> list[ReasonCode | None]:

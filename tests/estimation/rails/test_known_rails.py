@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from drawn_cells import AMPLITUDE, anchors, cell, drawn_fleet, wheel
 
-from estimation.rails.apart import init, result, update
+from estimation.rails.apart import rails_apart
 from estimation.rails.parameters import RailsParameters
 from estimation.values.rails import RailsApart, RailsReference, SectionConicity
 from estimation.values.reasons import ReasonCode
@@ -21,7 +21,7 @@ def on(adds: Mapping[str, float], std: float = 0.004) -> list[SectionConicity]:
 
 
 def apart(cells: list[SectionConicity], *known: str) -> RailsApart:
-    return result(update(init(RailsParameters(), AMPLITUDE), cells), anchors(*known))
+    return rails_apart(cells, AMPLITUDE, anchors(*known), RailsParameters())
 
 
 def references(found: RailsApart) -> dict[str, RailsReference | None]:

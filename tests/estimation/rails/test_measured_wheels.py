@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from drawn_cells import AMPLITUDE, anchors, cell, wheel
 
-from estimation.rails.apart import init, result, update
+from estimation.rails.apart import rails_apart
 from estimation.rails.parameters import Anchors, RailsParameters
 from estimation.values.quantities import Estimate
 from estimation.values.rails import KnownWheel, RailKey, RailsApart, RailsReference, SectionConicity
@@ -38,7 +38,7 @@ def measured(errors: dict[int, float], std: float = 0.003, *, known: tuple[str, 
 
 
 def apart(cells: list[SectionConicity], held: Anchors) -> RailsApart:
-    return result(update(init(RailsParameters(), AMPLITUDE), cells), held)
+    return rails_apart(cells, AMPLITUDE, held, RailsParameters())
 
 
 def on(found: RailsApart, section: str) -> Estimate:

@@ -10,7 +10,7 @@ from drawn_cells import AMPLITUDE, DESIGN, anchors, cell, wheel
 from scipy.optimize import brentq
 from scipy.special import stdtrit
 
-from estimation.rails.apart import init, result, update
+from estimation.rails.apart import rails_apart
 from estimation.rails.parameters import RailsParameters
 from estimation.rails.two_way import TwoWay, part
 from estimation.values.arrays import FloatArray
@@ -103,7 +103,7 @@ def cells_of(scale: dict[str, float], systematic: float, wear: float = 0.1) -> l
 
 
 def apart(cells: list[SectionConicity], *known: str) -> RailsApart:
-    return result(update(init(PARAMETERS, AMPLITUDE), cells), anchors(*known))
+    return rails_apart(cells, AMPLITUDE, anchors(*known), PARAMETERS)
 
 
 def of_b(found: RailsApart) -> RailPart:

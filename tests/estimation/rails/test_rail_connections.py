@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from drawn_cells import AMPLITUDE, anchors, cell, wheel
 
-from estimation.rails.apart import init, result, update
+from estimation.rails.apart import rails_apart
 from estimation.rails.component import Runs, connected
 from estimation.rails.parameters import RailsParameters
 from estimation.values.rails import RailsApart, SectionConicity
@@ -30,7 +30,7 @@ def two_groups(bridges: int, off: float = 0.0) -> list[SectionConicity]:
 
 
 def apart(cells: list[SectionConicity], *known: str) -> RailsApart:
-    return result(update(init(RailsParameters(), AMPLITUDE), cells), anchors(*known))
+    return rails_apart(cells, AMPLITUDE, anchors(*known), RailsParameters())
 
 
 def values(found: RailsApart) -> dict[str, float | None]:

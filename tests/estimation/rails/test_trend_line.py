@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from drawn_cells import AMPLITUDE, anchors, cell, wheel
 
-from estimation.rails.apart import init, result, update
+from estimation.rails.apart import rails_apart
 from estimation.rails.parameters import Anchors, RailsParameters
-from estimation.rails.trend_line import line
+from estimation.rails.published import line
 from estimation.values.rails import RailsApart, SectionConicity
 from estimation.values.reasons import ReasonCode
 
@@ -33,7 +33,7 @@ def worn(excess: Sequence[float], *, std: float = 0.004, systematic: float = 0.0
 
 
 def apart(cells: list[SectionConicity], held: Anchors | None = None) -> RailsApart:
-    return result(update(init(RailsParameters(), AMPLITUDE), cells), held or anchors("A"))
+    return rails_apart(cells, AMPLITUDE, held or anchors("A"), RailsParameters())
 
 
 def code(found: RailsApart, section: str = "B") -> ReasonCode | None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from drawn_cells import AMPLITUDE, anchors, cell, wheel
 
-from estimation.rails.apart import init, result, update
+from estimation.rails.apart import rails_apart
 from estimation.rails.parameters import Anchors, RailsParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.rails import KnownWheel, RailsApart, RailsReference, SectionConicity
@@ -40,7 +40,7 @@ def measured(*known: str) -> Anchors:
 
 def apart(cells: list[SectionConicity], held: Anchors, **other: float) -> RailsApart:
     parameters = replace(RailsParameters(), **other)  # type: ignore[arg-type] # names of numbers
-    return result(update(init(parameters, AMPLITUDE), cells), held)
+    return rails_apart(cells, AMPLITUDE, held, parameters)
 
 
 def left_out(found: RailsApart) -> set[str]:

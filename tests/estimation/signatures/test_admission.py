@@ -11,11 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from signature_draws import PARAMETERS, Draw
 
-from estimation.signatures import retirement
 from estimation.signatures.answer import judged
-from estimation.signatures.library import Library
+from estimation.signatures.library import Libraries, Library, Subject
 from estimation.signatures.parameters import ALONE, FOLDS, families, folds, sharers
-from estimation.signatures.retirement import Libraries, Subject
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import AxlePosition, DesignPair, LibraryEntry
 
@@ -144,4 +142,4 @@ def test_folds_part_the_wheelsets_and_no_family(draw: Draw) -> None:
 def test_nothing_of_a_library_is_kept_between_two(draw: Draw) -> None:
     first = Libraries(draw(0, CONICITIES, 2), PARAMETERS)
     first.library(subject("X"))
-    assert retirement.Libraries(draw(1, CONICITIES, 2), PARAMETERS)._made == {}
+    assert Libraries(draw(1, CONICITIES, 2), PARAMETERS)._made == {}

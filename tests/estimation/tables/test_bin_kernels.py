@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from oracles.regression import regression as plain_regression
 from same_values import same_values
 
-from estimation.tables import bin_kernels, bin_table, least_squares
+from bench.moments import collect
+from estimation.tables import bin_kernels, bin_table
 from estimation.tables.bin_table import BinParameters, fill_cells, group_of
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.windows import OF_FRAME, Motion
@@ -57,8 +58,8 @@ def plain_moments(motion: Motion, parameters: BinParameters) -> tuple[FloatArray
     targets = equations.yaw_targets.copy()
     targets[:, YAW_TARGETS.index("noise")] += c * bin_table.fast_noise(targets[:, 0] / c, inside)
     cells = parameters.groups * bins
-    lateral = least_squares.collect(np.column_stack([x1, x1 * u, x2, x2 * u]), equations.lateral_targets, cell, cells)
-    yaw = least_squares.collect(np.column_stack([*first, c, c * u, c * u * u]), targets, cell, cells)
+    lateral = collect(np.column_stack([x1, x1 * u, x2, x2 * u]), equations.lateral_targets, cell, cells)
+    yaw = collect(np.column_stack([*first, c, c * u, c * u * u]), targets, cell, cells)
     return lateral.weight, lateral.packed, yaw.packed
 
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from oracles import recursive_least_squares
 from oracles.forgetting import merge, one_cell
 
+from bench import moments as moments_of
 from estimation.tables import least_squares
 
 
@@ -25,7 +26,7 @@ def _data(seed: int, n: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return features, measured, known
 
 
-def _theta(moments: least_squares.Moments) -> np.ndarray:
+def _theta(moments: moments_of.Moments) -> np.ndarray:
     return least_squares.solve(moments.packed, moments.weight, moments.regressors, moments.targets).theta[0, :, 0]
 
 
@@ -86,7 +87,7 @@ def test_a_direction_that_is_not_in_the_data_is_nan() -> None:
 def test_cells_keep_to_themselves_and_negative_cells_are_dropped() -> None:
     features, measured, _ = _data(2)
     cell = np.tile([0, 1, -1, 2], 100)
-    all_cells = least_squares.collect(features, measured[:, None], cell, 3)
+    all_cells = moments_of.collect(features, measured[:, None], cell, 3)
     for c in range(3):
         alone = one_cell(features[cell == c], measured[cell == c], 1.0)
         np.testing.assert_array_equal(all_cells.packed[c], alone.packed[0])
@@ -100,4 +101,4 @@ def test_cells_keep_to_themselves_and_negative_cells_are_dropped() -> None:
 def test_mistakes_are_refused(cell: list[int], match: str) -> None:
     features, measured, _ = _data(1)
     with pytest.raises(ValueError, match=match):
-        least_squares.collect(features, measured[:, None], np.array(cell), 2)
+        moments_of.collect(features, measured[:, None], np.array(cell), 2)

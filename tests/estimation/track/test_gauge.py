@@ -12,7 +12,7 @@ from estimation.filters.local_cubic import high_pass
 from estimation.track.gauge.wheel_functions import total_gauge_shifts
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
 from estimation.track.panel.basis import Panel, PanelParameters
-from estimation.track.panel.prior_alignment import PriorAlignment
+from estimation.track.panel.solution import PriorAlignment
 from estimation.track.passes import PositionParameters, ProfileLife, journeys
 from estimation.track.results import SectionResults, findings
 from estimation.values.arrays import FloatArray

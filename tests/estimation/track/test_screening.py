@@ -13,15 +13,14 @@ from paper_class import WINDOWS
 from section_runs import made, mirror_mounted, turned_windows, valid_passes, windows
 from smooth_wheelset import GOOD, alignment, track
 
-from estimation.track.examination import examine
 from estimation.track.gridded_pass import grid_pass
 from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import PanelSolution, result
-from estimation.track.passes import Pass, ProfileLife
+from estimation.track.passes import Pass, PassStatus, ProfileLife, examine
 from estimation.track.screening.agreement import agreement as agree
 from estimation.track.screening.agreement import alignment_segment, filter_pass
-from estimation.track.screening.screen import PassStatus, screen
+from estimation.track.screening.screen import screen
 from estimation.values.track import TrackAlignment
 
 PANEL = PanelParameters(length=3000.0, basis_count=21)

@@ -14,13 +14,12 @@ from test_panel import PARAMETERS, fleet_passes
 from test_positions import OFFSETS, SCALES
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.track.convergence import Iterated
 from estimation.track.passes import Pass
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.track import AlignmentSource, TrackAlignment
+from estimation.values.track import AlignmentSource, Iterated, TrackAlignment
 
 SECTION = SectionParameters(panel=PARAMETERS)
 

@@ -14,7 +14,7 @@ from estimation.motion.parameters import SignalParameters
 from estimation.track.gridded_pass import grid_pass, with_ratio
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
 from estimation.track.panel.basis import Panel, PanelParameters
-from estimation.track.panel.stiffness_ratio import PRIOR_STD, SYSTEMATIC_STD, Ratio, with_ratio_std
+from estimation.track.panel.instrumental_slope import PRIOR_STD, SYSTEMATIC_STD, Ratio, with_ratio_std
 from estimation.track.passes import Pass, PositionParameters, journeys, passes
 from estimation.track.results import findings
 from estimation.vehicle.equations_of_motion import VehicleParameters

@@ -11,7 +11,7 @@ import pytest
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.panel.basis import PanelParameters
 from estimation.track.passes import Pass, ProfileLife
-from estimation.track.placing import CORRELATED, REPORTED_STD, position_std, shrunk
+from estimation.track.results import CORRELATED, REPORTED_STD, position_std, shrunk
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters
 from estimation.track.survey_posterior import (

@@ -12,7 +12,7 @@ from test_panel import PANEL, fleet_passes
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.gridded_pass import Placed, place
 from estimation.track.iteration import IterationParameters, iterate
-from estimation.track.panel.prior_alignment import PriorAlignment
+from estimation.track.panel.solution import PriorAlignment
 from estimation.track.passes import Journey, Pass, PositionParameters, journeys
 from estimation.track.survey_positions import SurveyPositionParameters, positions_on_survey
 from estimation.values.track import Correction

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from wheelset_life import geometry_of
 
-from estimation.contact.worn_family import PAIRS, WHEELS, WornFamily, conicities_of, worn_family
+from bench.worn_family import PAIRS, conicities_of
+from estimation.contact.wear import HOLLOWS, WornFamily, worn_family
 from estimation.trend.extrapolation import conicity_at_limit_amplitude, conicity_points, extrapolated
 from estimation.trend.trend import refresh
 from estimation.values.geometry import GeometryRecord, KnownConicity, WheelsetGeometry, interval_conicities
@@ -54,7 +55,7 @@ def without(wheel: str) -> WornFamily:
 def test_intervals_cover_for_wheels_that_are_not_in_the_family(covered: int) -> None:
     """95 % intervals of wheelsets, new and worn, whose wheel is left out of the family on whatever rail."""
     rng = np.random.default_rng(covered)
-    others = {name: without(name) for name, *_ in WHEELS}
+    others = {name: without(name) for name in HOLLOWS}
     inside, errors, stds = [], [], []
     for i in rng.choice(len(FAMILY.pair), 400, replace=False):
         true = FAMILY.conicity[i]

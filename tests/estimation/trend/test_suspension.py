@@ -9,7 +9,7 @@ import pytest
 
 from estimation.alerts.life_cycle import transition
 from estimation.alerts.rules.rule import WheelsetFacts
-from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
+from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspension_change_finding
 from estimation.trend.suspension import SuspensionParameters, suspension_changes, suspension_histories
 from estimation.values.alerts import Alert
 from estimation.values.registry import Mounting, WheelsetRecord

@@ -12,8 +12,16 @@ from scipy import integrate
 
 from estimation.errors import ParameterError
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.linear_model import COORDINATES, HIGHEST_SPEED, critical_speed, linear_model, modes
-from estimation.vehicle.linear_wheelset import LinearContact, klingel_wavelength, single_wheelset_model
+from estimation.vehicle.linear_model import (
+    COORDINATES,
+    HIGHEST_SPEED,
+    LinearContact,
+    critical_speed,
+    klingel_wavelength,
+    linear_model,
+    modes,
+    single_wheelset_model,
+)
 from estimation.vehicle.plausibility import UNIT_FACTOR, check_plausible, plausible_ranges
 from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, VehicleClass
 

@@ -10,6 +10,8 @@ import pytest
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.linear_model import (
+    ComplexArray,
+    LinearContact,
     combinations,
     equations,
     filtered,
@@ -17,7 +19,6 @@ from estimation.vehicle.linear_model import (
     sensor_filters,
     true_signals,
 )
-from estimation.vehicle.linear_wheelset import ComplexArray, LinearContact
 from estimation.vehicle.observability import CAUSES, Observed, Running, conicity_shifts, observability
 from estimation.vehicle.vehicle_class import SensorChannel, SensorLayout, VehicleClass
 from ingest.vehicle_class_file import shipped_class, shipped_classes

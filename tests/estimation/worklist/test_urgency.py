@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from estimation.values.alerts import Condition, Severity
+from estimation.values.alerts import Condition, OpenAlert, Severity, Urgency
 from estimation.values.quantities import Forecast
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.worklist import OpenAlert, Urgency
 from estimation.worklist.row import DUE_WITHIN_KM, TURN, Ahead, Verdict, judged
 
 NOWHERE = Forecast(None, None, None)

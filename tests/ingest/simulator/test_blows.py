@@ -11,8 +11,8 @@ from scenario_text import SMALL
 from estimation.errors import InputError
 from estimation.values.arrays import FloatArray
 from ingest.simulator.axle_motion import wheelset_motion
-from ingest.simulator.blows import blow
 from ingest.simulator.campaign import _with_blows, scenario_track, vehicle_run
+from ingest.simulator.running import blow
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario, read_scenario
 

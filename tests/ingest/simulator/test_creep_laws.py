@@ -13,10 +13,9 @@ from estimation.errors import ParameterError
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.vehicle_class import BogieParameters
 from ingest.simulator.creep_laws import Creep, CreepLaw, share_of_linear
-from ingest.simulator.curves import Curves
 from ingest.simulator.motion import simulate_wheelset
 from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
-from ingest.simulator.track import Surface, TrackRecipe, TrackTruth, make_track
+from ingest.simulator.track import Curves, Surface, TrackRecipe, TrackTruth, make_track
 
 P = VehicleParameters(load=90e3)
 BOGIE = BogieParameters(2.5, frame_mass=2600.0, frame_yaw_inertia=1500.0, body_mass=15e3)

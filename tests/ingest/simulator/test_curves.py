@@ -12,10 +12,9 @@ from analytic_contact import cones
 from estimation.errors import InputError, ParameterError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from ingest.simulator.curves import Curve
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 from ingest.simulator.sensors import ideal_node, measure
-from ingest.simulator.track import TrackRecipe, TrackTruth, make_track, read_track, write_track
+from ingest.simulator.track import Curve, TrackRecipe, TrackTruth, make_track, read_track, write_track
 from ingest.track_file import read_layout_columns
 
 P = VehicleParameters()

@@ -16,15 +16,13 @@ from scenario_text import SMALL
 
 from estimation.errors import ScenarioError
 from estimation.values.windows import ACCELERATIONS
-from ingest.canopen import vehicle_time_ns
-from ingest.catalogue import default_catalogue
+from ingest.catalogue import default_catalogue, vehicle_time_ns
 from ingest.codec import Decoded, decode
 from ingest.frames import FrameBatch
 from ingest.logs import read_log
 from ingest.simulator.axle_motion import wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
-from ingest.simulator.fleet import FleetReport, prepare, run_fleet, simulate_campaign
-from ingest.simulator.live import transmit
+from ingest.simulator.fleet import FleetReport, prepare, run_fleet, simulate_campaign, transmit
 from ingest.simulator.scenario import PositionErrors, Scenario
 from ingest.simulator.scenario_file import read_scenario
 from ingest.simulator.sensors import Channel

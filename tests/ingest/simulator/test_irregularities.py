@@ -10,8 +10,17 @@ import pytest
 from scipy.signal import welch
 
 from estimation.errors import ParameterError
-from ingest.simulator.irregularity import Waves, density, kurtosis_of, periodic, superpose, with_kurtosis
-from ingest.simulator.isolated import Isolated, IsolatedKind, isolated
+from ingest.simulator.irregularity import (
+    Isolated,
+    IsolatedKind,
+    Waves,
+    density,
+    isolated,
+    kurtosis_of,
+    periodic,
+    superpose,
+    with_kurtosis,
+)
 from ingest.simulator.track import TrackRecipe, make_track
 
 SHORT = Waves("gauge", 1e-3, (3.0, 70.0))

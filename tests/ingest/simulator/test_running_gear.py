@@ -12,10 +12,9 @@ from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.vehicle_class import BogieParameters
-from ingest.simulator.curves import Curve, laid_out
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 from ingest.simulator.running_gear import RunningGear, simulate_gear
-from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
+from ingest.simulator.track import Curve, TrackRecipe, TrackTruth, laid_out, make_track
 
 SOFT = VehicleParameters(spin_creep_coefficient=31.0, yaw_damping=900.0, load=90e3, lateral_stiffness=2e6)
 STIFF = VehicleParameters(yaw_stiffness=62.8e6, lateral_stiffness=9e6, lateral_damping=20e3, load=110e3)

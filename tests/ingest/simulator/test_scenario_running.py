@@ -11,12 +11,11 @@ from scenario_text import SMALL
 
 from estimation.errors import ScenarioError
 from ingest.simulator.axle_motion import averaged, axle_motions, contact_of, running_gear, wheelset_motion
-from ingest.simulator.campaign import scenario_track, vehicle_run
+from ingest.simulator.campaign import friction_along, scenario_track, vehicle_run, with_stretches
 from ingest.simulator.creep_laws import CreepLaw
 from ingest.simulator.running import STRETCH_END, FrictionPlan, FrictionStretch, RunningPlan
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
-from ingest.simulator.surface import friction_along, with_stretches
 
 RUNNING = """[creep]
 law = "vermeulen_johnson"

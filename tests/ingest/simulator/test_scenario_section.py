@@ -14,7 +14,7 @@ from ingest.registry_file import read_registry
 from ingest.simulator.axle_motion import contact_of, displacement_limit, gauge_grid, wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.fleet import prepare, surveyed
-from ingest.simulator.isolated import IsolatedKind
+from ingest.simulator.irregularity import IsolatedKind
 from ingest.simulator.scenario import PositionErrors, Scenario
 from ingest.simulator.scenario_file import read_scenario
 

@@ -11,7 +11,7 @@ ALLOWED = (
     "estimation.values",
     "estimation.vehicle",
     "ingest.bus",
-    "ingest.canopen",
+    "ingest.catalogue",
     "ingest.catalogue",
     "ingest.codec",
     "ingest.file_value",

@@ -14,10 +14,9 @@ from estimation.errors import ScenarioError
 from ingest.simulator.axle_motion import contact_of
 from ingest.simulator.campaign import scenario_track
 from ingest.simulator.fleet import prepare
-from ingest.simulator.profile_files import rails_of, section_at
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
-from ingest.simulator.wear import truth_of, wear_at, worn_contact
+from ingest.simulator.wear import rails_of, section_at, truth_of, wear_at, worn_contact
 
 WORN = "[section.rail_wear]\ndepth_mm = 0.6\ndepth_right_mm = 0.2\ncentre_mm = 1\nhalf_width_mm = 24\n"
 

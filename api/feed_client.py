@@ -1,0 +1,223 @@
+"""The reference client of the feed of alerts over HTTP: events in order, each handed over before its cursor is kept."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from typing import Any, Protocol
+
+import httpx
+import orjson
+
+from estimation.errors import TreadwatchError
+from ingest.live.backoff import Backoff
+
+TRY_AGAIN = frozenset({HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.REQUEST_TIMEOUT})
+NEEDS_KEY = {
+    HTTPStatus.UNAUTHORIZED: "the service needs a valid key: set TREADWATCH_KEY",
+    HTTPStatus.FORBIDDEN: "the key in TREADWATCH_KEY does not allow this",
+}
+
+
+class RefusedError(TreadwatchError):
+    """The service refuses, and would refuse again."""
+
+
+class UnreachableError(TreadwatchError):
+    """The service does not answer, or not now."""
+
+    def __init__(self, reason: str, retry_after_s: float | None = None) -> None:
+        self.retry_after_s = retry_after_s
+        super().__init__(reason)
+
+
+class OtherHistoryError(TreadwatchError):
+    """The database was restored, or is another one; ``cursor`` is where to go on, None for the beginning."""
+
+    def __init__(self, reason: str, cursor: str | None) -> None:
+        self.cursor = cursor
+        super().__init__(reason)
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """One block of a stream of server-sent events."""
+
+    identity: str | None
+    data: str | None
+
+
+def blocks(lines: Iterable[str]) -> Iterator[Block]:
+    """Yield the blocks of a stream (WHATWG HTML, 9.2.6); one that ends in the middle is dropped."""
+    identity: str | None = None
+    data: list[str] = []
+    for line in lines:
+        name, _, value = line.partition(":")
+        value = value.removeprefix(" ")
+        if not line:
+            yield Block(identity, "\n".join(data) if data else None)
+            identity, data = None, []
+        elif name == "id":
+            identity = value
+        elif name == "data":
+            data.append(value)
+
+
+def checked(response: httpx.Response) -> Any:  # noqa: ANN401 - JSON
+    """Return the body of a success."""
+    if response.is_success:
+        return _json(response)
+    problem = _json(response)
+    said = problem if isinstance(problem, dict) else {}
+    detail = str(said.get("detail") or said.get("title") or f"the service answers {response.status_code}")
+    status = response.status_code
+    if status >= HTTPStatus.INTERNAL_SERVER_ERROR or status in TRY_AGAIN:
+        after = response.headers.get("retry-after", "")
+        raise UnreachableError(detail, float(after) if after.isdecimal() else None)
+    if str(said.get("type", "")).endswith(":cursor-of-another-database"):
+        raise OtherHistoryError(detail, said.get("next_cursor"))
+    if status in NEEDS_KEY:
+        raise RefusedError(f"{NEEDS_KEY[HTTPStatus(status)]} ({detail})")
+    raise RefusedError(detail)
+
+
+def _json(response: httpx.Response) -> Any:  # noqa: ANN401 - the same
+    try:
+        return orjson.loads(response.content)
+    except orjson.JSONDecodeError:
+        if response.is_success:
+            raise RefusedError("the answer is no JSON: is this address the service's?") from None
+        return None
+
+
+FEED = "/v1/alerts/feed"
+STREAM = f"{FEED}/stream"
+EVENT_STREAM = "text/event-stream"
+PAGE = 500
+WAIT_S = 25
+SILENCE_S = 40.0
+"""Of a stream, whose signs of life come every 15 s; longer is a broken connection."""
+FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 30.0
+STREAM_FAILURES = 3
+"""Streams that break without a word, one after the other, until the client polls instead."""
+Event = dict[str, Any]
+
+
+class Taker(Protocol):
+    """What is done with events."""
+
+    def event(self, event: Event, cursor: str) -> None:
+        """Take an event; returns when its effect is kept, and the cursor with it."""
+
+    def moved(self, cursor: str) -> None:
+        """Keep a cursor behind which nothing else is known yet."""
+
+    def restored(self, reason: str, open_now: Sequence[Event], cursor: str | None) -> None:
+        """Drop what is not open now: what follows is another history, from a cursor or from its beginning."""
+
+    def waiting(self, reason: str) -> None:
+        """Hear why nothing comes."""
+
+
+@dataclass(slots=True)
+class Follower:
+    """A client of the feed."""
+
+    http: httpx.Client
+    query: Sequence[tuple[str, str]]
+    taker: Taker
+    cursor: str | None
+    sleep: Callable[[float], None] = time.sleep
+    _delays: Backoff = field(default_factory=lambda: Backoff(FIRST_DELAY_S, LONGEST_DELAY_S))
+    _silent_streams: int = 0
+
+    def once(self) -> None:
+        """Hand over what there is."""
+        while self._guarded(lambda: self._page(wait_s=0)):
+            pass
+
+    def follow(self) -> None:
+        """Hand over what there is and what happens, until it is interrupted."""
+        while True:
+            try:
+                self._guarded(self._stream if self._silent_streams < STREAM_FAILURES else self._long_poll)
+                self._delays.succeeded()
+            except UnreachableError as error:
+                delay_s = max(self._delays.failed(), error.retry_after_s or 0.0)
+                self.taker.waiting(f"{error}; trying again")
+                self.sleep(delay_s * random.uniform(0.5, 1.0))  # noqa: S311 - so that clients do not come back at once
+
+    def _guarded(self, ask: Callable[[], bool]) -> bool:
+        try:
+            return ask()
+        except OtherHistoryError as error:
+            self._begin_again(error)
+            return True
+        except httpx.HTTPError as error:
+            raise UnreachableError(f"{self.http.base_url}: {error or type(error).__name__}") from None
+
+    def _begin_again(self, error: OtherHistoryError) -> None:
+        try:
+            self.taker.restored(str(error), self._open_now(), error.cursor)
+        except httpx.HTTPError as failed:
+            raise UnreachableError(f"{self.http.base_url}: {failed or type(failed).__name__}") from None
+        self.cursor = error.cursor
+
+    def _parameters(self, **more: int) -> httpx.QueryParams:
+        given: list[tuple[str, str | int | float | bool | None]] = [*self.query, *more.items()]
+        return httpx.QueryParams(given if self.cursor is None else [*given, ("after", self.cursor)])
+
+    def _page(self, wait_s: int) -> bool:
+        """Hand one page over; return whether it was full."""
+        parameters = self._parameters(limit=PAGE, wait_s=wait_s)
+        page = checked(self.http.get(FEED, params=parameters, timeout=wait_s + 30.0))
+        for number, event in enumerate(page["items"], 1):
+            last = number == len(page["items"])
+            self.taker.event(event, page["next_cursor"] if last else self.cursor or "")
+        self.cursor = page["next_cursor"]
+        self.taker.moved(page["next_cursor"])
+        return len(page["items"]) == PAGE
+
+    def _long_poll(self) -> bool:
+        self._page(WAIT_S)
+        return True
+
+    def _stream(self) -> bool:
+        """Hand over what a stream brings until it ends."""
+        headers = {"Accept": EVENT_STREAM}
+        timeout = httpx.Timeout(30.0, read=SILENCE_S)
+        with self.http.stream("GET", STREAM, params=self._parameters(), headers=headers, timeout=timeout) as response:
+            if response.status_code in {HTTPStatus.NOT_FOUND, HTTPStatus.METHOD_NOT_ALLOWED, HTTPStatus.NOT_ACCEPTABLE}:
+                self._silent_streams = STREAM_FAILURES  # an older service, or something between that knows no streams
+                return True
+            if response.is_error or not response.headers.get("content-type", "").startswith(EVENT_STREAM):
+                response.read()
+                checked(response)
+                raise RefusedError("the answer is no stream: is this address the service's?")
+            self._silent_streams += 1
+            for block in blocks(response.iter_lines()):
+                self._silent_streams = 0
+                self._delays.succeeded()
+                if block.identity is not None:
+                    self._take(block.identity, block.data)
+        return True
+
+    def _take(self, cursor: str, data: str | None) -> None:
+        if data is None:
+            self.taker.moved(cursor)
+        else:
+            self.taker.event(orjson.loads(data), cursor)
+        self.cursor = cursor
+
+    def _open_now(self) -> list[Event]:
+        """Return the alerts that are open: what a client holds and is not among them is to be dropped."""
+        found: list[Event] = []
+        path: str | None = "/v1/alerts?open=true&limit=1000"
+        while path is not None:
+            page = checked(self.http.get(path))
+            found += page["items"]
+            path = page["next"]
+        return found

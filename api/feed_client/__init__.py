@@ -1,1 +1,0 @@
-"""The reference client of the feed of alerts: what ``treadwatch feed`` does, over HTTP alone."""

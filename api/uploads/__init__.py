@@ -1,1 +1,0 @@
-"""Chunks that are sent over HTTP: streamed to the disk, never held whole, never read here."""

@@ -1,0 +1,277 @@
+"""Rules on the running gear: its yaw suspension, its lateral dampers, and wheelsets that hunt."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Interval
+from scipy.special import ndtr
+
+from estimation.alerts.rules.rule import (
+    AlertRule,
+    DecidingEvidence,
+    Evidence,
+    Probability,
+    Share,
+    WheelsetFacts,
+    WindowCount,
+    measured_until,
+    number_evidence,
+    restated,
+    too_few_windows,
+)
+from estimation.alerts.rules.standing import WindowsRule
+from estimation.trend.suspension import SuspensionParameters
+from estimation.values.alerts import Finding, Severity
+from estimation.values.fields import Served
+from estimation.values.opinions import GearDamper
+from estimation.values.quantities import NORMAL_95, Estimate, with_interval
+from estimation.values.reasons import Reason
+from estimation.values.trend import SuspensionChange
+from estimation.values.windows import HUNTING_SHARE, WindowRecord
+
+Change = Annotated[float, Interval(ge=0.01, le=10.0)]
+DampingShare = Annotated[float, Interval(ge=0.05, le=1.5)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SuspensionChangeEvidence(Evidence):
+    """Evidence of `suspension_change`: yaw stiffness over creep coefficient of a vehicle has changed."""
+
+    vehicle: Annotated[str, Served("Code of the vehicle.")]
+    change: Annotated[Estimate, Served("Relative change; -0.3 is softer by 30 %.", "change_1")]
+    past_findings: Annotated[int, Served("Findings of its own past.")]
+    step_probability: Annotated[
+        float | None, Served("That it changed at once; null where it did not seem to.", "step_probability_1")
+    ]
+    step_ns: Annotated[int | None, Served("First finding behind the step.")]
+    recent_findings: Annotated[int, Served("Findings that count as now.")]
+    other_vehicles: Annotated[int, Served("Vehicles on the same sections at the same time.")]
+    limit: Annotated[float, Served("Change that raises the alert.", "limit_1")]
+
+
+@dataclass(frozen=True, slots=True)
+class SuspensionChangeRule(AlertRule):
+    """The ratio of yaw stiffness to creep coefficient of a vehicle has changed by more than friction explains.
+
+    The alert is one of the vehicle; it stands at the wheelset of its first axle.
+    """
+
+    kind = "suspension_change"
+    limit_unit = "1"
+    evidence = SuspensionChangeEvidence
+    advice = "the yaw suspension of its vehicle has changed: check it"
+    relations = (("clear_change", "<=", "raise_change"), ("raise_step", "<=", "raise_change"))
+
+    raise_change: Change = 0.2
+    clear_change: Change = 0.15
+    raise_step: Change = 0.1  # of a sudden change
+    raise_probability: Probability = 0.9
+    clear_probability: Probability = 0.8
+    parameters: SuspensionParameters = field(default_factory=SuspensionParameters)
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
+        """Return the finding of the vehicle; None at its other wheelsets, or where nothing is known nor open.
+
+        An open alert of which too little is known is withdrawn: what it was raised on has been corrected since.
+        """
+        shown = facts.suspension
+        if shown is None:
+            return None
+        if shown.newest is None:
+            own = (alert for alert in facts.open_alerts if alert.kind == self.kind)
+            return next((restated(alert, breached=None, cleared=None, stands=False) for alert in own), None)
+        found = suspension_change_finding(self, facts.wheelset.serial, shown.newest)
+        return replace(found, stands=shown.stands, since_ns=shown.since_ns)
+
+
+def suspension_change_finding(rule: SuspensionChangeRule, wheelset: str, found: SuspensionChange) -> Finding:
+    """Return the finding of a change; the alert stands at the wheelset."""
+    over = _beyond(found, rule.raise_change)
+    over_clear = _beyond(found, rule.clear_change)
+    sudden = found.step_probability is not None and _beyond(found, rule.raise_step) >= rule.raise_probability
+    breached = sudden or over >= rule.raise_probability
+    return Finding(
+        wheelset=wheelset,
+        kind=SuspensionChangeRule.kind,
+        breached=breached,
+        cleared=not breached and 1.0 - over_clear >= rule.clear_probability,
+        probability=number_evidence(over, 3),
+        evidence=SuspensionChangeEvidence(
+            vehicle=found.vehicle,
+            change=with_interval(found.change, found.std, count=float(found.recent)),
+            past_findings=found.past,
+            recent_findings=found.recent,
+            other_vehicles=found.others,
+            step_probability=number_evidence(found.step_probability, 3),
+            step_ns=found.since_ns,
+            limit=rule.raise_change,
+        ).stored(),
+        action="check_yaw_suspension",
+        raise_limit=rule.raise_change,
+        clear_limit=rule.clear_change,
+        measured_ns=found.recent_ns,
+    )
+
+
+def _beyond(found: SuspensionChange, limit: float) -> float:
+    """Return the probability that the size of the true change is above the limit."""
+    return float(ndtr((found.change - limit) / found.std) + ndtr((-found.change - limit) / found.std))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WeakDamperEvidence(DecidingEvidence):
+    """Evidence of `weak_damper`: the lateral damper of a running gear has lost most of its damping."""
+
+    vehicle: Annotated[str, Served("Code of the vehicle.")]
+    first_axle: Annotated[int, Served("First axle of the running gear, from 1.")]
+    share: Annotated[Estimate, Served("Damping over that of the vehicle class on file.", "damping_share_1")]
+    windows: Annotated[int, Served("Windows that show it.")]
+    from_ns: Annotated[int, Served("Start of the first of them.", "measured_from")]
+    to_ns: Annotated[int, Served("Start of the last of them.", "measured_to")]
+    limit: Annotated[float, Served("Share below which the alert is raised.", "limit_1")]
+
+
+@dataclass(frozen=True, slots=True)
+class WeakDamperRule(AlertRule):
+    """Less of the damping on file is left than a limit; the alert stands at the wheelset of the gear's first axle.
+
+    What the windows of months say is pooled, so that there is one finding, which grows surer; runs of the job with
+    newer data count towards the delays.
+    """
+
+    kind = "weak_damper"
+    limit_unit = "1"
+    evidence = WeakDamperEvidence
+    advice = "a lateral damper has lost its damping: check it"
+    relations = (("clear_share", ">=", "raise_share"),)
+
+    raise_share: DampingShare = 0.5
+    clear_share: DampingShare = 0.6
+    raise_probability: Probability = 0.9
+    clear_probability: Probability = 0.8
+    minimum_windows: WindowCount = 6
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
+        """Return the finding of the running gear that begins at the wheelset; None at others, or before its mounting.
+
+        What was measured before the wheelset was mounted has raised what it has to raise at the one before.
+        """
+        found, mounting = facts.damper, facts.wheelset.mounting
+        if found is None or mounting is None or found.to_ns < mounting.from_ns:
+            return None
+        return weak_damper_finding(self, facts.wheelset.serial, found)
+
+
+def weak_damper_finding(rule: WeakDamperRule, wheelset: str, found: GearDamper) -> Finding:
+    """Return the finding of a damper; the alert stands at the wheelset."""
+    few = too_few_windows(found.windows, rule.minimum_windows)
+    weak, not_whole = _below(found, rule.raise_share), _below(found, rule.clear_share)
+    known = few is None and weak is not None and not_whole is not None
+    because = None if known else (found.share.reason or few)
+    return Finding(
+        wheelset=wheelset,
+        kind=WeakDamperRule.kind,
+        breached=weak >= rule.raise_probability if known and weak is not None else None,
+        cleared=1.0 - not_whole >= rule.clear_probability if known and not_whole is not None else None,
+        probability=number_evidence(weak, 3),
+        evidence=WeakDamperEvidence(
+            vehicle=found.vehicle,
+            first_axle=found.first_axle,
+            share=found.share,
+            windows=found.windows,
+            from_ns=found.from_ns,
+            to_ns=found.to_ns,
+            limit=rule.raise_share,
+            unknown=because,
+        ).stored(),
+        action="check_lateral_damper",
+        raise_limit=rule.raise_share,
+        clear_limit=rule.clear_share,
+        measured_ns=found.to_ns,
+    )
+
+
+def _below(found: GearDamper, limit: float) -> float | None:
+    """Return the probability that less than a share is left; None where the share is not known.
+
+    The std follows from the upper end of the interval, because the lower end is cut off at 0.
+    """
+    value, high = found.share.value, found.share.high
+    if value is None or high is None or not high > value:
+        return None
+    return float(ndtr((limit - value) * NORMAL_95 / (high - value)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HuntingEvidence(DecidingEvidence):
+    """Evidence of `hunting`: several of the latest windows show it."""
+
+    hunting_windows: Annotated[int, Served("Windows of hunting among the latest.")]
+    windows: Annotated[int, Served("How many windows were looked at.")]
+    frequency_hz: Annotated[float | None, Served("Median frequency.")] = None
+    wavelength_m: Annotated[float | None, Served("Median wavelength.")] = None
+    amplitude_mm: Annotated[float | None, Served("Largest lateral amplitude.")] = None
+    speed_max_m_s: Annotated[float | None, Served("Greatest speed of those windows.")] = None
+
+
+@dataclass(frozen=True, slots=True)
+class HuntingRule(WindowsRule):
+    """The wheelset sways at its own wavelength, sustained, in several of the latest windows."""
+
+    kind = "hunting"
+    limit_unit = "windows"
+    evidence = HuntingEvidence
+    advice = "it hunts: check yaw dampers and wheel profiles"
+    relations = (
+        ("raise_windows", "<=", "latest_windows"),
+        ("critical_windows", "<=", "latest_windows"),
+        ("critical_windows", ">=", "raise_windows"),
+        ("minimum_windows", "<=", "latest_windows"),
+    )
+
+    raise_windows: WindowCount = 3
+    critical_windows: WindowCount = 10
+    minimum_windows: WindowCount = 3  # behind "it does not hunt"
+    hunting_share: Share = HUNTING_SHARE  # of a window's running time that makes it a window of hunting
+
+    def find_in(self, windows: Sequence[WindowRecord], facts: WheelsetFacts) -> Finding:
+        """Return the finding on hunting."""
+        found = [window for window in windows if self.is_suspect(window, facts)]
+        unknown = None if found else too_few_windows(len(windows), self.minimum_windows)
+        return Finding(
+            wheelset=facts.wheelset.serial,
+            kind=self.kind,
+            breached=None if unknown else len(found) >= self.raise_windows,
+            cleared=None if unknown else not found,
+            severity=Severity.CRITICAL if len(found) >= self.critical_windows else Severity.WARNING,
+            evidence=_hunting_evidence(found, len(windows), unknown).stored(),
+            action="check_yaw_dampers_and_profiles",
+            raise_limit=float(self.raise_windows),
+            clear_limit=0.0,
+            measured_ns=measured_until(windows, facts),
+        )
+
+    def is_suspect(self, window: WindowRecord, facts: WheelsetFacts) -> bool:  # noqa: ARG002 - the window alone decides
+        """Return whether a window shows hunting for the share of its running time; of a share of 0 some is needed."""
+        return window.quality.hunting.share >= self.hunting_share and window.quality.hunting.share > 0.0
+
+
+def _hunting_evidence(found: Sequence[WindowRecord], windows: int, unknown: Reason | None) -> HuntingEvidence:
+    if not found:
+        return HuntingEvidence(hunting_windows=0, windows=windows, unknown=unknown)
+    frequency = float(np.median([w.quality.hunting.frequency_hz for w in found]))
+    speed = [0.5 * (w.quality.speed_min_m_s + w.quality.speed_max_m_s) for w in found]
+    lengths = [v / w.quality.hunting.frequency_hz for v, w in zip(speed, found, strict=True)]
+    return HuntingEvidence(
+        hunting_windows=len(found),
+        windows=windows,
+        frequency_hz=number_evidence(frequency, 3),
+        wavelength_m=number_evidence(float(np.median(lengths)), 2),
+        amplitude_mm=number_evidence(max(1e3 * w.quality.hunting.amplitude for w in found), 2),
+        speed_max_m_s=number_evidence(max(w.quality.speed_max_m_s for w in found), 3),
+        unknown=unknown,
+    )

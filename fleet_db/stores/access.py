@@ -1,0 +1,123 @@
+"""Keys of the REST API."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, insert, or_, select, update
+
+from estimation.errors import ConflictError, NotFoundError
+from fleet_db.access_records import ApiKey, AuditEntry
+from fleet_db.rows import columns_of, insert_new, row_of, table_of, value_of_row
+from fleet_db.tables.operation import ApiKeyRow, AuditRow, IdempotencyRow
+
+KEYS = table_of(ApiKeyRow)
+
+
+@dataclass(frozen=True, slots=True)
+class ApiKeyStore:
+    """The keys, in one transaction."""
+
+    connection: Connection
+
+    def find(self, prefix: str) -> ApiKey | None:
+        """Return the key with a prefix; None where there is none."""
+        row = row_of(self.connection, KEYS, prefix)
+        return None if row is None else value_of_row(ApiKey, row)
+
+    def get(self, prefix: str) -> ApiKey:
+        """Return the key with a prefix; raises NotFoundError."""
+        found = self.find(prefix)
+        if found is None:
+            raise NotFoundError("key", prefix)
+        return found
+
+    def page(self, after: str | None, limit: int | None) -> Sequence[ApiKey]:
+        """Return at most ``limit`` keys with a prefix behind ``after``, by prefix; None for all."""
+        statement = select(KEYS).order_by(KEYS.c.prefix).limit(limit)
+        if after is not None:
+            statement = statement.where(KEYS.c.prefix > after)
+        return [value_of_row(ApiKey, row) for row in self.connection.execute(statement)]
+
+    def add(self, key: ApiKey) -> None:
+        """Add a key."""
+        self.connection.execute(insert(KEYS).values(columns_of(key)))
+
+    def revoke(self, prefix: str, now_ns: int) -> ApiKey:
+        """Revoke a key and return it; raises NotFoundError, and ConflictError where it is revoked already."""
+        if self.get(prefix).revoked_ns is not None:
+            raise ConflictError(f"key {prefix} is revoked already", kind="key", key=prefix)
+        self.connection.execute(update(KEYS).where(KEYS.c.prefix == prefix).values(revoked_ns=now_ns))
+        return self.get(prefix)
+
+    def used(self, last_used_ns: Mapping[str, int]) -> None:
+        """Record when keys were used last, by prefix; an earlier time changes nothing."""
+        for prefix, at_ns in last_used_ns.items():
+            earlier = or_(KEYS.c.last_used_ns.is_(None), KEYS.c.last_used_ns < at_ns)
+            self.connection.execute(update(KEYS).where(KEYS.c.prefix == prefix, earlier).values(last_used_ns=at_ns))
+
+
+ENTRIES = table_of(AuditRow)
+
+
+@dataclass(frozen=True, slots=True)
+class AuditFilter:
+    """Which entries: of an owner, of a key, with a status, of a method, and at which times; None is no filter."""
+
+    owner: str | None = None
+    key_prefix: str | None = None
+    status: int | None = None
+    method: str | None = None
+    from_ns: int | None = None
+    to_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AuditStore:
+    """The audit log, in one transaction."""
+
+    connection: Connection
+
+    def add(self, entries: Sequence[AuditEntry]) -> None:
+        """Add entries, in their order."""
+        if entries:
+            self.connection.execute(insert(ENTRIES), [columns_of(entry, "entry_id") for entry in entries])
+
+    def page(self, chosen: AuditFilter, before_id: int | None, limit: int) -> Sequence[AuditEntry]:
+        """Return at most ``limit`` entries with a number below ``before_id``, newest first."""
+        same = {name: getattr(chosen, name) for name in ("owner", "key_prefix", "status", "method")}
+        statement = select(ENTRIES).where(
+            *(ENTRIES.c[name] == value for name, value in same.items() if value is not None)
+        )
+        if chosen.from_ns is not None:
+            statement = statement.where(ENTRIES.c.at_ns >= chosen.from_ns)
+        if chosen.to_ns is not None:
+            statement = statement.where(ENTRIES.c.at_ns < chosen.to_ns)
+        if before_id is not None:
+            statement = statement.where(ENTRIES.c.entry_id < before_id)
+        rows = self.connection.execute(statement.order_by(ENTRIES.c.entry_id.desc()).limit(limit))
+        return [value_of_row(AuditEntry, row) for row in rows]
+
+
+ANSWERS = table_of(IdempotencyRow)
+
+
+@dataclass(frozen=True, slots=True)
+class IdempotencyStore:
+    """Answers to POSTs, in one transaction."""
+
+    connection: Connection
+
+    def get(self, key: str) -> tuple[str, int, str] | None:
+        """Return digest of the request, status code and body of the answer given under ``key``."""
+        columns = select(ANSWERS.c.request_digest, ANSWERS.c.status_code, ANSWERS.c.body)
+        row = self.connection.execute(columns.where(ANSWERS.c.key == key)).first()
+        return None if row is None else (row.request_digest, row.status_code, row.body)
+
+    def put(self, key: str, request_digest: str, status_code: int, body: str, recorded_ns: int) -> None:
+        """Remember an answer; raises ConflictError where another was given under ``key``."""
+        answer = {"request_digest": request_digest, "status_code": status_code, "body": body}
+        new = insert_new(self.connection, ANSWERS, {"key": key, **answer, "recorded_ns": recorded_ns})
+        if not new and self.get(key) != tuple(answer.values()):
+            raise ConflictError(f"another answer was given under key {key!r}", kind="idempotency key", key=key)

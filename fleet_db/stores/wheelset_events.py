@@ -1,0 +1,268 @@
+"""What happens to wheelsets: mountings on vehicles, visits to the lathe, measurements of their profiles."""
+
+from __future__ import annotations
+
+import base64
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, exists, func, or_, select
+
+from estimation.contact.profiles import MeasuredProfiles
+from estimation.errors import ConflictError, ParameterError
+from estimation.values.reasons import utc_text
+from estimation.values.registry import Mounting, Reprofiling
+from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
+from fleet_db.rows import by_wheelset, row_of, table_of, upsert, value_of_row
+from fleet_db.tables.recordings import StaleSpanRow
+from fleet_db.tables.registry import MeasuredProfilesRow, MountingRow, ReprofilingRow, WheelsetRow
+from fleet_db.tables.windows import WindowRow
+
+MOUNTINGS, REPROFILINGS = table_of(MountingRow), table_of(ReprofilingRow)
+MEASURED, WHEELSETS = table_of(MeasuredProfilesRow), table_of(WheelsetRow)
+
+
+class MountedTwiceError(ConflictError):
+    """A wheelset would be in two places at one time, or an axle would have two wheelsets; ``other`` is on file."""
+
+    def __init__(self, record: Mounting, other: Mounting) -> None:
+        self.other = other
+        reason = f"{_where(record)}: overlaps {_where(other)}"
+        super().__init__(reason, kind="mounting", key=record.wheelset)
+
+
+def _where(mounting: Mounting) -> str:
+    place = f"wheelset {mounting.wheelset!r} at axle {mounting.axle} of {mounting.vehicle!r}"
+    end = "" if mounting.to_ns is None else f" to {utc_text(mounting.to_ns)}"
+    return f"{place} from {utc_text(mounting.from_ns)}{end}"
+
+
+def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
+    """Return the mounting at an axle (from 1) that covers ``at_ns``, UTC on the vehicle's clock."""
+    statement = select(MOUNTINGS).where(
+        MOUNTINGS.c.vehicle == vehicle,
+        MOUNTINGS.c.axle == axle,
+        MOUNTINGS.c.from_ns <= at_ns,
+        or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > at_ns),
+    )
+    row = connection.execute(statement).first()
+    return None if row is None else value_of_row(Mounting, row)
+
+
+def mountings_on(connection: Connection, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
+    """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start."""
+    statement = (
+        select(MOUNTINGS)
+        .where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.from_ns < to_ns)
+        .where(or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > from_ns))
+        .order_by(MOUNTINGS.c.axle, MOUNTINGS.c.from_ns)
+    )
+    return [value_of_row(Mounting, row) for row in connection.execute(statement)]
+
+
+def mountings_of(connection: Connection, wheelsets: Collection[str]) -> dict[str, list[Mounting]]:
+    """Return every mounting of some wheelsets by serial, oldest first; one without a mounting is left out."""
+    statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset.in_(wheelsets)).order_by(MOUNTINGS.c.from_ns)
+    return by_wheelset(connection.execute(statement), partial(value_of_row, Mounting))
+
+
+def mounting_on_file(connection: Connection, record: Mounting) -> Mounting | None:
+    """Return the mounting of the same wheelset and start; None where there is none."""
+    row = row_of(connection, MOUNTINGS, record.wheelset, record.from_ns)
+    return None if row is None else value_of_row(Mounting, row)
+
+
+def changed_spans(before: Mounting | None, after: Mounting | None) -> list[tuple[str, int, int | None]]:
+    """Return ``(vehicle, from, to)`` of the time in which a mounting says something else; None: there is none."""
+    if before is not None and after is not None and replace(before, to_ns=after.to_ns) == after:
+        ends = [end for end in (before.to_ns, after.to_ns) if end is not None]
+        if not ends or before.to_ns == after.to_ns:
+            return []
+        return [(after.vehicle, min(ends), max(ends) if len(ends) == 2 else None)]  # noqa: PLR2004 - both end
+    known = [one for one in (before, after) if one is not None]
+    return list(dict.fromkeys((one.vehicle, one.from_ns, one.to_ns) for one in known))
+
+
+def add_mounting(connection: Connection, record: Mounting, axles: int) -> bool:
+    """Store a mounting on a vehicle of so many axles; return whether anything changed. Raises MountedTwiceError."""
+    if not 1 <= record.axle <= axles:
+        raise ParameterError(f"vehicle {record.vehicle!r} has axles 1 to {axles}, not {record.axle}", field="axle")
+    if record.to_ns is not None and record.to_ns <= record.from_ns:
+        raise ParameterError(f"ends at {record.to_ns}, not after its start at {record.from_ns}", field="to_ns")
+    other = _overlapping(connection, record)
+    if other is not None:
+        raise MountedTwiceError(record, other)
+    return upsert(connection, MOUNTINGS, asdict(record))
+
+
+def _overlapping(connection: Connection, record: Mounting) -> Mounting | None:
+    table = MOUNTINGS.c
+    same_key = and_(table.wheelset == record.wheelset, table.from_ns == record.from_ns)
+    same_axle = and_(table.vehicle == record.vehicle, table.axle == record.axle)
+    statement = select(MOUNTINGS).where(
+        ~same_key,
+        or_(table.wheelset == record.wheelset, same_axle),
+        or_(table.to_ns.is_(None), table.to_ns > record.from_ns),
+    )
+    if record.to_ns is not None:
+        statement = statement.where(table.from_ns < record.to_ns)
+    row = connection.execute(statement.order_by(table.from_ns)).first()
+    return None if row is None else value_of_row(Mounting, row)
+
+
+def reprofilings_of(connection: Connection, serials: Sequence[str]) -> dict[str, list[Reprofiling]]:
+    """Return the visits of some wheelsets to the lathe by serial, oldest first."""
+    statement = select(REPROFILINGS).where(REPROFILINGS.c.wheelset.in_(serials)).order_by(REPROFILINGS.c.at_ns)
+    return by_wheelset(connection.execute(statement), lambda row: Reprofiling(*row))
+
+
+def measured_profiles_of(
+    connection: Connection, wheelsets: Collection[str]
+) -> Mapping[str, Sequence[MeasuredProfiles]]:
+    """Return every measurement of some wheelsets by serial, oldest first; one without is left out."""
+    statement = select(MEASURED).where(MEASURED.c.wheelset.in_(wheelsets)).order_by(MEASURED.c.at_ns)
+    return by_wheelset(connection.execute(statement), _measured)
+
+
+def _measured(row: Row[Any]) -> MeasuredProfiles:
+    where = f"profiles of wheelset {row.wheelset!r} measured at {row.at_ns}"
+    left, right = unpack_wheel_pair(row.packed, where=where)
+    return MeasuredProfiles(row.wheelset, row.at_ns, row.mileage_km, left, right, row.std_m)
+
+
+def newest_measurement_of(connection: Connection, wheelsets: Collection[str]) -> dict[str, tuple[int, float]]:
+    """Return time (ns UTC) and mileage (km) of the newest measurement of each wheelset that has one, by serial."""
+    statement = select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km)
+    statement = statement.where(MEASURED.c.wheelset.in_(wheelsets)).order_by(MEASURED.c.at_ns)
+    return {wheelset: (int(at_ns), float(mileage)) for wheelset, at_ns, mileage in connection.execute(statement)}
+
+
+def newest_measurements(
+    connection: Connection, fleet: str | None, from_ns: int | None, to_ns: int | None, limit: int
+) -> tuple[int, list[tuple[str, int]]]:
+    """Return how many measurements there are in ``[from_ns, to_ns)``, and wheelset and time of the newest ``limit``."""
+    wanted: list[ColumnElement[bool]] = []
+    if fleet is not None:
+        wanted.append(MEASURED.c.wheelset.in_(select(WHEELSETS.c.serial).where(WHEELSETS.c.fleet == fleet)))
+    if from_ns is not None:
+        wanted.append(MEASURED.c.at_ns >= from_ns)
+    if to_ns is not None:
+        wanted.append(MEASURED.c.at_ns < to_ns)
+    total = connection.scalar(select(func.count()).select_from(MEASURED).where(*wanted)) or 0
+    newest = select(MEASURED.c.wheelset, MEASURED.c.at_ns).where(*wanted)
+    newest = newest.order_by(MEASURED.c.at_ns.desc(), MEASURED.c.wheelset).limit(limit)
+    return total, [(row.wheelset, row.at_ns) for row in connection.execute(newest)]
+
+
+def store_measured_profiles(connection: Connection, record: MeasuredProfiles) -> bool:
+    """Store a measurement of a wheelset that exists, or change the one of the same time; return whether it changed."""
+    row = {"wheelset": record.wheelset, "at_ns": record.at_ns, "mileage_km": record.mileage_km, "std_m": record.std}
+    return upsert(connection, MEASURED, row | {"packed": pack_wheel_pair(record.left, record.right)})
+
+
+def stored_measurement(connection: Connection, wheelset: str, at_ns: int) -> dict[str, Any] | None:
+    """Return the row of a measurement as JSON can hold it, its profiles in base64; None where there is none."""
+    row = row_of(connection, MEASURED, wheelset, at_ns)
+    return None if row is None else row | {"packed": base64.b64encode(row["packed"]).decode("ascii")}
+
+
+WINDOWS, SPANS = table_of(WindowRow), table_of(StaleSpanRow)
+AT_ONCE = 500  # keys in one statement
+
+
+@dataclass(frozen=True, slots=True)
+class LifeOnFile:
+    """What is on file of one wheelset's life, oldest first; reprofilings and measurements as ``(at_ns, km)``."""
+
+    mountings: tuple[Mounting, ...] = ()
+    reprofilings: tuple[tuple[int, float], ...] = ()
+    measurements: tuple[tuple[int, float], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class WindowDistance:
+    """The mileage of a wheelset at the start of a window."""
+
+    wheelset: str
+    start_ns: int
+    mileage_km: float
+
+
+def lives_on_file(connection: Connection, serials: Collection[str]) -> dict[str, LifeOnFile]:
+    """Return the lives of some wheelsets."""
+    mountings: defaultdict[str, list[Mounting]] = defaultdict(list)
+    for one in mountings_where(connection, MOUNTINGS.c.wheelset, serials):
+        mountings[one.wheelset].append(one)
+    turned = _dated(
+        connection, select(REPROFILINGS.c.wheelset, REPROFILINGS.c.at_ns, REPROFILINGS.c.mileage_km), serials
+    )
+    measured = _dated(connection, select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km), serials)
+    return {
+        serial: LifeOnFile(
+            tuple(sorted(mountings[serial], key=lambda one: one.from_ns)),
+            tuple(sorted(turned.get(serial, ()))),
+            tuple(sorted(measured.get(serial, ()))),
+        )
+        for serial in serials
+    }
+
+
+def mountings_where(connection: Connection, column: ColumnElement[str], keys: Collection[str]) -> list[Mounting]:
+    """Return the mountings of some wheelsets, or on some vehicles, by that column."""
+    found = []
+    for some in _parts(keys):
+        statement = select(MOUNTINGS).where(column.in_(some)).order_by(MOUNTINGS.c.from_ns)
+        found += [value_of_row(Mounting, row) for row in connection.execute(statement)]
+    return found
+
+
+def any_windows(connection: Connection) -> bool:
+    """Return whether there is any window at all."""
+    return bool(connection.scalar(select(exists().where(WINDOWS.c.wheelset.is_not(None)))))
+
+
+def windows_beside(connection: Connection, wheelset: str, at_ns: int) -> list[WindowDistance]:
+    """Return the last window of a wheelset that starts at or before a time and the first that starts after it.
+
+    Left out are windows whose mileage is not believed, and those that are to be assembled again.
+
+    Args:
+        at_ns: ns UTC on the vehicle's clock.
+    """
+    stale = exists().where(
+        and_(
+            SPANS.c.vehicle == WINDOWS.c.vehicle,
+            SPANS.c.from_ns < WINDOWS.c.start_ns + WINDOWS.c.length_ns,
+            SPANS.c.to_ns > WINDOWS.c.start_ns,
+        )
+    )
+    believed = select(WINDOWS.c.wheelset, WINDOWS.c.start_ns, WINDOWS.c.mileage_km).where(
+        WINDOWS.c.wheelset == wheelset, WINDOWS.c.implausible_code.is_(None), ~stale
+    )
+    before = believed.where(WINDOWS.c.start_ns <= at_ns).order_by(WINDOWS.c.start_ns.desc()).limit(1)
+    after = believed.where(WINDOWS.c.start_ns > at_ns).order_by(WINDOWS.c.start_ns).limit(1)
+    return [
+        WindowDistance(row.wheelset, row.start_ns, row.mileage_km)
+        for statement in (before, after)
+        for row in connection.execute(statement)
+    ]
+
+
+def _dated(
+    connection: Connection, statement: Select[tuple[str, int, float]], serials: Collection[str]
+) -> Mapping[str, Sequence[tuple[int, float]]]:
+    found: defaultdict[str, list[tuple[int, float]]] = defaultdict(list)
+    for some in _parts(serials):
+        column = statement.selected_columns[0]
+        for row in connection.execute(statement.where(column.in_(some))):
+            found[row.wheelset].append((row.at_ns, row.mileage_km))
+    return found
+
+
+def _parts(keys: Collection[str]) -> Iterator[list[str]]:
+    ordered = sorted(keys)
+    for begin in range(0, len(ordered), AT_ONCE):
+        yield ordered[begin : begin + AT_ONCE]
