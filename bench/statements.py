@@ -1,8 +1,8 @@
 """The command ``python -m bench statements``: SQL statements by the size of a fleet, and by its days of history.
 
-By size: copies of a vehicle of two wheelsets send one recording of one window each, from which alerts follow. What is
+By size: copies of a vehicle of four wheelsets send one recording of one window each, from which alerts follow. What is
 given is the difference between two sizes by the wheelsets or windows that it is made of: what one more of them costs.
-By days: two wheelsets run one window a day, and all jobs run after each day; a job is flat where the last day costs it
+By days: four wheelsets run one window a day, and all jobs run after each day; a job is flat where the last day costs it
 as many statements as the first ones after the parts of its history are there.
 """
 
@@ -37,7 +37,7 @@ from tests.executed_statements import executed_statements
 
 TITLE = "SQL statements by the size of a fleet and its days of history"
 WINDOW_S, DAY_NS, BEGIN_NS = 120.0, 86_400_000_000_000, 1_704_700_000_000_000_000
-WHEELSETS_OF_VEHICLE = 2
+WHEELSETS_OF_VEHICLE, AXLE_OFFSETS = 4, (2.0, 4.5, 14.0, 16.5)
 INGEST = "ingest"
 OF_ONE = (INGEST, "estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts")
 REACH_OF_ONE, REACH_OF_JOB = 8.0, 150
@@ -76,11 +76,13 @@ class Deployment:
 
 
 def simulated(folder: Path, days: int) -> FleetReport:
-    """Return the recordings of the vehicle, one a day."""
+    """Return the recordings of a vehicle of four wheelsets, one a day."""
     scenario = load_scenario(str(SCENARIOS / "frame.toml"))
-    sessions = scenario.sessions
+    sessions, (vehicle,) = scenario.sessions, scenario.vehicles
     sessions = replace(sessions, campaigns=days, distance_between=sessions.distance_per_day)
-    return run_fleet(replace(scenario, sessions=sessions), folder, workers=1)
+    wheelsets = tuple(replace(one, serial=f"{one.serial}{end}") for end in "AB" for one in vehicle.wheelsets)
+    vehicle = replace(vehicle, axle_offsets=AXLE_OFFSETS, wheelsets=wheelsets)
+    return run_fleet(replace(scenario, sessions=sessions, vehicles=(vehicle,)), folder, workers=1)
 
 
 def deployed(folder: Path, report: FleetReport, url: str | None = None) -> Deployment:

@@ -31,6 +31,7 @@ from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger
 from fleet_db.locks import UnendedLease
 from fleet_db.rows import columns_of, table_of, value_of_row
 from fleet_db.tables.operation import JobRunRow, WorkClaimRow, WorkLeaseRow
+from fleet_db.tables.results import ResultRow
 
 LEASES, CLAIMS = table_of(WorkLeaseRow), table_of(WorkClaimRow)
 PLACE = "schedule", ("scheduler",)
@@ -213,7 +214,7 @@ def _locked(lease: int, *, ending: bool = False) -> Select[tuple[int]]:
     return found.with_for_update() if ending else found.with_for_update(read=True, key_share=True)
 
 
-RUNS = table_of(JobRunRow)
+RUNS, RESULTS = table_of(JobRunRow), table_of(ResultRow)
 RUNNING = JobOutcome.RUNNING.value
 GONE = "the process ended during the run"
 
@@ -225,11 +226,13 @@ class JobRunStore:
     connection: Connection
     owner: int | None = None  # lease of the process that starts runs here
 
-    def start(self, job: str, trigger: JobTrigger, started_ns: int) -> JobRun:
-        """Record that a run has begun."""
+    def start(self, job: str, trigger: JobTrigger, started_ns: int) -> tuple[JobRun, bool]:
+        """Record that a run has begun; return it, and whether a result carries a later time than its begin."""
         run = JobRun(0, job, trigger, started_ns, None, JobOutcome.RUNNING, {})
         statement = insert(RUNS).values(columns_of(run, "run_id") | {"owner": self.owner})
-        return replace(run, run_id=self.connection.execute(statement.returning(RUNS.c.run_id)).scalar_one())
+        newest_ns = select(func.max(RESULTS.c.recorded_ns)).scalar_subquery()
+        row = self.connection.execute(statement.returning(RUNS.c.run_id, newest_ns.label("newest_ns"))).one()
+        return replace(run, run_id=row.run_id), row.newest_ns is not None and row.newest_ns > started_ns
 
     def finish(
         self, run_id: int, outcome: JobOutcome, counts: Mapping[str, int], finished_ns: int, error: str | None = None
