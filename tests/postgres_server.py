@@ -49,7 +49,7 @@ class PostgresServer:
         """Stop it at once, as in a crash."""
         if self.process is not None:
             self.process.send_signal(signal.SIGQUIT)
-            self.process.wait(30)
+            self.process.wait(120)
             self.process = None
 
     @contextmanager

@@ -74,7 +74,7 @@ class S3Server:
         """Stop it at once, as in a crash."""
         if self.process is not None:
             self.process.kill()
-            self.process.wait(30)
+            self.process.wait(120)
             self.process = None
         for service in SERVICES:
             for port in self.ports.values():

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
-from pydantic import Field
+from pydantic import Field, JsonValue
 
 from api.asking import AskedDep, AskedListDep
 from api.parameters import Code
@@ -17,7 +17,6 @@ from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
 from estimation.errors import NotFoundError
-from estimation.values.fields import JsonValue
 from estimation.values.reasons import ReasonCode
 from estimation.values.track import AlignmentRecord, Iterated, TrackAlignment, TrackReport, TrackSectionRecord
 from fleet_db.storage import SqlUnitOfWork

@@ -56,7 +56,7 @@ def service_process(folder: Path, database_url: str | None = None, **environment
         yield ServiceProcess(process, _port(process, file), file)
     finally:
         process.terminate()
-        process.wait(30)
+        process.wait(120)
 
 
 def _port(process: subprocess.Popen[bytes], log: Path) -> int:

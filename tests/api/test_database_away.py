@@ -151,7 +151,7 @@ def test_a_service_that_waits_ends_on_a_signal(server: PostgresServer, tmp_path:
         with service_process(tmp_path, with_password(server)) as service:
             wait_for(WAITS, service.file)
             service.process.terminate()
-            assert service.process.wait(30) in (0, -signal.SIGTERM)
+            assert service.process.wait(120) in (0, -signal.SIGTERM)
     finally:
         server.start()
 
@@ -165,7 +165,7 @@ def test_a_database_that_answers_and_cannot_be_used_ends_the_service(server: Pos
         with service_process(tmp_path, server.url.replace("/postgres?", "/empty?")) as service:
             wait_for(WAITS, service.file)
             server.start()
-            assert service.process.wait(30) == 2
+            assert service.process.wait(120) == 2
     finally:
         if server.process is None:
             server.start()

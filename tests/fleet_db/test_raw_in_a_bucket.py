@@ -209,7 +209,7 @@ def test_a_process_that_is_killed_leaves_no_part_of_a_recording(s3_server: S3Ser
         process = subprocess.Popen([sys.executable, "-c", PUTTING, tests, *where])
         assert slow.held.wait(60.0)  # one part is there, and not all
         process.send_signal(signal.SIGKILL)
-        process.wait(30)
+        process.wait(120)
     assert behind.names() == []
     (left,) = behind.left()
     (item,) = behind.store.listed()

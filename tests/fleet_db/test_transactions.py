@@ -99,7 +99,7 @@ def test_a_writer_killed_in_the_middle_leaves_nothing_and_blocks_nobody(fleet: S
         assert line_of(running) == "in the middle"
         assert counts(fleet) == (0, 0, 0)
         running.send_signal(signal.SIGKILL)
-        assert running.wait(30) == -signal.SIGKILL
+        assert running.wait(120) == -signal.SIGKILL
     assert counts(fleet) == (0, 0, 0)
     with fleet.write() as unit:
         assert unit.windows.put(make.window(3), 1.0, 1)
@@ -144,7 +144,7 @@ def test_two_who_store_the_same_window_at_once(fleet: SqlStorage) -> None:
     barrier = threading.Barrier(4)
 
     def put(_: int) -> list[bool]:
-        barrier.wait(30)
+        barrier.wait(120)
         with fleet.write() as unit:
             return [unit.windows.put(make.window(index), 1.0, 1) for index in range(5)]
 
@@ -191,7 +191,7 @@ def test_a_killed_scheduler_lets_the_next_one_in(fleet: SqlStorage) -> None:
         ):
             pass
         running.kill()
-        running.wait(30)
+        running.wait(120)
         for _ in range(200):  # its lease ends by its time
             try:
                 with fleet.owned(JobTrigger.SCHEDULE, "second", 2.0):

@@ -101,7 +101,7 @@ def consumer(folder: Path, name: str, given: dict[str, str]) -> Iterator[Consume
         yield ConsumerProcess(process, file)
     finally:
         process.kill()
-        process.wait(30)
+        process.wait(120)
 
 
 @pytest.fixture
@@ -130,7 +130,7 @@ def test_a_consumer_that_is_killed_is_followed_by_another_and_nothing_is_lost_or
     with consumer(tmp_path, "first", given) as first:
         eventually(lambda: decoded(deployment) >= 3)
         first.process.send_signal(signal.SIGKILL)
-        first.process.wait(30)
+        first.process.wait(120)
     assert decoded(deployment) < 10
     assert cluster.committed() < 10
     with consumer(tmp_path, "second", given) as second:
@@ -143,7 +143,7 @@ def test_a_consumer_that_is_killed_is_followed_by_another_and_nothing_is_lost_or
         assert second.measure('treadwatch_consumer_up{what="broker"}') == 1.0
         assert second.measure("treadwatch_consumer_last_reference_age_seconds") >= 0.0
         second.process.send_signal(signal.SIGTERM)
-        assert second.process.wait(30) == 0
+        assert second.process.wait(120) == 0
     made = windows(deployment)
     assert made
     receiver = receiver_of(deployment)
@@ -179,7 +179,7 @@ def test_a_consumer_whose_broker_is_away_says_so_goes_on_and_ends_when_asked(
         eventually(lambda: alone.ask("/readyz")[0] == 200)
         cluster.down()
         alone.process.send_signal(signal.SIGTERM)
-        assert alone.process.wait(30) == 0
+        assert alone.process.wait(120) == 0
         assert "in the middle of a chunk" not in alone.log.read_text()
 
 
@@ -218,7 +218,7 @@ def test_uploads_publish_and_do_not_wait_for_a_broker_that_is_away(cluster: Mock
         eventually(lambda: measured(client, done) == 3.0)
         assert three.put(client).status_code == 201
         service.process.terminate()  # what was just received is published before the end
-        assert service.process.wait(30) == 0
+        assert service.process.wait(120) == 0
     digests = sorted(json.loads(message.value() or b"")["sha256"] for message in cluster.messages(4))
     assert digests == sorted(each.digest for each in (one, two, two, three))
 
