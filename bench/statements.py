@@ -2,8 +2,8 @@
 
 By size: copies of a vehicle of four wheelsets send one recording of one window each, from which alerts follow. What is
 given is the difference between two sizes by the wheelsets or windows that it is made of: what one more of them costs.
-By days: four wheelsets run one window a day, and all jobs run after each day; a job is flat where the last day costs it
-as many statements as the first ones after the parts of its history are there.
+``BEGIN``, which SQLite is sent and PostgreSQL is not, is not counted.
+By days: four wheelsets run one window a day, and all jobs run after each day.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ WINDOW_S, DAY_NS, BEGIN_NS = 120.0, 86_400_000_000_000, 1_704_700_000_000_000_00
 WHEELSETS_OF_VEHICLE, AXLE_OFFSETS = 4, (2.0, 4.5, 14.0, 16.5)
 INGEST = "ingest"
 OF_ONE = (INGEST, "estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts")
-REACH_OF_ONE, REACH_OF_JOB = 8.0, 150
+REACH_OF_ONE, REACH_OF_JOB, NOT_EVERY_DAY = 8.0, 150, 20
 Counts = Mapping[str, int]
 
 
@@ -60,7 +60,7 @@ class Deployment:
         with executed_statements() as executed:
             for vehicle, path in recordings:
                 receiver.receive_file(path, vehicle)
-        return len(executed)
+        return _counted(executed)
 
     def run_jobs(self) -> dict[str, int]:
         """Run all jobs; return the number of statements of each."""
@@ -71,8 +71,12 @@ class Deployment:
                 run = run_job(job, context, JobTrigger.CLI)
             if run.error is not None:
                 raise TreadwatchError(f"{run.job}: {run.error}")
-            found[job.name] = len(executed)
+            found[job.name] = _counted(executed)
         return found
+
+
+def _counted(executed: Sequence[str]) -> int:
+    return sum(not statement.startswith("BEGIN") for statement in executed)
 
 
 def simulated(folder: Path, days: int) -> FleetReport:
@@ -129,6 +133,12 @@ def of_days(folder: Path, report: FleetReport, url: str | None = None) -> list[C
     return found
 
 
+def is_flat(of_job: Sequence[int]) -> bool:
+    """Return whether the last days cost no more than the third did, but for what not every day brings."""
+    third = of_job[min(2, len(of_job) - 1)]
+    return max(of_job[2:], default=third) <= third + NOT_EVERY_DAY
+
+
 def rows(folder: Path, wheelsets: Sequence[int], days: int) -> Iterator[BenchRow]:
     """Yield the statements of one wheelset more, and those of each job by days of history.
 
@@ -150,7 +160,7 @@ def rows(folder: Path, wheelsets: Sequence[int], days: int) -> Iterator[BenchRow
     for name in by_day[0]:
         of_job = [executed[name] for executed in by_day]
         reach = "" if name == INGEST else f"<= {REACH_OF_JOB}, flat"
-        met = not reach or (max(of_job) <= REACH_OF_JOB and of_job[-1] <= max(of_job[:-1], default=of_job[-1]))
+        met = not reach or (max(of_job) <= REACH_OF_JOB and is_flat(of_job))
         yield BenchRow(f"one window more after 1 to {days} days: {name}", ", ".join(map(str, of_job)), reach, met)
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, and_, case, delete, exists, func, select, tuple_, union_all
 
 from estimation.errors import DamagedError
-from estimation.values.windows import HUNTING_SHARE, PassedOver, Window, WindowKey, WindowRecord
+from estimation.values.windows import HUNTING_SHARE, DueStage, PassedOver, Window, WindowKey, WindowRecord
 from fleet_db import alignment_due
-from fleet_db.due import windows_changed
+from fleet_db.due import OF_SAMPLES, windows_changed
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import insert_all_new, replace_all, table_of
 from fleet_db.stores.window_marks import list_for_sums, pass_over
@@ -106,8 +106,7 @@ class AssembledWindowStore:
         """
         rows = [self._row(each, recorded_ns) for each in windows]
         count = insert_all_new(self.connection, WINDOWS, rows)
-        windows_changed(self.connection, [(each.window.wheelset, each.window.start_ns) for each in windows])
-        alignment_due.come(self.subjects, _sections(windows))
+        self._changed(windows)
         return count == len(rows)
 
     def replace(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> None:
@@ -118,9 +117,16 @@ class AssembledWindowStore:
             keys = [(each.window.wheelset, each.window.start_ns) for each in windows]
             self._touch(keys)
             replace_all(self.connection, WINDOWS, rows)
-            windows_changed(self.connection, keys)
-            alignment_due.come(self.subjects, _sections(windows))
+            self._changed(windows)
             alignment_due.left(self.subjects, keys)
+
+    def _changed(self, windows: Sequence[AssembledWindow]) -> None:
+        """List windows that have these samples now; those on no section are no concern of an alignment."""
+        sections = _sections(windows)
+        windows_changed(self.connection, [key for key, section in sections.items() if section is None])
+        on_section = [key for key, section in sections.items() if section is not None]
+        windows_changed(self.connection, on_section, (*OF_SAMPLES, DueStage.ALIGNMENT))
+        alignment_due.raise_sections(self.subjects, sections.values())
 
     def _touch(self, keys: Sequence[WindowKey]) -> None:
         """Let jobs look again at the sections that windows are on as they are stored, and at who hunts in them."""
