@@ -89,9 +89,9 @@ def simulated(folder: Path, days: int) -> FleetReport:
     return run_fleet(replace(scenario, sessions=sessions, vehicles=(vehicle,)), folder, workers=1)
 
 
-def deployed(folder: Path, report: FleetReport, url: str | None = None) -> Deployment:
+def deployed(folder: Path, report: FleetReport) -> Deployment:
     """Return a deployment on an empty database that knows the registry."""
-    settings = Settings(data_dir=folder, database_url=url, window_length_s=WINDOW_S, _env_file=None)
+    settings = Settings(data_dir=folder, database_url=None, window_length_s=WINDOW_S, _env_file=None)
     upgrade(settings.url)
     storage = open_store(settings)
     with storage.write() as unit:
@@ -99,11 +99,11 @@ def deployed(folder: Path, report: FleetReport, url: str | None = None) -> Deplo
     return Deployment(settings, storage, StandingClock(BEGIN_NS))
 
 
-def of_fleet(folder: Path, report: FleetReport, vehicles: int, url: str | None = None) -> Counts:
+def of_fleet(folder: Path, report: FleetReport, vehicles: int) -> Counts:
     """Return the statements of ingest and of each job, of so many vehicles that send one recording."""
     (folder / "deployed").mkdir(parents=True)
     model = report.recordings[0]
-    deployment = deployed(folder / "deployed", report, url)
+    deployment = deployed(folder / "deployed", report)
     with closing(deployment.storage):
         register(deployment.storage, model.vehicle, vehicles)
         sent = list(copies(folder / "recordings", model.path.read_bytes(), vehicles))
@@ -122,9 +122,9 @@ def of_one_more(counts: Mapping[int, Counts]) -> dict[str, float]:
     return {name: (counts[large][name] - counts[small][name]) / more for name in counts[small]}
 
 
-def of_days(folder: Path, report: FleetReport, url: str | None = None) -> list[Counts]:
+def of_days(folder: Path, report: FleetReport) -> list[Counts]:
     """Return the statements of ingest and of each job, of each day."""
-    deployment, found = deployed(folder, report, url), []
+    deployment, found = deployed(folder, report), []
     with closing(deployment.storage):
         for recording in report.recordings:
             deployment.clock.at_ns += DAY_NS

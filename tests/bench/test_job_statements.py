@@ -9,16 +9,16 @@ import pytest
 from bench.house import CORE_JOBS, job_statements
 
 MOST = {
-    "refresh_alignment": 79,
-    "estimate_windows": 73,
+    "refresh_alignment": 78,
+    "estimate_windows": 86,
     "refresh_geometry": 63,
-    "refresh_adhesion": 118,
-    "refresh_trends": 38,
-    "evaluate_alerts": 89,
-    "refresh_rails": 66,
-    "refresh_signatures": 88,
+    "refresh_adhesion": 115,
+    "refresh_trends": 37,
+    "evaluate_alerts": 88,
+    "refresh_rails": 65,
+    "refresh_signatures": 85,
 }
-MOST_TO_ALERTS = 332
+MOST_TO_ALERTS = 343
 
 
 @pytest.mark.slow
