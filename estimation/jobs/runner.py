@@ -47,6 +47,10 @@ def run_all(stages: Iterable[AnyStage], context: JobContext, isolation: Isolatio
     counts, listed = Counter(quarantined=0), set[str]()
     isolation, looked = isolation or Isolation(context, waiting[0].job), False
     while waiting:
+        if looked and not _is_listed(waiting[0], listed):
+            with context.storage.write() as unit:
+                unit.marks.list_again(waiting[0].inputs(context))
+            listed.add(waiting[0].name)
         due: Mapping[str, Due] = {}
         with context.storage.read() as unit:
             if not looked:
@@ -61,10 +65,6 @@ def run_all(stages: Iterable[AnyStage], context: JobContext, isolation: Isolatio
             ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
             _try_again(stage, context, ready, isolation)
             counts.update(_handed_out(stage, context, ready, len(due), isolation))
-        elif waiting:
-            with context.storage.write() as unit:
-                unit.marks.list_again(waiting[0].inputs(context))
-            listed.add(waiting[0].name)
     counts["quarantined"] += isolation.quarantined
     return counts
 
