@@ -21,12 +21,11 @@ from estimation.errors import ContactError
 from estimation.estimators.interface import EstimatorParameters
 from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.paper_equations import PaperParameters, recursion_in_bins
-from estimation.filters.local_cubic import local_cubic_kernel
-from estimation.filters.smoothing_spline import remove_wander
+from estimation.filters import local_cubic_kernel, remove_wander
 from estimation.motion.integration import integrate_once, integrate_twice, take_out_mean
 from estimation.motion.rolling_radius_difference import sample_smoothed
-from estimation.motion.rolling_sums import ROWS, Equation, add_spectra, mirror, write_pieces
-from estimation.motion.track_lookup import evaluate, extent
+from estimation.motion.rolling_sums import ROWS, Equation, add_spectra, write_pieces
+from estimation.motion.track_lookup import evaluate
 from estimation.tables.bin_table import BinParameters, fill_cells, group_of
 from estimation.track.panel.normal_equations import add_filtered_hats
 from estimation.track.screening.agreement import cross_products, own_products
@@ -170,7 +169,6 @@ def _rolling_radius() -> Iterator[FloatArray]:
     densities = np.full(4, 1e-6), np.full(4, 1e-8)
     place = (0.02, 40, 1.0, equation, *densities, (2.5, 10.0))
     add_spectra(np.fft.rfft(pieces), speeds, part, *place, products, noise)
-    mirror(products)
     yield from (pieces, products, noise)
 
 
@@ -304,7 +302,7 @@ def _integrals() -> Iterator[FloatArray]:
     shifted = np.array([0.0, 1.4, 1.6, 3.0])  # whose points are off an even grid
     uneven = np.full(len(places), -1.0)
     evaluate(places, shifted, coefficients, uneven)
-    yield from (found, uneven, np.array(extent(places, 0.0, 3.0)))
+    yield from (found, uneven)
 
 
 RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (

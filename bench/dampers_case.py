@@ -17,8 +17,7 @@ import numpy as np
 
 from bench.adhesion_fleet import class_of, simulate
 from estimation.adhesion.creep_forces import gear_segments
-from estimation.dampers.pooled import DamperParameters, gear_damper
-from estimation.dampers.window_damper import window_damper
+from estimation.dampers.damper import DamperParameters, gear_damper, window_damper
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window

@@ -28,7 +28,7 @@ from api.factory import open_store
 from api.settings import Settings
 from bench.decision_cases import UNIT, Case, estimated, merged, moved, paper_bins, received, score
 from bench.results_page import write_page
-from estimation.filters.smoothing_spline import remove_wander
+from estimation.filters import remove_wander
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
@@ -161,7 +161,7 @@ def rms(parts: Sequence[FloatArray]) -> float:
 
 
 def smoother(values: FloatArray, distance: FloatArray, _dt: float) -> FloatArray:
-    """Return what ``estimation.filters.smoothing_spline`` leaves of ``values``."""
+    """Return what ``estimation.filters`` leaves of ``values``."""
     known = np.ones(len(values), dtype=np.bool_)
     return np.asarray(remove_wander(values[None, :], distance, known, CUT_OFF)[0])
 

@@ -22,7 +22,7 @@ from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_d
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.wear import TreadWear, WearFamily, wear_course, worn
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.geometry.rolling_line import SLOPES, ContactRoll, held_shares, left_in_difference
+from estimation.geometry.sharpening import SLOPES, ContactRoll, held_shares, left_in_difference
 from estimation.geometry.uncertainty import SCALE_STDS, ParameterUncertainty
 from estimation.motion.rolling_radius_difference import standard_displacement
 from estimation.tables import bin_table

@@ -17,7 +17,7 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
 from estimation.errors import ContactError
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
-from estimation.geometry.rolling_line import ContactRoll
+from estimation.geometry.sharpening import ContactRoll
 from estimation.geometry.uncertainty import SCALE_STDS, DisplacementError
 from estimation.motion.rolling_radius_difference import standard_displacement
 from estimation.tables.bin_table import BinParameters

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.motion.track_lookup import deconvolved
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.quantities import NORMAL_95

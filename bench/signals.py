@@ -13,7 +13,7 @@ from rich.table import Table
 
 from bench.report import BenchRow
 from bench.signal_cases import AMPLITUDES, COURSES, Run, simulate, wheelsets
-from estimation.filters.smoothing_spline import remove_wander
+from estimation.filters import remove_wander
 from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.checks import usable_samples

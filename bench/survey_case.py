@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.survey_fleets import AMPLITUDES, Fleet, drawn_track
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import USUAL_CUTOFF, ParameterUncertainty, alignment_std
 from estimation.motion.track_lookup import alignment_at

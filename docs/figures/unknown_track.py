@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from api.comparison.study import TrueWheelset, read_truth
 from api.comparison.trial import deploy, opened, receive, record, run_jobs
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.track import TrackAlignment
 from ingest.simulator.campaign import scenario_track

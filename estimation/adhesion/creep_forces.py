@@ -1,8 +1,8 @@
 """What the rails do to the wheelsets of a running gear, from its accelerations by Newton's equations.
 
 The filter knows no creep law, no track and no contact geometry: a force is what the motion needs. Of each wheelset it
-gives the lateral force at the contacts (creep and gravitational stiffness together; ``gravity`` parts them) and the
-moment of the creep forces about the vertical,
+gives the lateral force at the contacts (creep and gravitational stiffness together) and the moment of the creep forces
+about the vertical,
 
     M_creep = I psi'' + k_psi (psi - psi_f) + f_psi (psi' - psi_f') + (Iwy V/r0) phi'
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from estimation.adhesion.stationary_filter import AXLE, StationaryFilter, stationary_filter
 from estimation.compiled import compiled
-from estimation.filters.smoothing_spline import remove_wander
+from estimation.filters import remove_wander
 from estimation.motion.checks import moving_samples
 from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, integrate
 from estimation.motion.parameters import SignalParameters
@@ -74,13 +74,11 @@ def gear_segments(
     found = [integrate(window, usable, signals).segments for window in windows]
     if not found[0]:
         return Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of {signals.shortest_segment_s:g} s")
-    segments = tuple(_segment(windows, parts) for parts in zip(*found, strict=True))
-    return GearSegments(segments, usable, windows[0].sample_interval_s, axles)
-
-
-def _segment(windows: Sequence[Window], parts: tuple[IntegratedSegment, ...]) -> GearSegment:
-    rolls = tuple(remove_wander(one.displacements[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts)
-    return GearSegment(parts, rolls, _accelerations(windows, parts, rolls))
+    segments = []
+    for parts in zip(*found, strict=True):
+        rolls = tuple(remove_wander(one.displacements[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts)
+        segments.append(GearSegment(parts, rolls, _accelerations(windows, parts, rolls)))
+    return GearSegments(tuple(segments), usable, windows[0].sample_interval_s, axles)
 
 
 def _accelerations(
@@ -174,11 +172,7 @@ HALF_LENGTH_S = 0.12  # of the low-pass, on each side
 def without_vibration(
     accelerations: FloatArray, known: BoolArray, sample_interval_s: float, lateral: slice
 ) -> tuple[FloatArray, bool]:
-    """Return accelerations of a running gear, low-passed where its axle boxes vibrate, and whether they do.
-
-    Args:
-        accelerations: (k, n) without means, 0 where not known; m/s2 and rad/s2.
-    """
+    """Return accelerations of a running gear, low-passed where its axle boxes vibrate, and whether they do."""
     from scipy import signal  # noqa: PLC0415 - slow to import, and few need it
 
     rate = 1.0 / sample_interval_s
@@ -288,7 +282,6 @@ def _named(
     roll_rate: FloatArray,
     p: VehicleParameters,
 ) -> FloatArray:
-    """Return contact force, moment of creep, yaw rate and roll (4, m) of an axle."""
     force = made.states + 2 * axle
     gyroscopic = p.pitch_inertia * segment.speed / p.nominal_radius * roll_rate
     return np.stack([states[:, force], states[:, force + 1] + gyroscopic, states[:, AXLE * axle + 3], roll])

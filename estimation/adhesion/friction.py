@@ -5,7 +5,7 @@ curve of a wheelset is off by; b_v, common to all places of a vehicle, is by how
 of its class: known beforehand with the std of creep coefficient and yaw spring, and of what the filter makes of the
 moment, and measured against usual rails (``creep_levels``). What no b explains is saturation, whose share of the creep
 grows with the force. Of a place 1/mu is known beforehand as ``usual`` with a wide std. With a and b known, what the
-passes say of each place, and what all of them have wrong (``place_errors``), is put together along the track
+passes say of each place, and what all of them have wrong (``common_std``), is put together along the track
 (``along_track``).
 
 Whether a section is slippery for the most part, or all its vehicles creep by more than their class.
@@ -13,6 +13,8 @@ Whether a section is slippery for the most part, or all its vehicles creep by mo
 The level of creep is the same for both. More creep than two stds of what a class leaves open is unlikely for all
 vehicles alike; then the shape decides: an error of linear creep leaves squares that no friction takes up, slippery
 rails leave none of them.
+
+What of a window is on rails of low friction: creep is not linear there, and the geometry would be wrong.
 """
 
 from __future__ import annotations
@@ -24,17 +26,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from estimation.adhesion.along_track import (
+from estimation.adhesion.parameters import FrictionParameters
+from estimation.adhesion.pass_sums import (
+    Agreed,
+    PassSums,
     along_track,
     common_std,
+    contradicting,
     creep_levels,
+    pass_sums,
 )
-from estimation.adhesion.parameters import FrictionParameters
-from estimation.adhesion.pass_sums import Agreed, PassSums, contradicting, pass_sums
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.track import Correction
+from estimation.values.windows import Window
 
 MOST_CREEP = 2.0  # stds of b that all vehicles have in common, from which the shape is asked
 LEAST_SUPPORT = 0.8  # of the squares that an error of linear creep would leave, to be taken for one
@@ -56,10 +63,8 @@ def _left(sums: PassSums, creep: FloatArray, slope: FloatArray) -> float:
     """Return the squares of e that are left where each place has the friction that fits it best, but for a constant."""
     b, a = creep[sums.vehicle], slope[sums.wheelset]
     _, eq, qq, _, qx, _ = sums.squares.T
-    ge, gg, gq, gx = (sums.saturated[:, row] for row in range(4))
     linear = b * (b * qq - 2.0 * eq + 2.0 * a * qx)
-    saturated = gg - 2.0 * ge + 2.0 * b[:, None] * gq + 2.0 * a[:, None] * gx
-    return float(linear.sum() + sums.by_place(saturated).min(axis=1).sum())
+    return float(linear.sum() + sums.by_place(_own_misfits(sums, creep, slope)).min(axis=1).sum())
 
 
 LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of a place
@@ -122,8 +127,8 @@ def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) ->
     smoothed = sums.by_place(sums.smoothed) > 0.0
     places = []
     for c, cell in enumerate(sums.cells):
-        inverse = _Inverse(*(float(one[c]) for one in (mean, std, by_creep, by_scale)))
-        place = _cell(int(cell), int(counts[c]), left[c], inverse, parameters)
+        stds = float(std[c]), float(by_creep[c]), float(by_scale[c])
+        place = _cell(int(cell), int(counts[c]), left[c], float(mean[c]), stds, parameters)
         place = replace(place, vehicles=int(vehicles[c]))
         places.append(_two_sided(place) if smoothed[c] else place)
     return tuple(places)
@@ -245,34 +250,23 @@ def _everywhere(slope: FloatArray, inverse: FloatArray, parameters: FrictionPara
     return np.maximum(slope, np.median(usual)) if len(usual) else slope
 
 
-@dataclass(frozen=True, slots=True)
-class _Inverse:
-    """1/mu of a place and its stds."""
-
-    mean: float
-    sampled: float  # by what the passes say
-    by_creep: float  # by the b that all vehicles share
-    by_scale: float  # by the scales of sensors
-
-    def systematic(self, parameters: FrictionParameters) -> float:
-        """Return the std of what more passes do not show, with sensors as on file: it decides where friction is low."""
-        relative = math.hypot(parameters.law_std, parameters.file.factor_std)
-        return math.hypot(relative * self.mean, self.by_creep)
-
-
-def _cell(cell: int, n: int, left: float, found: _Inverse, parameters: FrictionParameters) -> CellFriction:
-    """Return the friction of a place of n passes."""
+def _cell(
+    cell: int, n: int, left: float, inverse: float, stds: tuple[float, float, float], parameters: FrictionParameters
+) -> CellFriction:
+    """Return the friction of a place of n passes by its 1/mu, with stds by the passes, by common b, by sensors."""
     if n < parameters.fewest_passes:
         few = Reason(ReasonCode.TOO_FEW_PASSES, f"{n} of {parameters.fewest_passes} passes that are needed")
         return CellFriction(cell, Estimate.unknown(few, float(n)), 0.0, 0.0, n)
     if left > LEARNT * parameters.usual_std:
         small = Reason(ReasonCode.CREEP_TOO_SMALL, f"creep is so small in {n} passes that it shows no friction")
         return CellFriction(cell, Estimate.unknown(small, float(n)), 0.0, 0.0, n)
-    inverse, decided = found.mean, found.systematic(parameters)
-    systematic = math.hypot(decided, found.by_scale)
-    half = math.hypot(float(stdtrit(n - 1, 0.975)) * found.sampled, NORMAL_95 * systematic)
-    std = math.hypot(found.sampled, systematic)
-    probability = float(stdtr(n - 1, (inverse - 1.0 / parameters.low) / math.hypot(found.sampled, decided)))
+    sampled, by_creep, by_scale = stds
+    # what more passes do not show, with sensors as on file, decides where friction is low
+    decided = math.hypot(math.hypot(parameters.law_std, parameters.file.factor_std) * inverse, by_creep)
+    systematic = math.hypot(decided, by_scale)
+    half = math.hypot(float(stdtrit(n - 1, 0.975)) * sampled, NORMAL_95 * systematic)
+    std = math.hypot(sampled, systematic)
+    probability = float(stdtr(n - 1, (inverse - 1.0 / parameters.low) / math.hypot(sampled, decided)))
     low, high = 1.0 / (inverse + half), 1.0 / max(inverse - half, 1e-9)
     if high > parameters.least_upper:
         small = Reason(ReasonCode.CREEP_TOO_SMALL, f"the friction is at least {low:.2f}; creep shows no upper bound")
@@ -328,3 +322,41 @@ def certain_stretches(cells: Sequence[CellFriction], parameters: FrictionParamet
         begin = found.pop()[0] if found and found[-1][1] == one.from_m else one.from_m
         found.append((begin, one.to_m))
     return tuple(found)
+
+
+MARGIN = 25.0  # m kept from a stretch of low friction: half a place
+MOST_LEFT_OUT = 0.25  # share of the samples from which low friction is why too few are left
+TOO_LITTLE = frozenset({ReasonCode.NO_USABLE_SAMPLE, ReasonCode.INTERRUPTED, ReasonCode.TOO_FEW_USABLE})
+
+
+def away_from_low_adhesion(
+    window: Window, stretches: Sequence[tuple[float, float]], correction: Correction | None = None
+) -> Window | Reason:
+    """Return the window with its samples on low friction not valid, or that none is left."""
+    if not stretches:
+        return window
+    distance = window.distance if correction is None else correction.at(window.distance)
+    low = np.zeros(len(window.valid), np.bool_)
+    for begin, end in stretches:
+        low |= (distance >= begin - MARGIN) & (distance <= end + MARGIN)
+    left = window.valid & ~low
+    if not left.any() and window.valid.any():
+        return Reason(ReasonCode.LOW_ADHESION, "all of the window is on rails of low friction")
+    return replace(window, valid=left)
+
+
+def refused_for_low_adhesion(reason: Reason, window: Window, kept: Window) -> Reason:
+    """Return why a window is refused: low friction, where that took most of its samples and too few are left."""
+    share = 1.0 - float(kept.valid.sum()) / max(int(window.valid.sum()), 1)
+    if share < MOST_LEFT_OUT or reason.code not in TOO_LITTLE:
+        return reason
+    text = f"{share:.0%} of its samples are on rails of low friction; of the rest: {reason.text}"
+    return Reason(ReasonCode.LOW_ADHESION, text)
+
+
+def touched(one: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    """Return the stretches of low friction that a window was on."""
+    if one.sums is None or not len(one.sums.cells):
+        return ()
+    first, behind = CELL_LENGTH * one.sums.cells[0], CELL_LENGTH * (one.sums.cells[-1] + 1)
+    return tuple((begin, end) for begin, end in stretches if begin < behind + MARGIN and end > first - MARGIN)

@@ -5,9 +5,9 @@ derivative, a standard deviation and a time of change, and is zero on average. O
 
 - accelerations, with the noise density on file;
 - that displacements and angles stay near the track: each is zero but for white noise, whose density puts the corner
-  from which the filter believes the accelerations at ``corner_wavelength``;
+  from which the filter believes the accelerations at ``CORNER_WAVELENGTH``;
 - that a wheelset rolls nearly where it points: psi - (y' + r0 phi')/V is the lateral creepage with the sign reversed,
-  an Ornstein-Uhlenbeck process of ``creepage_std``. No creep law and no friction is assumed.
+  an Ornstein-Uhlenbeck process of ``CREEPAGE_STD``. No creep law and no friction is assumed.
 
 Speeds differ little within a window; the gains are those of its mean speed. A fixed-interval smoother (Rauch, Tung and
 Striebel 1965) with stationary gains goes back over the window.
@@ -60,11 +60,7 @@ class GearEquations(FrozenArrays):
 
 
 def gear_equations(parameters: VehicleParameters, bogie: BogieParameters | None) -> GearEquations:
-    """Return the equations of one running gear of a class.
-
-    Args:
-        bogie: What two wheelsets share; None where a mass is above each.
-    """
+    """Return the equations of one running gear of a class."""
     places = (0.0,) if bogie is None else (0.5 * bogie.wheelbase, -0.5 * bogie.wheelbase)
     axles = len(places)
     above = AXLE * axles  # first state of the mass, or of frame (y, y', psi, psi') and body (y, y')
@@ -116,7 +112,6 @@ def _suspension(p: VehicleParameters, n: int, axle: int, place: float | None) ->
 
 
 def _carried(bogie: BogieParameters, rates: FloatArray, force: FloatArray, moment: FloatArray, above: int) -> None:
-    """Write the rates of frame and body into ``rates``."""
     body, stiffness, damping = above + 4, bogie.secondary_lateral_stiffness, bogie.secondary_lateral_damping
     secondary = np.zeros(len(rates))
     secondary[[body, above]] = stiffness, -stiffness
@@ -178,11 +173,8 @@ def _filter(
     rates, noise, scale = _with_inputs(gear, vehicle.load)
     n = len(rates)
     rates, noise = rates * scale / scale[:, None], noise / np.outer(scale, scale)
-    # Van Loan 1978: transition and covariance over a sample from one exponential
-    block = scipy.linalg.expm(dt * np.block([[-rates, noise], [np.zeros((n, n)), rates.T]]))
-    transition = np.ascontiguousarray(block[n:, n:].T)
-    process = transition @ block[:n, n:]
-    process = 0.5 * (process + process.T) + ROUNDING * np.eye(n)
+    transition, process = over_a_sample(rates, noise, dt)
+    process += ROUNDING * np.eye(n)
     rows = _measured(gear, n, speed) * scale
     wheelbase = None if bogie is None else bogie.wheelbase
     variance = _variances(gear, sensors, wheelbase, dt, 2.0 * math.pi * speed / CORNER_WAVELENGTH)
@@ -200,6 +192,15 @@ def _filter(
         axles=gear.axles,
         states=len(gear.rates),
     )
+
+
+def over_a_sample(rates: FloatArray, noise: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
+    """Return transition and covariance (n, n) over ``dt``, driven by noise of an intensity (n, n) (Van Loan 1978)."""
+    n = len(rates)
+    block = scipy.linalg.expm(dt * np.block([[-rates, noise], [np.zeros((n, n)), rates.T]]))
+    transition = np.ascontiguousarray(block[n:, n:].T)
+    process = transition @ block[:n, n:]
+    return transition, 0.5 * (process + process.T)
 
 
 def _with_inputs(gear: GearEquations, load: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -223,7 +224,6 @@ def _with_inputs(gear: GearEquations, load: float) -> tuple[FloatArray, FloatArr
 
 
 def _measured(gear: GearEquations, n: int, speed: float) -> FloatArray:
-    """Return the rows (m, n) of what is measured: accelerations, places, and where wheelsets roll."""
     own, forces = len(gear.rates), 2 * gear.axles
     accelerations = np.zeros((len(gear.measured), n))
     accelerations[:, :own], accelerations[:, own : own + forces] = gear.measured, gear.measured_inputs

@@ -5,23 +5,34 @@ By how much creepage exceeds the linear one at a force, of every sample at every
 The law is that of Vermeulen and Johnson (1964), solved for the creepage. With t = T/(mu N), T the resultant creep force
 of a wheel and N its normal force, t = 1 - (1 - u/3)^3 gives the linear force that would act at the same creepage,
 u mu N = 3 (1 - (1 - t)^(1/3)) mu N. To first order it exceeds T by t/3 of it.
+
+The gravitational stiffness of a wheelset from its measured rolling radius difference and the profiles on file.
+
+The load stands on inclined contacts: gravity pushes a wheelset back by W (D/2 + phi), D = dL - dR. Where profiles have
+contact jumps D is a staircase of the displacement, so that a tenth of a millimetre of y - d decides over kilonewtons.
+The rolling radius difference R, though, is measured sample by sample by the yaw moment, and jumps at the same places.
+So D is looked up by R: in the contact geometry of the wheel profile on file, worn as far as the wheelset's estimated
+R(y - d) is best met.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from estimation.adhesion.creep_forces import ContactForces
-from estimation.adhesion.gravity import ContactAngles, contact_angles
 from estimation.adhesion.parameters import force_errors
 from estimation.compiled import compiled
-from estimation.filters.smoothing_spline import remove_wander
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.method import ContactMethod
+from estimation.contact.profiles import is_design, rail_profile, wheel_profile
+from estimation.contact.wear import HOLLOWS, TreadWear, worn
+from estimation.errors import ContactError, ProfileError
+from estimation.filters import remove_wander
 from estimation.motion.parameters import WindowParameters
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array, runs
 from estimation.values.geometry import WheelsetGeometry
@@ -32,6 +43,82 @@ from estimation.values.track import Correction, TrackSectionRecord
 from estimation.values.windows import Motion, Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import VehicleClass
+
+DISPLACEMENT = np.arange(-140, 141) * 0.05e-3  # m
+DEPTHS = np.arange(9) * 0.25e-3  # m, of wear
+USUAL_HOLLOW = (3e-3, 40e-3)  # m, centre and half width, of wheels that are in no family
+MOST_MISFIT = 0.15e-3  # m, rms of rL - rR between estimate and the best profile
+FEWEST_NODES = 5
+KEPT = 64
+
+
+@dataclass(frozen=True, slots=True)
+class ContactAngles(FrozenArrays):
+    """Contact angles over R of one wheelset on one rail; linear between."""
+
+    difference: Annotated[FloatArray, "n"]  # rL - rR, m, increasing
+    angle_difference: Annotated[FloatArray, "n"]  # dL - dR, rad
+    angle_sum: Annotated[FloatArray, "n"]  # dL + dR, rad
+    misfit: float  # m, rms of rL - rR against the estimate
+
+    def at(self, difference: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return dL - dR and dL + dR (n,), rad, at rL - rR (n,), m; beyond the table their last values."""
+        found = (np.interp(difference, self.difference, angles) for angles in (self.angle_difference, self.angle_sum))
+        return next(found), next(found)
+
+
+def contact_angles(
+    displacement: FloatArray, difference: FloatArray, wheel: str, section: TrackSectionRecord, radius: float
+) -> ContactAngles | Reason:
+    """Return the angles over R of the wear that meets an estimated curve best, or why the profiles on file do not.
+
+    Args:
+        displacement, difference: (b,) y - d and rL - rR there, m; NaN where it is not estimated.
+    """
+    known = np.isfinite(difference)
+    if known.sum() < FEWEST_NODES:
+        return Reason(ReasonCode.NO_CREEP_CURVE, f"rL - rR is known at {known.sum()} displacements")
+    rail = (section.rail_profile, section.rail_inclination, section.nominal_gauge_m)
+    if not (is_design(wheel) and is_design(section.rail_profile)):
+        return Reason(ReasonCode.PROFILES_UNKNOWN, f"{wheel} on {section.rail_profile} are no profiles with a shape")
+    family = _family(wheel, *rail, round(radius, 4))
+    if family is None:
+        return Reason(ReasonCode.PROFILES_UNKNOWN, f"{wheel} on {section.rail_profile} have no contact geometry")
+    curves, differences, sums = family
+    expected = np.stack([np.interp(displacement[known], DISPLACEMENT, curve) for curve in curves])
+    left = expected - difference[known]
+    misfit = np.sqrt(((left - left.mean(axis=1, keepdims=True)) ** 2).mean(axis=1))  # a diameter difference is no wear
+    best = int(np.argmin(misfit))
+    if misfit[best] > MOST_MISFIT:
+        return Reason(
+            ReasonCode.PROFILES_UNKNOWN,
+            f"{wheel} on {section.rail_profile}, however worn, miss the estimated rL - rR by"
+            f" {1e3 * misfit[best]:.2f} mm, at most {1e3 * MOST_MISFIT:.2f} mm are wear",
+        )
+    order = np.argsort(curves[best], kind="stable")
+    return ContactAngles(curves[best][order], differences[best][order], sums[best][order], float(misfit[best]))
+
+
+@lru_cache(maxsize=KEPT)
+def _family(
+    wheel: str, rail: str, inclination: float, gauge: float, radius: float
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return R, D and dL + dR (9, n) of a wheel worn more and more; None where it never touches the rail."""
+    centre, half_width = HOLLOWS.get(wheel, USUAL_HOLLOW)
+    found = []
+    try:
+        on = rail_profile(rail)
+        for depth in DEPTHS:
+            worn_wheel = worn(wheel_profile(wheel), TreadWear(float(depth), centre, half_width, float(depth)))
+            pair = WheelsetOnTrack.symmetric(worn_wheel, on, inclination, gauge, radius=radius)
+            table = contact_table(pair, DISPLACEMENT, method=ContactMethod.EN15302, outside="hold")
+            left, right = table.contact_angle_left[:, 0], table.contact_angle_right[:, 0]
+            found.append((table.rolling_radius_difference[:, 0], left - right, left + right))
+    except (ContactError, ProfileError):
+        return None
+    curves, differences, sums = np.moveaxis(np.array(found), 1, 0)
+    return curves, differences, sums
+
 
 SHARE_ROUNDS = 3  # of spin and saturation, each of which decides on the other
 MOST_UTILISATION = 0.98  # near 1 the creepage is beyond all bounds
@@ -144,7 +231,7 @@ def creep_signals(
         valid[start + trim : stop - trim] = True
     contact, moment, R, roll = passed
     none = np.full(len(V), np.nan)
-    D, A = (none, none) if angles is None else (angles.difference_at(R), angles.sum_at(R))
+    D, A = (none, none) if angles is None else angles.at(R)
     lateral = contact + p.load * (0.5 * D + roll)
     spin = 0.5 * p.lateral_spin_creep_coefficient / p.nominal_radius * A
     return CreepSignals(lateral, contact, moment, R, spin, valid & motion.valid & forces.known)
@@ -173,17 +260,13 @@ def friction_sums(
     moment = signals.moment[good]
     e, x = difference[good], motion.displacement[good]
     q = -p.nominal_radius / (p.half_contact_distance * f11) * moment
-    products = (e * e, e * q, q * q, e * x, q * x, x * x)
-    squares = np.stack([_summed(values, index, len(cells)) for values in products], axis=1)
+    sums = [np.bincount(index, values, len(cells)) for values in (e * e, e * q, q * q, e * x, q * x, x * x)]
+    squares = np.asarray(np.stack(sums, axis=1), np.float64)
     saturated = np.zeros((len(cells), 4, len(INVERSE)))
     forces = np.stack([0.5 * moment / p.half_contact_distance, 0.5 * signals.lateral[good], signals.spin[good]])
     add_saturated(excess_table(), np.stack([e, q, x]), forces, index, 0.5 * p.load / INVERSE, saturated)
     kept = counts * step * sample_interval_s >= FEWEST_S
     return FrictionSums(cells[kept], counts[kept].astype(float), squares[kept], saturated[kept])
-
-
-def _summed(values: FloatArray, index: npt.NDArray[np.intp], count: int) -> FloatArray:
-    return np.asarray(np.bincount(index, weights=values, minlength=count), np.float64)
 
 
 def _on_curve(displacement: FloatArray, centres: FloatArray, values: FloatArray) -> FloatArray:
@@ -266,8 +349,7 @@ def _forces(
     contact_force = with_interval(contact, contact * math.hypot(force_error, of_lateral))
     yaw_creep = with_interval(moment, moment * math.hypot(force_error, of_moment))
     if isinstance(angles, Reason):
-        unknown = Estimate.unknown(angles, 1.0)
-        return contact_force, unknown, yaw_creep, unknown
+        return contact_force, Estimate.unknown(angles, 1.0), yaw_creep, Estimate.unknown(angles, 1.0)
     lateral = _rms(found.lateral[found.valid])
     larger = found.resultants(vehicle_class.parameters.half_contact_distance)[:, found.valid].max(axis=0)
     used = float(np.quantile(larger, USED_QUANTILE)) / (0.5 * vehicle_class.parameters.load)
@@ -289,17 +371,5 @@ def refused(
 ) -> WindowAdhesion:
     """Return that a window has no creep forces."""
     status = Status.MODEL_MISMATCH if reason.code is ReasonCode.DIVERGED else Status.UNESTIMATED
-    unknown = Estimate.unknown(reason, 1.0, status)
-    return WindowAdhesion(
-        wheelset,
-        start_ns,
-        vehicle,
-        track_section,
-        content_digest,
-        status,
-        unknown,
-        unknown,
-        unknown,
-        unknown,
-        reason=reason,
-    )
+    unknown = (Estimate.unknown(reason, 1.0, status),) * 4
+    return WindowAdhesion(wheelset, start_ns, vehicle, track_section, content_digest, status, *unknown, reason=reason)

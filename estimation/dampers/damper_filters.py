@@ -16,6 +16,7 @@ from typing import Annotated
 import numpy as np
 import scipy.linalg
 
+from estimation.adhesion.stationary_filter import over_a_sample
 from estimation.compiled import compiled
 from estimation.dampers.suspension_equations import (
     between_samples,
@@ -295,12 +296,8 @@ def _one(
     intensity = np.outer(by_input, by_input) * of_wheelsets**2 / 2.0
     intensity[-1, -1] = (2.0 * math.pi * OFFSET_CORNER_HZ) ** 2 * above**2 / 2.0
     unit = above**2 / (2.0 * step_s)  # variance of what is measured above, which all covariances are over
-    # Van Loan 1978: transition and covariance over a sample from one exponential
-    block = scipy.linalg.expm(step_s * np.block([[-rates, intensity / unit], [np.zeros((n, n)), rates.T]]))
-    transition = np.ascontiguousarray(block[n:, n:].T)
-    process = transition @ block[:n, n:]
-    row = measured[None, :]
-    predicted = scipy.linalg.solve_discrete_are(transition.T, row.T, 0.5 * (process + process.T), np.eye(1))
+    transition, process = over_a_sample(rates, intensity / unit, step_s)
+    predicted = scipy.linalg.solve_discrete_are(transition.T, measured[:, None], process, np.eye(1))
     variance = float(measured @ predicted @ measured) + 1.0
     gain = predicted @ measured / variance
     return transition, _held(rates, by_input, step_s), measured, gain

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel, zero_crossing
-from estimation.geometry.rolling_line import FREE, ContactRoll, held_difference_std, moved_off, standard_curve
-from estimation.geometry.sharpening import Sharpening, edges_and_centres, jumps_displaced, nodes_of, sharpen
+from estimation.geometry.sharpening import (
+    FREE,
+    ContactRoll,
+    Sharpening,
+    edges_and_centres,
+    held_difference_std,
+    jumps_displaced,
+    moved_off,
+    nodes_of,
+    sharpen,
+    standard_curve,
+    widest,
+)
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import Centre, CentreOrigin
-from estimation.values.quantities import NORMAL_95, Estimate, jackknife_std, with_interval
+from estimation.values.quantities import Estimate, jackknife_std, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
 FEWEST_NODES = 5
@@ -82,7 +92,8 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     run = _run_around_zero(curve)
     groups = len(curve.difference) - 1
     if run is None or groups < FEWEST_GROUPS:
-        unknown = Estimate.unknown(_too_little(groups), curve.count)
+        few_bins = Reason(ReasonCode.TOO_FEW_BINS, "too few bins around the centre have samples")
+        unknown = Estimate.unknown(too_few_blocks(groups) if groups < FEWEST_GROUPS else few_bins, curve.count)
         return CurveEstimates(
             amplitude, (unknown,) * len(amplitude), parameters.reference_amplitude, unknown, unknown, unknown
         )
@@ -90,7 +101,9 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     conicity = tuple(_conicity(values[:, k], groups, curve.count, a) for k, a in enumerate(amplitude))
     at_reference, reported_amplitude = at_reference_amplitude(amplitude, conicity, parameters)
     nonlinearity = _nonlinearity(amplitude, values, groups, curve.count, parameters)
-    crossing = _zero_crossing(rows, curve, groups)
+    crossing = Estimate.unknown(NO_OFFSET, curve.count)
+    if not curve.band_limited:
+        crossing = _estimate(np.array([zero_crossing(*row) for row in rows]), groups, curve.count, NO_ZERO)
     centre = None if at_reference.value is None else _centre(rows[0], curve, reported_amplitude, at_reference.value)
     return CurveEstimates(amplitude, conicity, reported_amplitude, at_reference, nonlinearity, crossing, centre)
 
@@ -112,12 +125,6 @@ def not_covered(amplitude: float) -> Reason:
 def too_few_blocks(groups: int) -> Reason:
     """Return that there are too few blocks of running time for an interval."""
     return Reason(ReasonCode.TOO_FEW_BLOCKS, f"{groups} blocks of data, {FEWEST_GROUPS} are needed")
-
-
-def _too_little(groups: int) -> Reason:
-    if groups < FEWEST_GROUPS:
-        return too_few_blocks(groups)
-    return Reason(ReasonCode.TOO_FEW_BINS, "too few bins around the centre have samples")
 
 
 def _nonlinearity(
@@ -166,19 +173,17 @@ def _rows(curve: CurveReplicates, run: BoolArray, amplitude: FloatArray) -> tupl
     plain = (1 - curve.error.excess) * edges_and_centres(low, high)
     blurred = curve.row(plain, replace(curve.error, std=sharp.left).rounded(plain, nodes[0]))
     others = _systematic(curve.error, sharp, rows[0], blurred, amplitude)
-    lost, held = _lost_to_filters(*rows[0], amplitude), _held_off(rows[0], amplitude, conicity[0], curve.held_shares)
-    unseen = np.stack([lost, held]) if curve.band_limited else np.zeros((2, len(amplitude)))
+    unseen = np.zeros((2, len(amplitude)))
+    if curve.band_limited:
+        known = conicity[0][np.isfinite(conicity[0])]
+        std = held_difference_std(curve.held_shares, float(known[-1])) if len(known) else 0.0
+        unseen[0] = _lost_to_filters(*rows[0], amplitude)
+        if std > 0.0:  # of a difference of diameters that nobody knows of
+            unseen[1] = moved_off(*rows[0], amplitude, std)
     of_standard, difference = rows[0]
     stretched = ((1 + curve.error.scale) * of_standard, difference)
     conicities = np.concatenate([conicity, conicity[0] + others, conicity[0] + unseen])
     return [*rows, (of_standard / (1 - curve.error.excess), difference), stretched], conicities
-
-
-def _held_off(row: _Row, amplitude: FloatArray, here: FloatArray, shares: tuple[float, ...]) -> FloatArray:
-    """Return what a difference of diameters that nobody knows of changes of the conicity (a,)."""
-    covered = here[np.isfinite(here)]
-    std = held_difference_std(shares, float(covered[-1])) if len(covered) else 0.0
-    return moved_off(*row, amplitude, std) if std > 0.0 else np.zeros(len(amplitude))
 
 
 def _lost_to_filters(x: FloatArray, curve: FloatArray, amplitude: FloatArray) -> FloatArray:
@@ -222,19 +227,10 @@ def _systematic(
         [
             equivalent_conicity(x / (1 - error.excess), curve, amplitude) - here,
             (1.0 if sharp.left else BLUR_SHARE) * (equivalent_conicity(*blurred, amplitude) - here),
-            _widest(stretched, here),
-            _widest(displaced, here) if np.isfinite(middle) else np.zeros(len(here)),
+            widest(stretched, here),
+            widest(displaced, here) if np.isfinite(middle) else np.zeros(len(here)),
         ]
     )
-
-
-def _widest(changed: Callable[[float], FloatArray], here: FloatArray) -> FloatArray:
-    """Return the largest change per std within a 95 % interval, either way: a jump may be passed far out only.
-
-    Where a change leaves the range covered, the other way counts.
-    """
-    changes = [np.abs(changed(share) - here) / abs(share) for share in (-NORMAL_95, -1.0, 1.0, NORMAL_95)]
-    return np.asarray(np.max(np.nan_to_num(changes, posinf=np.inf), axis=0))
 
 
 def _estimate(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
@@ -270,10 +266,3 @@ def at_reference_amplitude(
     given = (one.reason for one in conicity if one.reason is not None)
     reason = next((one for one in given if one.code is ReasonCode.CONICITY_OPEN), NO_AMPLITUDE)
     return Estimate.unknown(reason, conicity[0].count), parameters.reference_amplitude
-
-
-def _zero_crossing(rows: list[_Row], curve: CurveReplicates, groups: int) -> Estimate:
-    if curve.band_limited:
-        return Estimate.unknown(NO_OFFSET, curve.count)
-    values = np.array([zero_crossing(x, difference) for x, difference in rows])
-    return _estimate(values, groups, curve.count, NO_ZERO)

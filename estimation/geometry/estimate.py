@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,6 @@ from estimation.values.quantities import jackknife_std, leave_one_out, normal_eq
 from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS, angle_difference_derivatives
 
 FEWEST_GROUPS = 4
-
 FEWEST_BINS = 5
 
 # Samples that say as much as one would of the scales of sensors and of their angle: errors of y - d last, and look
@@ -68,18 +68,11 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
     replicates = _replicates(table, bins, parameters)
     screening = _screened(table, replicates, bins, parameters)
     unc = parameters.uncertainty
-    S = _combination(replicates.lateral[:, :, 0], unc.lateral(), screening, parameters.prior_radius)
-    D = _angle_difference(replicates, screening, bins, parameters)
-    A = _angle_sum(replicates, screening, bins, parameters)
-    R = _radius_difference(replicates, screening, unc, parameters.prior_radius)
     curve = curve_estimates(_curve(table, replicates, screening, bins, unc), parameters.curve)
     geometry = WheelsetGeometry(
         bin_edges=table.edges,
         samples=table.weight.sum(axis=0),
-        rolling_radius_sum=S,
-        rolling_radius_difference=R,
-        contact_angle_sum=A,
-        contact_angle_difference=D,
+        **_combinations(replicates, screening, bins, parameters),
         amplitude=curve.amplitude,
         conicity=curve.conicity,
         reported_amplitude=curve.reported_amplitude,
@@ -122,7 +115,6 @@ def _expected_noise(table: BinTable, bins: BinParameters, uncertainty: Parameter
 def _screened(
     table: BinTable, replicates: _Replicates, bins: BinParameters, parameters: GeometryParameters
 ) -> _BinScreening:
-    """Return which bins have too few samples or a contact jump, and the error of y - d."""
     samples = table.weight.sum(axis=0)
     too_few = (samples < parameters.least_samples) | (replicates.groups_in_bin < FEWEST_GROUPS)
     jump = ~too_few & _jumps(replicates, too_few, parameters)
@@ -145,7 +137,6 @@ def _screened(
 def _curve(
     table: BinTable, replicates: _Replicates, screening: _BinScreening, bins: BinParameters, unc: ParameterUncertainty
 ) -> CurveReplicates:
-    """Return R across each bin with its replicates and sensitivities."""
     shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 8, 3), by target
     of_parameters = shape[0, :, 1:, :] * unc.yaw()[:, None]
     return CurveReplicates(
@@ -175,8 +166,7 @@ def _replicates(table: BinTable, bins: BinParameters, parameters: GeometryParame
         by_scales = np.zeros((b, REGRESSORS - 1, 0))
     else:
         stds = parameters.uncertainty.of_bogie
-        shared = solve_with_shared_scales(sums, weight, size, len(YAW_TARGETS), stds, COUNTED_AS_ONE)
-        yaw, by_scales = shared.solution, shared.sensitivity
+        yaw, by_scales = solve_with_shared_scales(sums, weight, size, len(YAW_TARGETS), stds, COUNTED_AS_ONE)
     own = yaw.theta.reshape(len(weight), b, size, len(YAW_TARGETS))[:, :, size - REGRESSORS :]
     vehicle = bins.vehicle
     per_metre = vehicle.half_contact_distance * vehicle.longitudinal_creep_coefficient / vehicle.nominal_radius
@@ -240,37 +230,28 @@ class _BinScreening:
 _STATUSES = (BinStatus.ESTIMATED, BinStatus.TOO_FEW, BinStatus.CONTACT_JUMP, BinStatus.UNOBSERVABLE)
 
 
-def _radius_difference(
-    replicates: _Replicates, screening: _BinScreening, unc: ParameterUncertainty, prior: float
-) -> BinValues:
-    """R over the bins; besides the parameters' stds enter those of the scales."""
-    value = replicates.yaw[:, :, 1]
-    by_scales = np.broadcast_to(replicates.by_scales[:, 0], (*value.shape[:2], replicates.by_scales.shape[-1]))
-    theta = np.concatenate([value, value[:, :, :1], by_scales], axis=-1)
-    relative = np.concatenate([unc.yaw(), [unc.scale], np.ones(by_scales.shape[-1])])
-    return _combination(theta, relative, screening, prior)
-
-
-def _angle_difference(
+def _combinations(
     replicates: _Replicates, screening: _BinScreening, bins: BinParameters, parameters: GeometryParameters
-) -> BinValues:
-    """D over the bins: what the data determine, divided by f23/r0 - W/2, of which f23 and W are uncertain."""
-    relative = parameters.uncertainty.lateral()
+) -> dict[str, Any]:
+    """Return S, R, A and D over the bins, by their names in a geometry."""
+    unc, radius, angle = parameters.uncertainty, parameters.prior_radius, parameters.prior_angle
+    R, A, D = replicates.yaw[:, :, 1], replicates.yaw[:, :, 0], replicates.lateral[:, :, 2].copy()
+    # besides the parameters' stds enter those of the scales into R
+    by_scales = np.broadcast_to(replicates.by_scales[:, 0], (*R.shape[:2], replicates.by_scales.shape[-1]))
+    R = np.concatenate([R, R[:, :, :1], by_scales], axis=-1)
+    of_R = np.concatenate([unc.yaw(), [unc.scale], np.ones(by_scales.shape[-1])])
+    if bins.wheelbase is not None:  # A cannot be seen beside the yaw spring
+        A = np.full_like(A, np.nan)
+    # the data determine D times f23/r0 - W/2, of which f23 and W are uncertain
     derivatives = angle_difference_derivatives(bins.vehicle)
-    widening = quotient_widening(float(np.linalg.norm(derivatives * relative)))
-    theta = replicates.lateral[:, :, 2].copy()
-    theta[0, :, 1:] -= theta[0, :, :1] * derivatives
-    return _combination(theta, relative, screening, parameters.prior_angle, widening)
-
-
-def _angle_sum(
-    replicates: _Replicates, screening: _BinScreening, bins: BinParameters, parameters: GeometryParameters
-) -> BinValues:
-    """Return A over the bins; in a bogie it cannot be seen beside the yaw spring."""
-    theta, prior = replicates.yaw[:, :, 0, :], parameters.prior_angle
-    if bins.wheelbase is not None:
-        theta = np.full_like(theta, np.nan)
-    return _combination(theta, parameters.uncertainty.yaw(), screening, prior)
+    D[0, :, 1:] -= D[0, :, :1] * derivatives
+    widening = quotient_widening(float(np.linalg.norm(derivatives * unc.lateral())))
+    return {
+        "rolling_radius_sum": _combination(replicates.lateral[:, :, 0], unc.lateral(), screening, radius),
+        "rolling_radius_difference": _combination(R, of_R, screening, radius),
+        "contact_angle_sum": _combination(A, unc.yaw(), screening, angle),
+        "contact_angle_difference": _combination(D, unc.lateral(), screening, angle, widening),
+    }
 
 
 def _combination(

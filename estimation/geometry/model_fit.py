@@ -25,7 +25,7 @@ import numpy as np
 
 from estimation.geometry.uncertainty import MOUNTING_STD
 from estimation.tables.bin_table import BinParameters
-from estimation.tables.least_squares import SMALLEST_EIGENVALUE, Solution, unpack
+from estimation.tables.least_squares import Solution, inverses, unpack
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import BinTable, Contradiction
 from estimation.values.quantities import jackknife_std, leave_one_out
@@ -35,14 +35,6 @@ from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
 SMALLEST = 1e-200  # variance, so that without any sample the shared coefficients are zero
 
 
-@dataclass(frozen=True, slots=True)
-class SharedSolution:
-    """What :func:`solve_with_shared_scales` returns."""
-
-    solution: Solution  # of r b cells; the shared coefficients stand in each
-    sensitivity: FloatArray  # (b, p - q, q): own coefficients of replicate 0 per std of what is left of the shared ones
-
-
 def solve_with_shared_scales(
     packed: FloatArray,
     weight: FloatArray,
@@ -50,8 +42,11 @@ def solve_with_shared_scales(
     targets: int,
     prior_stds: Sequence[float],
     counted_as_one: Sequence[float] | None = None,
-) -> SharedSolution:
+) -> tuple[Solution, FloatArray]:
     """Return the least-squares solution of every bin with the first coefficients common to all bins of a replicate.
+
+    The solution is of r b cells; the shared coefficients stand in each. Beside it (b, p - q, q): the own coefficients
+    of replicate 0 per std of what is left of the shared ones.
 
     Args:
         packed: (r, b, packed_size) moments of r replicates of b bins.
@@ -63,7 +58,9 @@ def solve_with_shared_scales(
     r, b = weight.shape
     p, t, q = regressors, targets, len(prior_stds)
     gram, cross, square = (part.reshape(r, b, *part.shape[1:]) for part in unpack(packed.reshape(r * b, -1), p, t))
-    inverse, solvable = _inverse(gram[:, :, q:, q:])
+    inverse = inverses(gram[:, :, q:, q:].reshape(r * b, p - q, p - q)).reshape(r, b, p - q, p - q)
+    solvable = np.isfinite(inverse[:, :, 0, 0])
+    inverse = np.where(solvable[:, :, None, None], inverse, 0.0)
     alone = inverse @ cross[:, :, q:, :]
     of_shared = inverse @ gram[:, :, q:, :q]
     coupling = gram[:, :, :q, q:]
@@ -92,19 +89,7 @@ def solve_with_shared_scales(
     size = np.sqrt(variance[0] * counted)
     unknown = size[:, None] * np.linalg.inv(left[0] + known[0]) * size
     moved = np.where(known_bins[0], -of_shared[0] @ np.linalg.cholesky(unknown), np.nan)
-    return SharedSolution(solution, np.asarray(moved))
-
-
-def _inverse(gram: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the inverses (..., q, q) of symmetric matrices, and which of them have one (...)."""
-    scale = np.sqrt(np.einsum("...ii->...i", gram))
-    safe = np.where(scale > 0.0, scale, np.inf)
-    scaled = gram / (safe[..., :, None] * safe[..., None, :])
-    values, vectors = np.linalg.eigh(scaled)
-    solvable = values[..., 0] > SMALLEST_EIGENVALUE
-    divided = np.where(solvable[..., None], 1.0 / np.where(solvable[..., None], values, 1.0), 0.0)
-    inverse = np.einsum("...ij,...j,...kj->...ik", vectors, divided, vectors)
-    return inverse / (safe[..., :, None] * safe[..., None, :]), np.asarray(solvable)
+    return solution, np.asarray(moved)
 
 
 SENSOR_SCALE = 0.02  # std of the spring error by the scales of the sensors
@@ -138,11 +123,7 @@ class ModelFit:
 
 
 def model_fit(table: BinTable, bins: BinParameters, expected_noise: float = 0.0) -> ModelFit | None:
-    """Return how well a table follows the yaw equation; None where there are too few samples.
-
-    Args:
-        expected_noise: Std of the error of y - d by its sensors and the alignment, m.
-    """
+    """Return how well a table follows the yaw equation, y - d off by the expected noise, m; None with few samples."""
     p = bins.vehicle
     present = table.weight.sum(axis=1) > 0
     weight, sums = leave_one_out(table.weight, present), leave_one_out(table.yaw, present)
@@ -154,10 +135,10 @@ def model_fit(table: BinTable, bins: BinParameters, expected_noise: float = 0.0)
     shared = len(priors)
     regressors = shared + REGRESSORS - 1
     moments = sums[:, used], weight[:, used], regressors, len(YAW_TARGETS)
-    solved = solve_with_shared_scales(*moments, priors).solution
+    solved, _ = solve_with_shared_scales(*moments, priors)
     theta = solved.theta.reshape(len(weight), int(used.sum()), regressors, len(YAW_TARGETS))
     unit = 1.0 if in_bogie else 0.5 * p.half_contact_distance * p.load / p.yaw_stiffness
-    of_spring = solve_with_shared_scales(*moments, (*priors[:2], STRAIGHT)).solution.theta if in_bogie else solved.theta
+    of_spring = solve_with_shared_scales(*moments, (*priors[:2], STRAIGHT))[0].theta if in_bogie else solved.theta
     errors = unit * np.nanmedian(of_spring.reshape(theta.shape)[:, :, 0, 0], axis=1)
     per_metre = p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius
     counts = weight[0, used]

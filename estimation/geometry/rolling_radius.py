@@ -105,7 +105,6 @@ def rolling_radius(parts: Sequence[RollingSums]) -> RollingRadius | None:
 
 
 def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
-    """Return the radius from sums (parts, BANDS, TERMS, TERMS)."""
     total, of_noise = products.sum(axis=0), noise.sum(axis=0)
     taken_off = noise.copy()
     # curve and gravity are one where contact is straight: its noise is what keeps them apart there
@@ -131,10 +130,12 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
     bound = math.sqrt(float(np.linalg.inv(information)[_RADIUS, _RADIUS]))
     corrected = best[_RADIUS] - _solution(_weighted(weights, total))[_RADIUS]
     sampling = float(normal_equivalent(jackknife_std(replicates), len(sums))[_RADIUS])
+    vibrating = bool((left[-SHORT_BANDS:] > OUTLYING * np.median(left)).any())
+    doubt = NOISE_DOUBT_VIBRATING if vibrating else NOISE_DOUBT
     stds = [
         max(sampling, bound, _std_of_bands(weights, by_band)),
         MODEL_STD,
-        _noise_doubt(left) * corrected,
+        (doubt + NOISE_DOUBT_LEFT * max(float(left.min()) - 1.0, 0.0)) * corrected,
         FRICTION_SHARE * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),
         SCALE_SHARE * best[_RADIUS] * abs(best[_SCALE] - 1.0),
     ]
@@ -150,13 +151,6 @@ def _std_of_bands(weights: FloatArray, by_band: FloatArray) -> float:
     of_bands = weights[:, None, None] * by_band
     whole = of_bands.sum(axis=0)
     return float(jackknife_std(np.array([_solution(whole), *(_solution(whole - one) for one in of_bands)]))[_RADIUS])
-
-
-def _noise_doubt(left: FloatArray) -> float:
-    """Return the share of the correction for noise that is in doubt, by what is left in the bands (BANDS,)."""
-    vibrating = bool((left[-SHORT_BANDS:] > OUTLYING * np.median(left)).any())
-    worse = max(float(left.min()) - 1.0, 0.0)
-    return (NOISE_DOUBT_VIBRATING if vibrating else NOISE_DOUBT) + NOISE_DOUBT_LEFT * worse
 
 
 def _unexplained(sums: FloatArray, unknowns: FloatArray) -> float:

@@ -13,30 +13,20 @@ from typing import Self
 
 import numpy as np
 
-from estimation.geometry.rolling_line import FREE, ContactRoll, held_shares
+from estimation.geometry.sharpening import FREE, ContactRoll, held_shares
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
 from estimation.vehicle.vehicle_class import VehicleClass
 
 USUAL_CUTOFF = 40.0  # m, of the high-pass of the motion
-
 UNKNOWN_FACTOR = 0.4  # relative std of a factor from which on nothing is known of the quotient
-
 JUMP_SHARE_UNCORRECTED = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
-
 JUMP_SHARE_CORRECTED = 0.22  # the same where what the gauge does to the wheelset is taken off: it is known so well
-
 JUMP_SHARE_GAUGE_ESTIMATED = 0.32  # the same where the gauge had to be found too
-
 JUMP_MEAN_SHARE = 0.25  # of a gauge that is not on file: by how much contact jumps are off on average
-
 SCALE_PER_GAUGE_SQUARE = 0.015e6  # 1/m2, of y - d per variance of the gauge: far out a wheelset runs in wide gauge
-
 SCALE_PER_MEAN_GAUGE = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm, by contact tables
-
-
 LEAST_SCALE_STD = 0.002  # relative, of any sensor: its digits and its drift
-
 MOUNTING_STD = math.radians(2.0)  # of the angle of a yaw sensor about the lateral axis
 
 # Relative, of the displacement of EN 15302: rail heads are no arcs of one radius; the roll of the contact is hidden.
@@ -72,7 +62,7 @@ class ParameterUncertainty:
     alignment_noise: float = 0.0  # m, std of the error of y - d by the alignment; that by sensors is in bin tables
     scale: float = 0.0  # of rL - rR as a whole: by nominal radius, half contact distance and the yaw sensor
     of_bogie: tuple[float, float, float] = (0.02, 0.02, MOUNTING_STD)  # yaw sensor against the frame's, those, angle
-    held_shares: tuple[float, ...] = FREE  # of a difference of diameters, by ``rolling_line.SLOPES``
+    held_shares: tuple[float, ...] = FREE  # of a difference of diameters, by ``sharpening.SLOPES``
     contact_roll: ContactRoll | None = None  # in y - d; None where y - d needs nothing more
 
     @classmethod
@@ -95,11 +85,7 @@ class ParameterUncertainty:
         )
 
     def on(self, tracks: Iterable[TrackAlignment], wheelset: str | None = None) -> ParameterUncertainty:
-        """Return what is left unknown of a geometry that rests on these alignments.
-
-        Args:
-            wheelset: Its serial; where left out, the findings of an alignment count for any.
-        """
+        """Return what these alignments leave unknown of a geometry; without a wheelset their findings count for any."""
         used = list(tracks)
         findings = [_findings_for(track, wheelset) for track in used]
         ratio_stds = [item.stiffness_ratio_std for item in findings if item is not None]
@@ -228,20 +214,17 @@ class DisplacementError:
         *,
         integrated: bool,
         scale: float = 0.0,
-        jump_position_std: float = 0.0,
-        jump_mean_std: float = 0.0,
+        **jumps: float,
     ) -> DisplacementError:
         """Return the error for displacements distributed as ``samples`` (b,) over bins at ``centre`` (b,), m.
 
-        ``scale`` is the relative std of a common scale error of y - d besides that of the integration,
-        ``jump_position_std`` and ``jump_mean_std``, m, those of where contact jumps are.
+        ``scale`` is the relative std of a common scale error of y - d besides that of the integration; ``jumps`` are
+        the fields of where contact jumps are.
         """
         variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
         excess = min(std**2 / variance, MOST_EXCESS) if variance > 0 else 0.0
         known = (0.0, 0.0) if not integrated else (SCALE_UNCERTAINTY, ORIGIN)
-        return DisplacementError(
-            std, excess, float(np.hypot(known[0], scale)), known[1], jump_position_std, jump_mean_std
-        )
+        return DisplacementError(std, excess, float(np.hypot(known[0], scale)), known[1], **jumps)
 
     def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
         """Return the curve averaged over a normal error of x (three-point Gauss-Hermite); straight beyond its ends."""

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from estimation.adhesion.left_out import away_from_low_adhesion, refused_for_low_adhesion
+from estimation.adhesion.friction import away_from_low_adhesion, refused_for_low_adhesion
 from estimation.errors import DamagedError, NotFoundError, PassingFaultError
 from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import Job, JobContext

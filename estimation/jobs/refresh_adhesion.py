@@ -12,12 +12,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from estimation.adhesion.friction import section_adhesion
-from estimation.adhesion.left_out import touched
+from estimation.adhesion.friction import section_adhesion, touched
 from estimation.adhesion.parameters import FrictionParameters
 from estimation.alerts.life_cycle import close, section_transition
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
-from estimation.dampers.pooled import DamperParameters, gear_damper
+from estimation.dampers.damper import DamperParameters, gear_damper
 from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.made_from import made_from

@@ -118,13 +118,10 @@ def axle_distance(window: Window, partner: Window, ahead: float) -> AxleDistance
     power = float(np.sqrt((own @ own) * (other @ other)))
     if not power > 0.0:
         return None
-    return _highest(_correlation(own, other) / power, ahead, SIGNIFICANT * _std_by_chance(STEP * len(own)))
-
-
-def _std_by_chance(length: float) -> float:
-    """Return the std of the correlation of two signals of the band, this long (m), that have nothing in common."""
     shortest, longest = BAND
-    return 1.0 / math.sqrt(2.0 * length * (1.0 / shortest - 1.0 / longest))
+    # std of the correlation of two signals of the band, as long, that have nothing in common
+    by_chance = 1.0 / math.sqrt(2.0 * (STEP * len(own)) * (1.0 / shortest - 1.0 / longest))
+    return _highest(_correlation(own, other) / power, ahead, SIGNIFICANT * by_chance)
 
 
 def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatArray:
@@ -144,7 +141,6 @@ def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatAr
 
 @lru_cache(maxsize=16)
 def _band_pass(finer: int) -> FloatArray:
-    """Return the filter of a grid that is so many times finer than ``STEP``."""
     from scipy.signal import butter  # noqa: PLC0415 - the same
 
     shortest, longest = BAND
@@ -247,9 +243,6 @@ def with_frame_yaw(window: Window, partner: Window, ahead: float) -> Window:
     """Return ``window`` with the yaw acceleration of the frame, valid where both nodes are.
 
     Gravity is in both sensors alike, for a frame rolls as one piece, and drops out.
-
-    Args:
-        ahead: By how much the node of ``window`` is ahead of the other, m: the wheelbase, negative at the rear axle.
     """
     if partner.start_ns != window.start_ns or len(partner.valid) != len(window.valid):
         raise ValueError(f"windows from {window.start_ns} and {partner.start_ns} are not of one time")

@@ -1,4 +1,11 @@
-"""Checks of a window on its own: it must move, its position go with its speed, its axes with its direction."""
+"""Checks of a window on its own: it must move, its position go with its speed, its axes with its direction.
+
+Which samples of a window can be used, and what became of the others; curves, which are left out, among them.
+
+In a curve the lateral accelerometers of wheelset and mass measure V^2 kappa - g theta, the acceleration that the cant
+leaves uncompensated. An offset of the sensor looks the same, but does not change within a minute. What cannot be
+detected: a window within a single curve, and a curve whose cant is that of the speed.
+"""
 
 from __future__ import annotations
 
@@ -43,9 +50,6 @@ def check_upright(window: Window, usable: BoolArray) -> Reason | None:
 
     It then measures a part of gravity at rest: of 8 degrees 1.4 m/s2. Vertical motion is in its signal too, and cannot
     be taken out. Only sensors that measure constant accelerations show it.
-
-    Args:
-        usable: (n,) samples on straight track.
     """
     if not (window.measures_gravity and usable.any()):
         return None
@@ -98,19 +102,23 @@ def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> flo
 
 
 def straight_part(window: Window, layout: TrackLayout | None, parameters: SignalParameters) -> Window | Reason:
-    """Return the window with the samples in curves not valid, or why nothing is left.
-
-    Args:
-        layout: Curves of the section; None where none is on file: then a window that shows a curve is refused.
-    """
+    """Return the window with samples in curves not valid, or why none is left; without a layout, if it shows one."""
     if layout is None:
-        running = window.valid & fast_enough(window, parameters)
-        curve = detect_uncompensated_acceleration(window, running, parameters.max_cant_deficiency_change)
-        return check_upright(window, running) or curve or window
+        return check_lateral(window, window.valid & fast_enough(window, parameters), layout, parameters) or window
     left = window.valid & straight(window.distance, layout, parameters)
     if not left.any() and window.valid.any():
         return Reason(ReasonCode.IN_CURVES, "all of the window is in curves")
-    return check_upright(window, left) or replace(window, valid=left)
+    return check_lateral(window, left, layout, parameters) or replace(window, valid=left)
+
+
+def check_lateral(
+    window: Window, usable: BoolArray, layout: TrackLayout | None, parameters: SignalParameters
+) -> Reason | None:
+    """Return that a lateral accelerometer is turned, or, where no layout is stored, that the window shows a curve."""
+    turned = check_upright(window, usable)
+    if turned is not None or layout is not None:
+        return turned
+    return detect_uncompensated_acceleration(window, usable, parameters.max_cant_deficiency_change)
 
 
 def fast_enough(window: Window, parameters: SignalParameters) -> BoolArray:
@@ -233,33 +241,20 @@ def position_jumps(integrated: IntegratedWindow) -> tuple[Jump, ...]:
 
     Over every second the distance must change by what the speed makes of it, within 0.5 m and 5 %.
     """
-    window = integrated.window
-    found: list[Jump] = []
+    window, found = integrated.window, list[Jump]()
     for segment in integrated.segments:
-        at = bridged(window.distance[segment.part], segment.known)
-        start = segment.part.start
-        found += [
-            Jump(start + before, start + after, metres)
-            for before, after, metres in _jumps(at, segment.run, window.sample_interval_s)
-        ]
+        at, run = bridged(window.distance[segment.part], segment.known), segment.run
+        error = at - (1.0 if float(np.median(np.diff(at))) >= 0.0 else -1.0) * run
+        look = min(round(LOOK_S / window.sample_interval_s), len(at) - 1)
+        deviates = np.abs(error[look:] - error[:-look]) > JUMP + JUMP_SHARE * (run[look:] - run[:-look])
+        for first, behind in runs(deviates):
+            # each such second holds the jump, so it is in what they share; where they share nothing all is in doubt
+            low, high = int(behind) - 1, int(first) + look
+            if low > high:
+                low, high = int(first), int(behind) - 1 + look
+            apart, start = error[low : high + 1] - error[low], segment.part.start
+            found.append(Jump(start + low, start + high, float(apart[int(np.argmax(np.abs(apart)))])))
     return tuple(found)
-
-
-def _jumps(at: FloatArray, run: FloatArray, dt: float) -> list[tuple[int, int, float]]:
-    """Return (sample before, sample after, m) of every jump of a segment."""
-    direction = 1.0 if float(np.median(np.diff(at))) >= 0.0 else -1.0
-    error = at - direction * run
-    look = min(round(LOOK_S / dt), len(at) - 1)
-    deviates = np.abs(error[look:] - error[:-look]) > JUMP + JUMP_SHARE * (run[look:] - run[:-look])
-    found = []
-    for first, behind in runs(deviates):
-        # each such second holds the jump, so the jump is in what they share; where they share nothing all is in doubt
-        low, high = int(behind) - 1, int(first) + look
-        if low > high:
-            low, high = int(first), int(behind) - 1 + look
-        apart = error[low : high + 1] - error[low]
-        found.append((low, high, float(apart[int(np.argmax(np.abs(apart)))])))
-    return found
 
 
 def without_jumps(window: Window, jumps: Sequence[Jump]) -> Window:

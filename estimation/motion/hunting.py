@@ -79,7 +79,6 @@ def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interv
 
     Args:
         lateral, yaw: (n,) m/s2 and rad/s2, as the sensors gave them, clipped samples too; NaN where nothing is known.
-        speed: (n,) m/s; NaN where not known.
     """
     size = round(BLOCK_S / interval_s)
     blocks = (len(lateral) // size, size)
@@ -121,9 +120,6 @@ def may_hunt(spectra: npt.NDArray[np.complex128], speed: FloatArray, frequency: 
     """Return which blocks (k,) have a line that is as large, as much of the whole and as narrow as that of hunting.
 
     Those that are within :data:`DOUBT` of a limit are among them, and those whose strongest line is not clear.
-
-    Args:
-        scale: What the power of a line is divided by for a fourth of its squared amplitude.
     """
     found = np.zeros(len(speed), np.bool_)
     power = np.zeros(len(frequency) + 2)  # of the displacement; one more on either side
@@ -168,7 +164,6 @@ def line_may_hunt(power: FloatArray, frequency: FloatArray, scale: float) -> boo
 
 @cache
 def _window(size: int) -> tuple[FloatArray, float]:
-    """Return the window of a block, and the sum of its squares."""
     window = np.hanning(size)
     window.flags.writeable = False
     return window, float((window**2).sum())

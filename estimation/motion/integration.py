@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.filters.smoothing_spline import remove_wander
+from estimation.filters import remove_wander
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.windows import ACCELERATIONS, Window

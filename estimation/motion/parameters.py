@@ -67,11 +67,7 @@ class WindowParameters:
     def of(
         cls, vehicle_class: VehicleClass, nominal_radius: float | None, signals: SignalParameters, gates: Gates
     ) -> Self:
-        """Return the parameters of a wheelset; the cut-off wavelength is one at which its sensors see more than noise.
-
-        Args:
-            nominal_radius: Of its wheels, m; None is that of the class.
-        """
+        """Return the parameters of a wheelset; the cut-off wavelength is one at which sensors see more than noise."""
         if nominal_radius is not None:
             own = replace(vehicle_class.parameters, nominal_radius=nominal_radius)
             vehicle_class = replace(vehicle_class, parameters=own)

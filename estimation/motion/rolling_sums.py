@@ -78,11 +78,7 @@ def level(row: FloatArray) -> None:
 def write_pieces(
     samples: FloatArray, starts: IntArray, dt: float, taper: FloatArray, pieces: FloatArray, speeds: FloatArray
 ) -> None:
-    """Write the rows of each piece (k, 5, n), level and tapered, and its mean speed, from accelerations and speed.
-
-    Args:
-        samples: (6, m) accelerations, that of the frame's yaw, and speed.
-    """
+    """Write the rows of each piece (k, 5, n), level and tapered, and its mean speed, of samples (6, m)."""
     n = len(taper)
     yaw_rate = np.empty(n)
     for k in range(len(starts)):
@@ -129,11 +125,7 @@ def write_terms(omega: float, speed: float, e: Equation, terms: ComplexArray) ->
 def write_noise(
     omega: float, speed: float, e: Equation, density: FloatArray, counting: FloatArray, noise: FloatArray
 ) -> None:
-    """Write the squared noise densities (5,) of the spectra, of sensors and counting.
-
-    Args:
-        density, counting: (4,) squared noise densities, of the sensors and of what counting makes of them.
-    """
+    """Write the squared noise densities (5,) of the spectra, of sensors and counting."""
     for j in range(ROWS - 1):
         rate = (j == 1 and e.yaw_is_gyroscope) or (j == 2 and e.roll_is_gyroscope)  # noqa: PLR2004 - the rows
         noise[j] = density[j] * (omega**2 if rate else 1.0) + counting[j]
@@ -161,7 +153,6 @@ def add_spectra(
 
     Args:
         spectra, speeds: (k, 5, f) of the pieces, and (k,) their mean speeds, m/s.
-        part: (k,) to which a piece is added.
         wavelengths: The shortest and the longest that are looked at, m.
     """
     terms, noise = np.zeros((TERMS, ROWS), np.complex128), np.empty(ROWS)
@@ -197,16 +188,6 @@ def add_spectra(
                     of_noise[part[k], band, a, b] += weight * expected
 
 
-@compiled(nogil=True)
-def mirror(sums: FloatArray) -> None:
-    """Write below the diagonals of (parts, bands, 7, 7) what stands above them."""
-    for p in range(sums.shape[0]):
-        for band in range(sums.shape[1]):
-            for a in range(TERMS):
-                for b in range(a):
-                    sums[p, band, a, b] = sums[p, band, b, a]
-
-
 WAVELENGTHS = (2.5, 10.0)  # m: shorter ones are axle box vibration, longer ones noise
 BANDS = 6  # of equal ratio, longest wavelengths first
 PIECE_S = 8.0  # half of one overlaps the next
@@ -240,8 +221,9 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     for (first, rows), at in zip(samples, starts, strict=True):
         part = np.searchsorted(numbers, (first + at) // each)
         _add(rows, at, part, window, vehicle_class, size, products, noise)
-    mirror(products)
-    mirror(noise)
+    above, below = np.triu_indices(TERMS, 1)
+    for sums in (products, noise):
+        sums[..., below, above] = sums[..., above, below]
     return tuple(RollingSums(*both) for both in zip(products, noise, strict=True))
 
 

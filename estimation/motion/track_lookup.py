@@ -2,7 +2,7 @@
 
 An alignment that has lost its long wavelengths is deconvolved before it is looked up.
 
-What a fleet finds is F d, the alignment d behind the filter F of ``estimation.filters.local_cubic``. The motion needs
+What a fleet finds is F d, the alignment d behind the filter F of ``estimation.filters``. The motion needs
 G (y - d) with a filter G of its own, and G (y - F d) would leave G (1 - F) d: a quarter of d at the cut-off.
 So F is undone as far as G can bear it: G falls faster than F towards long wavelengths, and what is multiplied by up to
 1/(2 e) here comes out of G smaller than it went in.
@@ -18,8 +18,7 @@ from scipy import fft
 from scipy.interpolate import CubicSpline
 
 from estimation.compiled import compiled
-from estimation.filters.local_cubic import local_cubic_kernel
-from estimation.filters.smoothing_spline import remove_wander
+from estimation.filters import local_cubic_kernel, remove_wander
 from estimation.motion.checks import fast_enough
 from estimation.motion.integration import IntegratedWindow, integrate
 from estimation.motion.parameters import SignalParameters
@@ -46,9 +45,10 @@ class SampledCurve:
 def at_places(curve: SampledCurve, places: FloatArray) -> FloatArray:
     """Return the values (n,) at places (n,); NaN off the curve, and beside a point of it that is not known."""
     found = np.full(len(places), np.nan)
-    low, high = extent(places, float(curve.s[0]), float(curve.s[-1]))
-    if low > high:
+    inside = places[(places >= curve.s[0]) & (places <= curve.s[-1])]
+    if not len(inside):
         return found
+    low, high = inside.min(), inside.max()
     last_point = len(curve.s) - 1
     first = min(max(int(np.searchsorted(curve.s, low)) - 1, 0), last_point - 1) // POINTS
     last = max(min(int(np.searchsorted(curve.s, high)), last_point) - 1, 0) // POINTS
@@ -80,16 +80,6 @@ def _piece(curve: SampledCurve, number: int) -> FloatArray:
 
 
 @compiled(nogil=True)
-def extent(places: FloatArray, first: float, last: float) -> tuple[float, float]:
-    """Return the lowest and the highest of the places in ``[first, last]``; the first is larger where there is none."""
-    low, high = np.inf, -np.inf
-    for place in places:
-        if first <= place <= last:
-            low, high = min(low, place), max(high, place)
-    return low, high
-
-
-@compiled(nogil=True)
 def evaluate(places: FloatArray, s: FloatArray, coefficients: FloatArray, found: FloatArray) -> None:
     """Write the spline at places on the grid (m,); a place on a point of it belongs to the interval before.
 
@@ -117,11 +107,7 @@ TRACKS = 16  # sections whose deconvolved alignment is kept: every window of a s
 
 
 def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength: float) -> FloatArray:
-    """Return d (n,), m, by a cubic spline through the stored alignment; NaN off the section and where it is not known.
-
-    Args:
-        cutoff_wavelength: m, of the high-pass that the motion goes through.
-    """
+    """Return d (n,), m, by a cubic spline through the stored alignment; NaN off the section and where not known."""
     as_it_is = track.cutoff_wavelength >= FULL_BAND_FACTOR * cutoff_wavelength
     return at_places(_curve(track, as_it_is=as_it_is), distance)
 
@@ -189,12 +175,9 @@ def gauge_shift(
     parameters: SignalParameters,
     earlier: IntegratedWindow | None = None,
 ) -> FloatArray | None:
-    """Return by how much the gauge moves the wheelset (n,), m, NaN where that is not known.
+    """Return by how much the gauge moves the wheelset (n,), m, in its own axes, NaN where that is not known.
 
     None where nothing is known of it: on constant gauge, or of a wheelset of which the section has no findings.
-
-    Args:
-        window: In the axes of the wheelset, at true positions.
     """
     table = None if track.findings is None else track.findings.gauge_shifts.get(window.wheelset)
     if track.findings is None or table is None:

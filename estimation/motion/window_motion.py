@@ -12,13 +12,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimation.filters.smoothing_spline import modelled_gaps, remove_wander
+from estimation.filters import modelled_gaps, remove_wander
 from estimation.motion.checks import (
     Usable,
     check_integrated,
+    check_lateral,
     check_running,
-    check_upright,
-    detect_uncompensated_acceleration,
     direction,
     gate,
     moving_samples,
@@ -60,7 +59,9 @@ def motion(
     if gauge_shift is not None:
         d += gauge_shift  # it runs as it would at nominal gauge on a track that is aligned so
     usable = usable_samples(window, np.isfinite(d), layout, parameters)
-    refusal = _unusable(window, usable, layout, parameters)
+    if not usable.samples.any():
+        return Reason(ReasonCode.NO_USABLE_SAMPLE, f"no sample can be used: {usable.causes}")
+    refusal = check_lateral(window, usable.samples, layout, parameters)
     if refusal is not None:
         return refusal
     dt = window.sample_interval_s
@@ -82,18 +83,6 @@ def motion(
         sample_interval_s=dt,
         displacement_noise=0.0,  # ``window_motion`` knows the sensors
     )
-
-
-def _unusable(
-    window: Window, usable: Usable, layout: TrackLayout | None, parameters: SignalParameters
-) -> Reason | None:
-    if not usable.samples.any():
-        return Reason(ReasonCode.NO_USABLE_SAMPLE, f"no sample can be used: {usable.causes}")
-    curve = None
-    if layout is None:
-        most = parameters.max_cant_deficiency_change
-        curve = detect_uncompensated_acceleration(window, usable.samples, most)
-    return check_upright(window, usable.samples) or curve
 
 
 def _filtered(
@@ -189,7 +178,6 @@ def window_motion(
 
     Args:
         track: Alignment of its track section; None where none is on file, all NaN where that is of the gauge alone.
-        correction: From the measured positions to the true ones; None where the measured ones are used.
 
     Returns:
         (n,) samples of band-limited motion in the axes of the wheelset, or the refusal.

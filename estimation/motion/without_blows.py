@@ -10,6 +10,12 @@ Blows once a turn of the wheel: a wheel with a flat.
 Blows are events on the distance run. Over some seconds the length of a turn is sought at which most of them fall on one
 place of the wheel. What a track does cannot: its joints are several turns apart, so most turns have none, and sleepers
 are a fifth of a turn apart, so no place of the wheel has most of the blows. A wheel out of round has no blows.
+
+Blows: accelerations of an axle box that rise and fall within some ms, as no wheelset moves.
+
+A wheel with a flat, a joint or a switch strikes the axle box, which rings. The lateral and the roll acceleration show
+it by far more than the motion of a wheelset has there; yaw does not, for a wheelset that passes a contact jump turns
+as suddenly. What rings is no motion.
 """
 
 from __future__ import annotations
@@ -61,7 +67,6 @@ def struck(lateral: FloatArray, roll: FloatArray, interval_s: float, lost: BoolA
     """Return which samples (n,) a blow has spoilt, from its begin until it has died down.
 
     Args:
-        lateral, roll: (n,) m/s2 and rad/s2; NaN where not known.
         lost: (n,) samples that clipped in blows, near which it rings too; None for none.
     """
     both = np.stack([lateral, roll])
@@ -139,11 +144,7 @@ def blows_unless_hunting(
 
 
 def find_turn_blows(lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float) -> TurnBlows:
-    """Return for how much of some running time a wheel strikes once a turn, how hard, and which.
-
-    Args:
-        lateral, roll: (n,) m/s2 and rad/s2, as the sensors gave them, clipped samples too; NaN where nothing is known.
-    """
+    """Return for how much of some running time a wheel strikes once a turn, how hard, and which."""
     blocks = list(_blocks(lateral, roll, speed, interval_s))
     found = [(block.comb, block.events) for block in blocks if block.comb is not None]
     turn = float(np.median([comb.turn for comb, _ in found])) if found else 0.0
@@ -180,7 +181,6 @@ def blow_times(
 def _blocks(
     lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float, lost: BoolArray | None = None
 ) -> Iterator[_Block]:
-    """Yield the blocks in which the vehicle runs."""
     both = np.stack([lateral, roll])
     fast = sharp(both, interval_s)
     std = vibration(fast, interval_s)
@@ -194,14 +194,13 @@ def _blocks(
         events = _events(fast[:, part], std[:, part], interval_s, None if lost is None else lost[part])
         comb = _comb(np.interp(events.middle, np.arange(size), run), float(run[-1]))
         if comb is not None:
-            lateral = events.lateral[comb.on_place]
-            if np.mean(lateral[1:] * lateral[:-1] < 0.0) > MOST_ALTERNATING:  # from either side in turn: flanges
+            blows = events.lateral[comb.on_place]
+            if np.mean(blows[1:] * blows[:-1] < 0.0) > MOST_ALTERNATING:  # from either side in turn: flanges
                 comb = None
         yield _Block(start, run, events, comb)
 
 
 def _events(fast: FloatArray, std: FloatArray, interval_s: float, lost: BoolArray | None) -> _Events:
-    """Return the blows of a block."""
     level = np.maximum(LEAST_EVENT, EVENT_STDS * std)
     excess = np.max(np.abs(fast) / level, axis=0)
     if lost is not None and lost.any():

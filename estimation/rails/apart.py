@@ -61,12 +61,9 @@ def confirmed(table: CellTable, anchors: Anchors, parameters: RailsParameters) -
 
 
 def _all_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, Check]:
-    return _sections_apart(table, anchors, parameters) | _wheels_apart(table, anchors, parameters)
-
-
-def _sections_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, Check]:
     known = sorted({key.section for key in table.rails if key in anchors.known_rails})
-    return {_Witness(is_wheelset=False, name=code): _section_apart(code, table, anchors, parameters) for code in known}
+    sections = {_Witness(is_wheelset=False, name=one): _section_apart(one, table, anchors, parameters) for one in known}
+    return sections | _wheels_apart(table, anchors, parameters)
 
 
 def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters: RailsParameters) -> Check:
@@ -82,16 +79,11 @@ def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters:
         rails = at_amplitude(table, int(k), others, parameters).rails
         own = [one for key, one in rails.items() if key.section == section and key in anchors.known_rails]
         either = [one.excess if one.excess.value is not None else one.part for one in own if one.reference in HELD]
-        found = [one for one in either if one.value is not None]
+        known = ((one.value, one.low) for one in either if one.value is not None and one.low is not None)
+        found = [Check(value, value - low, np.nan) for value, low in known]
         if found:
-            return max(map(_of_excess, found), key=lambda one: one.ratio)
+            return max(found, key=lambda one: one.ratio)
     return NOTHING
-
-
-def _of_excess(excess: Estimate) -> Check:
-    assert excess.value is not None
-    assert excess.low is not None
-    return Check(excess.value, excess.value - excess.low, np.nan)
 
 
 def _wheels_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, Check]:
@@ -147,7 +139,6 @@ def rails_apart(
     Args:
         cells: Each wheelset, interval, section and period once; what belongs to one cell is merged before, as bin
             tables.
-        amplitude: (k,) m, of all cells.
 
     Raises:
         ParameterError: A cell is there twice, or has other amplitudes.
@@ -186,8 +177,10 @@ def _refuse_rises(levels: Sequence[AtAmplitude], amplitude: FloatArray, steepest
         curve = np.array([level.rails[key].solved for level in levels])
         rising = on_rise(curve, amplitude, steepest)
         for level in (one for one, rises in zip(levels, rising, strict=True) if rises):
-            if level.rails[key].reference_wheel.value is not None:
-                level.rails[key] = level.rails[key].without_reference_wheel(NEXT_TO_JUMP)
+            at = level.rails[key]
+            if at.reference_wheel.value is not None:
+                nothing = Estimate.unknown(NEXT_TO_JUMP, at.reference_wheel.count)
+                level.rails[key] = replace(at, reference_wheel=nothing, excess=nothing)
                 level.trends[key.section] = TrendAt.unknown(NEXT_TO_JUMP)
 
 

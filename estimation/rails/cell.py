@@ -114,7 +114,6 @@ def _nothing(own: Sequence[StoredCell], amplitudes: int) -> tuple[Estimate, ...]
 
 
 def _reason(own: Sequence[StoredCell]) -> Reason:
-    """Return the reason of most cells."""
     reasons = [one.reason for one in own if one.reason is not None]
     count = Counter(one.code for one in reasons)
     return max(reasons, key=lambda one: count[one.code])

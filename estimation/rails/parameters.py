@@ -21,37 +21,18 @@ DIFFER = (ReasonCode.KNOWN_RAILS_DIFFER, ReasonCode.MEASURED_WHEELS_DIFFER)
 
 @dataclass(frozen=True, slots=True)
 class RailsParameters:
-    """Parameters of the mixed model.
+    """Parameters of the mixed model."""
 
-    Attributes:
-        slope_std: Standard deviation, known beforehand, of how much more the rails of a section change the conicity of
-            a wheel whose conicity is higher by 1.
-        farthest: By how much the conicity of the wheel as designed may be outside the range of the wheels that run on a
-            section: next to contact jumps a conicity does not go on as it does between those that are known.
-        steepest: Most that the conicity of the wheel as designed may change within 0.25 mm of amplitude, where it is
-            published.
-        known_apart: Half intervals by which sections that are named as known, or measured wheels, must differ until
-            they contradict each other; 1.7 of 95 % are 1 of 99.9 %.
-        confirmed_within: Standard deviation to which the others that hold the level must know the conicity of a
-            measured wheel, so that they confirm it.
-        uneven_slope: By how much conicities may rise more with those of the wheels on one section than on most others,
-            relative; twice ``slope_std``.
-        spread_open: Relative standard deviation above which known rails say little of how far the conicities of wheels
-            are spread.
-        most_interaction: Most that neither wheel nor rail may explain, as a standard deviation, at an amplitude that is
-            published.
-    """
-
-    slope_std: float = 0.3
+    slope_std: float = 0.3  # known beforehand, of what rails add to a wheel whose conicity is higher by 1
     interaction: float = 0.005  # std of what neither wheel nor rail explains of a conicity, known beforehand
     interaction_weight: float = 4.0  # how many degrees of freedom that knowledge counts
-    farthest: float = 0.03
-    steepest: float = 0.03
-    known_apart: float = 1.7
-    confirmed_within: float = 0.02
-    uneven_slope: float = 0.6
-    spread_open: float = 0.1
-    most_interaction: float = 0.01
+    farthest: float = 0.03  # by how much the wheel as designed may be outside the wheels that run on a section
+    steepest: float = 0.03  # most that its conicity may change within 0.25 mm of amplitude, where it is published
+    known_apart: float = 1.7  # half intervals apart contradict each other; 1.7 of 95 % are 1 of 99.9 %
+    confirmed_within: float = 0.02  # std to which the others must know a measured wheel, so that they confirm it
+    uneven_slope: float = 0.6  # relative, of the rise with the wheels, beside most sections; twice ``slope_std``
+    spread_open: float = 0.1  # relative std of how far wheels are spread, beyond which known rails say little of it
+    most_interaction: float = 0.01  # std that neither wheel nor rail explains, at a published amplitude
     least_wheelsets: int = 2  # different wheelsets that must connect a section to its reference
     period_days: float = 180.0  # length of a period, in which rails hardly wear
     known_days: float = 365.0  # how long rails that are as on file on a day are taken to be so
@@ -126,11 +107,7 @@ def conicity_on_rails(wheels: WheelPair, rails: RailShare, amplitude: FloatArray
 
 
 def designed_wheel(profile: str, nominal_radius: float) -> WheelPair | None:
-    """Return the wheels of a profile as designed; None where no such profile is built in.
-
-    Args:
-        nominal_radius: At the tread datum, m.
-    """
+    """Return the wheels of a profile as designed; None where no such profile is built in."""
     if not is_design(profile):
         return None
     try:

@@ -11,7 +11,7 @@ a fraction of a millimetre; behind it it falls as the inverse of the amplitude, 
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import fdtri
@@ -52,11 +52,7 @@ class Line:
     freedom: int  # how many are left
 
     def fits(self, groups: float) -> bool:
-        """Whether the values are on a line, as far as their errors say.
-
-        Args:
-            groups: Degrees of freedom behind the scale of the errors.
-        """
+        """Whether the values are on a line, as far as their errors say."""
         if self.freedom < 1:
             return True
         return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), DOUBT))
@@ -121,11 +117,6 @@ class RailAt:
         """Return that nothing is known, with the reason."""
         nothing = Estimate.unknown(reason)
         return RailAt(None, nothing, nothing, nothing, solved)
-
-    def without_reference_wheel(self, reason: Reason) -> RailAt:
-        """Return the same without the wheel as designed, for which nothing follows."""
-        nothing = Estimate.unknown(reason, self.reference_wheel.count)
-        return replace(self, reference_wheel=nothing, excess=nothing)
 
 
 @dataclass(frozen=True, slots=True)

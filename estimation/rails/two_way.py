@@ -88,13 +88,24 @@ def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
 
     Where known wheels differ by more than their errors and the interaction explain, their errors count as larger.
     """
-    found = _Search(cells, parameters)
-    if found.surplus(LOWEST_TAU) > 0.0 > found.surplus(HIGHEST_TAU):
-        found.surplus(float(brentq(found.surplus, LOWEST_TAU, HIGHEST_TAU, xtol=TAU_TOLERANCE)))
-    elif found.surplus(LOWEST_TAU) > 0.0:
-        found.surplus(HIGHEST_TAU)
-    assert found.solved is not None
-    return _widened(cells, parameters, found.solved.parted())
+    solved: _Solved | None = None
+
+    def surplus(decades: float) -> float:
+        """Return by how much residuals are too large for a tau of 10^``decades``; it falls with that."""
+        nonlocal solved
+        tau = 10.0**decades
+        solved = _solved(cells, parameters, tau, solved.point if solved is not None and solved.converged else None)
+        if not solved.converged:
+            return np.inf
+        before = parameters.interaction_weight * ((parameters.interaction / tau) ** 2 - 1.0)
+        return float(solved.squares() - solved.freedom() + before)
+
+    if surplus(LOWEST_TAU) > 0.0 > surplus(HIGHEST_TAU):
+        surplus(float(brentq(surplus, LOWEST_TAU, HIGHEST_TAU, xtol=TAU_TOLERANCE)))
+    elif surplus(LOWEST_TAU) > 0.0:
+        surplus(HIGHEST_TAU)
+    assert solved is not None
+    return _widened(cells, parameters, solved.parted())
 
 
 def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> Parted:
@@ -122,25 +133,6 @@ def _widened(cells: TwoWay, parameters: RailsParameters, found: Parted) -> Parte
     tau = found.interaction
     wider = replace(cells, known_variance=(cells.known_variance + tau**2) * factor - tau**2)
     return replace(_solved(wider, parameters, tau, None).parted(), freedom=found.freedom)
-
-
-@dataclass(slots=True)
-class _Search:
-    """The search for tau; every solution begins at the one before."""
-
-    cells: TwoWay
-    parameters: RailsParameters
-    solved: _Solved | None = None
-
-    def surplus(self, decades: float) -> float:
-        """Return by how much residuals are too large for a tau of 10^``decades``; it falls with that."""
-        tau, known = 10.0**decades, self.parameters
-        start = self.solved.point if self.solved is not None and self.solved.converged else None
-        self.solved = _solved(self.cells, known, tau, start)
-        if not self.solved.converged:
-            return np.inf
-        before = known.interaction_weight * ((known.interaction / tau) ** 2 - 1.0)
-        return float(self.solved.squares() - self.solved.freedom() + before)
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,8 +255,15 @@ class _Solved:
         return float(np.sum(problem.weight * self.linear.residual**2) + np.sum(problem.known * apart**2))
 
     def freedom(self) -> float:
-        """Return how many residuals are left over."""
-        return _freedom(self.problem.cells, self.covariance, self.problem.before)
+        """Return how many residuals, of cells and of known wheels, are left over by what is fitted.
+
+        A number that is fitted takes one, less what is known of it beforehand.
+        """
+        cells = self.problem.cells
+        residuals = len(cells.value) + int(np.isfinite(cells.known_value).sum())
+        fitted = len(cells.known_value) + 2 * int((~cells.known_rail).sum())
+        conditions = 0.0 if cells.anchored else CONDITIONS
+        return residuals - (fitted - float(self.problem.before @ np.diag(self.covariance)) - conditions)
 
     def parted(self) -> Parted:
         """Return it as others need it."""
@@ -289,31 +288,16 @@ class _Solved:
 
 
 def _solved(cells: TwoWay, parameters: RailsParameters, tau: float, start: _Point | None) -> _Solved:
-    """Return the solution at ``tau``, where it is."""
     problem = _Problem.of(cells, parameters, tau)
     s, centre = len(cells.known_rail), float(np.mean(cells.value))
     point, converged = start or _Point(np.full(len(cells.known_value), centre), np.zeros(2 * s), centre), False
     for _ in range(ROUNDS):
         before, point = point, problem.moved(point, problem.linearised(point))
-        if max(_farthest(point.theta - before.theta), _farthest((point.phi - before.phi)[:s])) < TOLERANCE:
+        change = np.concatenate([point.theta - before.theta, (point.phi - before.phi)[:s]])
+        if np.abs(change).max() < TOLERANCE:
             converged = True
             break
     return _Solved(problem, point, problem.linearised(point), converged)
-
-
-def _farthest(change: FloatArray) -> float:
-    return float(np.abs(change).max())
-
-
-def _freedom(cells: TwoWay, covariance: FloatArray, before: FloatArray) -> float:
-    """Return how many residuals, of cells and of known wheels, are left over by what is fitted.
-
-    A number that is fitted takes one, less what is known of it beforehand.
-    """
-    residuals = len(cells.value) + int(np.isfinite(cells.known_value).sum())
-    fitted = len(cells.known_value) + 2 * int((~cells.known_rail).sum())
-    conditions = 0.0 if cells.anchored else CONDITIONS
-    return residuals - (fitted - float(before @ np.diag(covariance)) - conditions)
 
 
 def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:

@@ -31,11 +31,7 @@ SHOWN = 10  # entries that an answer names
 def judged(
     wheelset: str, signatures: Sequence[Signature], library: Library, parameters: SignatureParameters
 ) -> SignatureAnswer:
-    """Return what a library says of a wheelset.
-
-    Args:
-        library: Of entries that may be learned from (``admission``); none of them shares data with the wheelset.
-    """
+    """Return what a library says of a wheelset."""
     same = [one for one in signatures if one.place in library.places]
     chosen = same or list(signatures)
     basis = Basis.SAME_PLACES if same else Basis.OTHER_PLACES
@@ -78,9 +74,15 @@ def _answer(
     grid = conicity_grid(np.array(library.conicity), parameters.margin)
     found = likelihood(library.model, _rows(signatures), known, grid)
     novelty = calibration.novelty(found)
-    refusal = _novel(novelty) or _outside(found, library, parameters)
+    refusal = _outside(found, library, parameters)
+    if novelty > 1.0:
+        text = f"the signature is {novelty:.1f} times as far from the library as any that it answers"
+        refusal = Reason(ReasonCode.NOT_IN_LIBRARY, text)
     if refusal is None and known is None:
-        refusal = _other_track(level_of(library.model, _rows(signatures), found.mean), library, len(signatures))
+        level, (low, high) = level_of(library.model, _rows(signatures), found.mean), library.levels(len(signatures))
+        if not low <= level <= high:  # conicity depends on the amplitude
+            text = f"the track is {'rougher' if level > high else 'smoother'} than any that the library has"
+            refusal = Reason(ReasonCode.NOT_IN_LIBRARY, text)
     if refusal is not None:
         return _unknown(wheelset, refusal, library, novelty)
     std = calibration.std(found.std, library.on_file.shared_std(found.mean))
@@ -97,22 +99,6 @@ def _answer(
         library_sections=len(library.sections),
         novelty=novelty,
     )
-
-
-def _novel(novelty: float) -> Reason | None:
-    if novelty <= 1.0:
-        return None
-    text = f"the signature is {novelty:.1f} times as far from the library as any that it answers"
-    return Reason(ReasonCode.NOT_IN_LIBRARY, text)
-
-
-def _other_track(level: float, library: Library, places: int) -> Reason | None:
-    """Return that the track is rougher or smoother than any of the library: conicity depends on the amplitude."""
-    low, high = library.levels(places)
-    if low <= level <= high:
-        return None
-    text = f"the track is {'rougher' if level > high else 'smoother'} than any that the library has"
-    return Reason(ReasonCode.NOT_IN_LIBRARY, text)
 
 
 def _outside(found: Likelihood, library: Library, parameters: SignatureParameters) -> Reason | None:

@@ -208,13 +208,12 @@ def calibrated(
 def differences(rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], margin: float) -> Differences:
     """Return how far wheelsets are judged by the others from what is on file of them, on places that these have."""
     found = list(_judged(rows, known, _folds(rows, groups), Basis.SAME_PLACES, margin))
-    answers = np.unique([one.wheelset for one in found], return_counts=True)[1].astype(np.float64)
-    return Differences(
-        difference=_by_wheelset(found, [one.error for one in found]),
-        answers=answers,
-        own=_by_wheelset(found, [one.own for one in found]),
-        claimed=_by_wheelset(found, [one.claimed for one in found]),
+    wheelset = np.unique([one.wheelset for one in found], return_inverse=True)[1]
+    answers = np.bincount(wheelset)
+    error, own, claimed = (
+        np.bincount(wheelset, [getattr(one, name) for one in found]) / answers for name in ("error", "own", "claimed")
     )
+    return Differences(error, answers.astype(np.float64), own, claimed)
 
 
 def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
@@ -283,7 +282,6 @@ def _spread(rows: Rows, asked: BoolArray, most: int) -> Iterator[tuple[int, IntA
 
 
 def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[BoolArray, BoolArray]]:
-    """Yield which rows teach and which are asked for."""
     if basis is Basis.SAME_PLACES:
         yield ~left_out, left_out
         return
@@ -325,9 +323,3 @@ def _weights(found: Sequence[_Judged], shares: FloatArray) -> FloatArray:
         posterior = np.exp(weighed - weighed.max())
         weights[number] = shares[number] * posterior / posterior.sum()
     return weights
-
-
-def _by_wheelset(found: Sequence[_Judged], values: Sequence[float]) -> FloatArray:
-    """Return the means of values by wheelset."""
-    wheelset = np.unique([one.wheelset for one in found], return_inverse=True)[1]
-    return np.asarray(np.bincount(wheelset, values) / np.bincount(wheelset))

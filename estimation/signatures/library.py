@@ -331,7 +331,7 @@ def _alike(entries: Sequence[LibraryEntry], subject: Subject, most: int) -> _Ali
         signature = entry.signature
         if (signature.vehicle_class, signature.position) != (subject.vehicle_class, subject.position):
             left_out[ReasonCode.OTHER_VEHICLE_CLASS] += 1
-        elif not _same_design(entry.pair, subject.pair):
+        elif entry.pair.wheel != subject.pair.wheel or subject.pair.rail not in {None, entry.pair.rail}:
             left_out[ReasonCode.OTHER_PROFILES] += 1
         else:
             kept.append(entry)
@@ -357,8 +357,3 @@ def _newest(entries: Sequence[LibraryEntry], most: int) -> Sequence[LibraryEntry
         each += 1
     chosen = {id(entry) for found in of_place.values() for entry in found[:each]}
     return [entry for entry in entries if id(entry) in chosen]
-
-
-def _same_design(entry: DesignPair, subject: DesignPair) -> bool:
-    """Whether two pairs are of the same design, as far as that of the subject is known."""
-    return entry.wheel == subject.wheel and subject.rail in {None, entry.rail}

@@ -74,11 +74,7 @@ class Rows:
 
 
 def features_of(powers: FloatArray) -> FloatArray:
-    """Return features (n, f), the level first.
-
-    Args:
-        powers: (n, f) logarithms, signal after signal: y, R, roll.
-    """
+    """Return features (n, f), the level first, of logarithms of powers (n, f), signal after signal: y, R, roll."""
     y, difference, roll = np.split(powers, SIGNALS, axis=1)
     level = 0.5 * (y.mean(axis=1) + difference.mean(axis=1))
     shape = y - y.mean(axis=1)[:, None]  # the last band follows from the others
@@ -194,7 +190,6 @@ def _within(regressors: FloatArray, values: FloatArray, place: IntArray) -> Floa
 
 
 def _means(values: FloatArray, group: IntArray) -> FloatArray:
-    """Return the means (g, k) of rows (n, k) by group."""
     count = np.bincount(group)
     sums = np.stack([np.bincount(group, column) for column in values.T], axis=1)
     return np.asarray(sums / count[:, None])
@@ -271,7 +266,6 @@ def likelihood(model: MixedModel, rows: Rows, known: IntArray | None, conicity: 
     """Return how well conicities explain the mean of some signatures of one wheelset.
 
     Args:
-        rows: Signatures of the wheelset; their conicities are not read.
         known: (n,) numbers of their places in the model; None where the library does not have them.
     """
     n = len(rows.powers)
@@ -301,5 +295,4 @@ def likelihood(model: MixedModel, rows: Rows, known: IntArray | None, conicity: 
 
 
 def _distances(covariance: FloatArray, difference: FloatArray) -> FloatArray:
-    """Return the squared Mahalanobis distances (k,) of differences (f, k)."""
     return np.asarray(np.sum(np.linalg.solve(np.linalg.cholesky(covariance), difference) ** 2, axis=0))

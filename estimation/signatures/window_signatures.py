@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimation.filters.local_cubic import local_cubic_kernel
+from estimation.filters import local_cubic_kernel
 from estimation.motion.checks import check_integrated, check_running, direction, gate, moving_samples, straight_part
 from estimation.motion.integration import IntegratedSegment, IntegratedWindow, integrate
 from estimation.motion.parameters import SignalParameters, WindowParameters
@@ -54,7 +54,6 @@ def band_spectra(signals: FloatArray, parameters: SignatureParameters) -> tuple[
 
 
 def _products(block: FloatArray) -> FloatArray:
-    """Return the periodograms (3, 3, k) of one block (3, n)."""
     n = block.shape[1]
     t = np.arange(n) - 0.5 * (n - 1)
     level = block - block.mean(axis=1, keepdims=True)
@@ -94,7 +93,8 @@ def window_signatures(
     if placed is not None:
         if placed.code not in {ReasonCode.SECTION_UNKNOWN, ReasonCode.POSITION_UNKNOWN}:
             return placed
-        window = _without_place(window)
+        run = np.cumsum(np.nan_to_num(window.speed)) * window.sample_interval_s
+        window = replace(window, track_section=None, distance=run)  # at distances from its own begin
     checked = _checked(window, parameters.signals, None if placed else layout)
     if isinstance(checked, Reason):
         return checked
@@ -135,14 +135,7 @@ def axle_position(window: Window, parameters: WindowParameters) -> AxlePosition:
     return AxlePosition.LEADING if (window.axle < partner) != window.backwards else AxlePosition.TRAILING
 
 
-def _without_place(window: Window) -> Window:
-    """Return the window at distances from its own begin."""
-    run = np.cumsum(np.nan_to_num(window.speed)) * window.sample_interval_s
-    return replace(window, track_section=None, distance=run)
-
-
 def _checked(window: Window, signals: SignalParameters, layout: TrackLayout | None) -> IntegratedWindow | Reason:
-    """Return the straight part of a window integrated, or what of it contradicts the rest."""
     straight = check_running(window, signals) or straight_part(window, layout, signals)
     if isinstance(straight, Reason):
         return straight
@@ -153,7 +146,6 @@ def _checked(window: Window, signals: SignalParameters, layout: TrackLayout | No
 
 
 def _stretch(segment: IntegratedSegment, window: Window, parameters: WindowParameters, way: int) -> _Stretch:
-    """Return y, R and roll of a segment on the grid of the section, in the order of the section."""
     known = np.flatnonzero(segment.known)
     at = np.interp(np.arange(len(segment.known)), known, window.distance[segment.part][known])
     run = np.maximum.accumulate(way * at) + _INCREASE * np.arange(len(at))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -19,7 +19,6 @@ from scipy.ndimage import uniform_filter1d
 from estimation.errors import ParameterError
 from estimation.motion.parameters import WindowParameters
 from estimation.motion.window_motion import window_motion
-from estimation.tables import bin_kernels as kernels
 from estimation.tables import least_squares
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.geometry import BinTable, FilledCells
@@ -35,37 +34,23 @@ from estimation.vehicle.regressors import (
     coefficients,
     signals_of,
 )
-from estimation.vehicle.vehicle_class import VehicleClass, difference_noise
+from estimation.vehicle.vehicle_class import difference_noise
 
 
-@dataclass(slots=True)
 class TableSum:
-    """What has been added so far, in the order in which it was.
+    """What has been added so far, in the order in which it was, to a table without samples or a sum that goes on."""
 
-    Attributes:
-        start: The table to which others are added: without samples, or a sum that goes on.
-    """
-
-    start: BinTable
-    _weight: FloatArray = field(init=False)
-    _lateral: FloatArray = field(init=False)
-    _yaw: FloatArray = field(init=False)
-    _samples: int = field(init=False)
-    _windows: int = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._weight, self._lateral, self._yaw = (
-            array.copy() for array in (self.start.weight, self.start.lateral, self.start.yaw)
-        )
-        self._samples, self._windows = self.start.samples, self.start.windows
+    def __init__(self, start: BinTable) -> None:
+        self.start = start
+        self._sums = [array.copy() for array in (start.weight, start.lateral, start.yaw)]
+        self._samples, self._windows = start.samples, start.windows
 
     def add(self, table: BinTable | FilledCells, weight: float = 1.0) -> None:
-        """Add a table times a weight; samples and windows are counted without weights."""
+        """Add a table, whole or its filled cells, times a weight; samples and windows are counted without weights."""
         if table.parameter_key != self.start.parameter_key:
             both = f"{self.start.parameter_key} and {table.parameter_key}"
             raise ValueError(f"bin tables of parameters {both} do not merge")
-        sums = (self._weight, self._lateral, self._yaw)
-        for whole, added in zip(sums, (table.weight, table.lateral, table.yaw), strict=True):
+        for whole, added in zip(self._sums, (table.weight, table.lateral, table.yaw), strict=True):
             share = added if weight == 1.0 else weight * added
             if isinstance(table, FilledCells):
                 whole.reshape(-1, *whole.shape[2:])[table.cells] += share
@@ -76,15 +61,9 @@ class TableSum:
 
     def table(self) -> BinTable:
         """Return the sum."""
-        return BinTable(
-            parameter_key=self.start.parameter_key,
-            edges=self.start.edges,
-            weight=np.array(self._weight),
-            lateral=np.array(self._lateral),
-            yaw=np.array(self._yaw),
-            samples=self._samples,
-            windows=self._windows,
-        )
+        weight, lateral, yaw = self._sums
+        samples, windows = self._samples, self._windows
+        return replace(self.start, weight=weight, lateral=lateral, yaw=yaw, samples=samples, windows=windows)
 
 
 TABLE_VERSION = 6
@@ -154,9 +133,9 @@ def group_of(block: IntArray, groups: int) -> IntArray:
 
     Were it in turn alone, a vehicle that passes at the same time every day would fill the same few groups for ever.
     """
-    found = np.empty(len(block), np.int64)
-    kernels.write_groups(np.asarray(block, np.int64), groups, found)
-    return found
+    block = np.asarray(block, np.int64)
+    turn = (block // groups).astype(np.uint64) * least_squares.GOLDEN >> least_squares.HALF
+    return np.asarray((block + (turn * np.uint64(groups) >> least_squares.HALF).astype(np.int64)) % groups)
 
 
 def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
@@ -168,11 +147,11 @@ def fill_cells(motion: Motion, parameters: BinParameters) -> FilledCells:
     """Return what :func:`tabulate` does without the cells that have no sample."""
     edges, cell, u = parameters.edges, np.empty(len(motion), np.int64), np.empty(len(motion))
     place = (parameters.groups, float(edges[0]), parameters.width, len(edges) - 1)
-    samples = kernels.assign(motion.displacement, motion.valid, motion.block, *place, cell, u)
+    samples = least_squares.assign(motion.displacement, motion.valid, motion.block, *place, cell, u)
     signals, difference = signals_of(motion), np.empty(len(motion))
     k = coefficients(motion, parameters.vehicle, parameters.difference_noise, parameters.wheelbase or 1.0)
-    kernels.radius_difference(signals, k, cell, difference)
-    inside = cell != kernels.OUTSIDE
+    least_squares.radius_difference(signals, k, cell, difference)
+    inside = cell != least_squares.OUTSIDE
     noise = fast_noise(difference, inside)
     filled = np.flatnonzero(np.bincount(cell[inside]))
     slot = np.zeros(parameters.groups * (len(edges) - 1), np.int64)
@@ -182,7 +161,7 @@ def fill_cells(motion: Motion, parameters: BinParameters) -> FilledCells:
         np.zeros((len(filled), regressors + 1, regressors + targets))
         for regressors, targets in ((REGRESSORS, len(LATERAL_TARGETS)), (parameters.yaw_regressors, len(YAW_TARGETS)))
     )
-    kernels.add_samples(signals, k, noise, cell, u, slot, weight, lateral, yaw)
+    least_squares.add_samples(signals, k, noise, cell, u, slot, weight, lateral, yaw)
     return FilledCells(
         parameter_key=parameters.key,
         edges=edges,
@@ -199,7 +178,7 @@ def fill_cells(motion: Motion, parameters: BinParameters) -> FilledCells:
 def _packed(sums: FloatArray) -> FloatArray:
     regressors = sums.shape[1] - 1
     packed = np.empty((len(sums), least_squares.packed_size(regressors, sums.shape[2] - regressors)))
-    kernels.pack(sums, packed)
+    least_squares.pack(sums, packed)
     return packed
 
 
@@ -250,20 +229,15 @@ def cells_of_window(
 
 def bin_parameters(parameters: WindowParameters) -> BinParameters:
     """Return the parameters of the bin tables that :func:`cells_of_window` makes: of band-limited motion."""
-    bogie = parameters.vehicle_class.bogie
+    vehicle_class = parameters.vehicle_class
     return BinParameters(
         source=parameters.signals.source,
         band_limited=True,
         vehicle=parameters.vehicle,
-        wheelbase=None if bogie is None else bogie.wheelbase,
-        arrangement=_arrangement(parameters.vehicle_class),
-        difference_noise=difference_noise(parameters.vehicle_class, parameters.signals.cutoff_wavelength),
+        wheelbase=None if vehicle_class.bogie is None else vehicle_class.bogie.wheelbase,
+        arrangement=f"{vehicle_class.arrangement} {vehicle_class.bogie} {vehicle_class.sensors}",
+        difference_noise=difference_noise(vehicle_class, parameters.signals.cutoff_wavelength),
     )
-
-
-def _arrangement(vehicle_class: VehicleClass) -> str:
-    """Return what shapes the motion besides the parameters of the wheelset."""
-    return f"{vehicle_class.arrangement} {vehicle_class.bogie} {vehicle_class.sensors}"
 
 
 def weighted_sum(tables: Iterable[tuple[float, BinTable]]) -> BinTable:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.track.passes import Journey, Pass, ProfileLife, apply_correction, gridded
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.track import Correction

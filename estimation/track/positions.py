@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
-from estimation.filters.local_cubic import high_pass
+from estimation.filters import high_pass
 from estimation.track.gridded_pass import Placed, SectionGrid
 from estimation.track.panel.basis import Panel, pass_residual
 from estimation.track.panel.solution import PanelSolution

@@ -9,7 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gauge.wheel_functions import contact_samples, gauge_sign, total_gauge_shifts
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.iteration import Grouped, IterationResult, Setting, first_rounds

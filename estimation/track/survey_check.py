@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gauge.wheel_functions import LEAST_GAUGE, contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
 from estimation.track.positions import peak_position

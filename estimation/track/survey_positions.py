@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gridded_pass import GriddedPass, Placed, PlacedJourney, SectionGrid
 from estimation.track.panel.basis import basis_functions, knot_shares
 from estimation.track.panel.solution import PriorAlignment

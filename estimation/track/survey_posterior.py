@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gridded_pass import Placed, SectionGrid
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import Panel, unfiltered_residual

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Annotated
+from typing import Annotated, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +30,18 @@ from estimation.values.arrays import FloatArray
 
 GRAVITY = 9.81  # m/s2
 RAIL_HEAD_RADIUS = 0.08  # m, of the arc beside the crown of all usual rail heads, where most wheels touch
-_MAY_BE_ZERO = frozenset({"spin_creep_coefficient", "lateral_spin_creep_coefficient", "yaw_damping", "lateral_damping"})
+
+
+def check_possible(parameters: object, may_be_zero: tuple[str, ...]) -> None:
+    """Check that parameters are finite and positive; those whose names begin so may be zero.
+
+    Raises:
+        ParameterError: A parameter is not a possible value.
+    """
+    for item in fields(cast("Any", parameters)):
+        value = getattr(parameters, item.name)
+        if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not item.name.startswith(may_be_zero)):
+            raise ParameterError(f"{value!r} is not a possible value", field=item.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +77,7 @@ class VehicleParameters:
     nominal_radius: Annotated[float, Ge(0.0)] = 0.45  # r0, m
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not math.isfinite(value) or value < 0.0 or (value == 0.0 and item.name not in _MAY_BE_ZERO):
-                raise ParameterError(f"{value!r} is not a possible value", field=item.name)
+        check_possible(self, ("spin_creep", "lateral_spin_creep", "yaw_damping", "lateral_damping"))
 
     @property
     def axle_load(self) -> float:

@@ -172,11 +172,7 @@ def creep_coefficients(contact: ContactRadii) -> CreepCoefficients:
 def creep_coefficient_std(
     contact: ContactRadii, std: ContactRadiiStd, rail_condition_std: float = RAIL_CONDITION_STD
 ) -> CreepCoefficients:
-    """Return the relative standard deviation of each coefficient: from radii and load, and from the rail's condition.
-
-    Args:
-        rail_condition_std: Relative std of all coefficients beside: what dirt, water and roughness take away.
-    """
+    """Return the relative std of each coefficient: from radii and load, and from the rail's condition."""
     values = creep_coefficients(contact)
     variances = dict.fromkeys((item.name for item in fields(CreepCoefficients)), rail_condition_std**2)
     for name in (item.name for item in fields(ContactRadiiStd)):

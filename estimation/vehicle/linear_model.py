@@ -1,5 +1,13 @@
 """The linear model of a vehicle class: its modes with names, and the speed above which it hunts.
 
+Small motion about the middle of a straight track at one speed. The columns of the matrices are the equations of
+``equations_of_motion`` at unit states, so that they stay one definition. The contact geometry is that of one conicity:
+
+    R = rL - rR = 2 gamma x,   S = rL + rR = 2 r0,   D = dL - dR = c R,   A = dL + dR,   phi = gamma x / l
+
+with x = y - d. c is 1 / (delta0 Rw) for a wheel of transverse radius Rw that touches at the angle delta0
+(A. H. Wickens, "Fundamentals of Rail Vehicle Dynamics", 2003, Chapter 2).
+
 The lateral and the yaw equation of one wheelset as a filter of what its sensors measure.
 
     e(s) = E(s) u(s),   u = (y, psi, phi, ym, yn, x)
@@ -84,11 +92,7 @@ def klingel_wavelength(parameters: VehicleParameters, contact: LinearContact) ->
 def wheelset_accelerations(
     parameters: VehicleParameters, speed: float, contact: LinearContact, state: WheelsetState, alignment: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return y'' and psi'' (n,) of a wheelset; its yaw spring is tied to a body that does not yaw.
-
-    Args:
-        alignment: (2, n) d in m and d' in m/s.
-    """
+    """Return y'' and psi'' (n,) on d and d' (2, n); the yaw spring is tied to a body that does not yaw."""
     x = np.asarray(state.lateral_displacement) - alignment[0]
     rate = np.asarray(state.lateral_velocity) - alignment[1]
     radius = contact.conicity * x
@@ -181,7 +185,6 @@ def bogie_model(
 
 
 def _secondary(bogie: BogieParameters, q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return force and moment of the secondary suspension on the frame."""
     force = bogie.secondary_lateral_stiffness * (q[6] - q[4]) + bogie.secondary_lateral_damping * (v[6] - v[4])
     moment = -bogie.secondary_yaw_stiffness * q[5] - bogie.secondary_yaw_damping * v[5]
     return force, moment
@@ -315,11 +318,7 @@ def equations(p: VehicleParameters, wheelbase: float | None, speed: float, at: C
 
 
 def filtered(coefficients: FloatArray, s: ComplexArray) -> ComplexArray:
-    """Return E(s) (f, 2, signals).
-
-    Args:
-        s: (f,) i omega, 1/s.
-    """
+    """Return E(s) (f, 2, signals) at s (f,), i omega."""
     powers = np.stack([np.ones_like(s), s, s * s])
     return np.asarray(np.einsum("ejk,kf->fej", coefficients, powers), dtype=np.complex128)
 

@@ -39,6 +39,7 @@ from estimation.vehicle.vehicle_class import VehicleClass
 CAUSES = ("noise", "dilution", "track", "creep", "stiffness", "mass", "lengths", "scale")
 LATERAL_WAVE = 3e-3  # m, of which D is reported
 SEEN = 0.25  # std over value below which a quantity is seen
+SCALE_OF = "scale of "  # and the name of a sensor
 QUIETEST = 1e-7  # m/s2, rad/s2 or rad/s per root hertz: no sensor is quieter
 ANGLE_SUM_STD = 0.1  # rad, of dL + dR beforehand: turns a wheelset like 0.1 % of a soft yaw spring
 CERTAIN = 1e-9  # relative std of what is known exactly
@@ -136,7 +137,7 @@ def conicity_shifts(vehicle_class: VehicleClass, running: Running) -> Mapping[st
     where the data alone give it. The names are fields of the class, and ``scale of lateral``, ... of the sensors.
     """
     sensitivity = _sensitivity(vehicle_class, running)
-    errors = {**sensitivity.by_parameter, **{f"scale of {name}": item for name, item in sensitivity.by_scale.items()}}
+    errors = sensitivity.by_error
 
     def shifts(theta: tuple[str, ...], learnt: tuple[str, ...]) -> dict[str, float]:
         _, weighted, inverse = _least_squares(sensitivity, 1, theta, learnt)
@@ -156,10 +157,8 @@ class _Sensitivity:
 
     at: Combinations
     by_combination: Mapping[str, ComplexArray]
-    by_parameter: Mapping[str, ComplexArray]  # by the logarithm
-    parameter_std: Mapping[str, float]  # relative
-    by_scale: Mapping[str, ComplexArray]  # of each sensor
-    scale_std: Mapping[str, float]
+    by_error: Mapping[str, ComplexArray]  # by the logarithm of each parameter, then by the scale of each sensor
+    std: Mapping[str, float]  # relative, of these
     noise: ComplexArray  # (f, 2, 2) of sensors, of e
     sensed: Mapping[str, ComplexArray]  # (f, 2, sensors), what the noise of each sensor makes of the derivatives
     sensed_error: ComplexArray  # (f, 2, sensors), and of e
@@ -180,6 +179,7 @@ def _sensitivity(vehicle_class: VehicleClass, running: Running) -> _Sensitivity:
     E = filtered(equations(p, wheelbase, running.speed, at), s)
 
     by_combination, by_parameter = _derivatives(p, wheelbase, running.speed, at, s)
+    moved = {name: (change @ u[:, :, None])[:, :, 0] for name, change in (by_combination | by_parameter).items()}
     measured, restored = sensor_filters(layout, s)
     through = E @ restored  # (f, 2, sensors)
     raw = (measured @ u[:, :, None])[:, :, 0]
@@ -190,11 +190,11 @@ def _sensitivity(vehicle_class: VehicleClass, running: Running) -> _Sensitivity:
     by_track = E[:, :, -1]  # the alignment enters x alone
     return _Sensitivity(
         at=at,
-        by_combination={name: (change @ u[:, :, None])[:, :, 0] for name, change in by_combination.items()},
-        by_parameter={name: (change @ u[:, :, None])[:, :, 0] for name, change in by_parameter.items()},
-        parameter_std={name: vehicle_class.std_of(name) for name in by_parameter},
-        by_scale={name: through[:, :, n] * raw[:, n, None] for n, name in enumerate(SENSORS)},
-        scale_std={name: of_sensor[name].scale_std for name in SENSORS},
+        by_combination={name: moved[name] for name in by_combination},
+        by_error={name: moved[name] for name in by_parameter}
+        | {f"{SCALE_OF}{name}": through[:, :, n] * raw[:, n, None] for n, name in enumerate(SENSORS)},
+        std={name: vehicle_class.std_of(name) for name in by_parameter}
+        | {f"{SCALE_OF}{name}": of_sensor[name].scale_std for name in SENSORS},
         noise=np.asarray((through * densities) @ through.conj().transpose(0, 2, 1)),
         sensed={name: change @ restored for name, change in (by_combination | by_parameter).items()},
         sensed_error=through,
@@ -232,7 +232,6 @@ def _derivatives(
 def _by_cause(
     sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], learnt: tuple[str, ...]
 ) -> dict[str, dict[str, float]]:
-    """Return the std of each of ``theta`` by cause, from one equation by least squares."""
     X, weighted, inverse = _least_squares(sensitivity, equation, theta, learnt)
     variances: dict[str, FloatArray] = {}
     for cause, spectrum in (("noise", sensitivity.noise), ("track", sensitivity.track)):
@@ -241,14 +240,10 @@ def _by_cause(
     variances["dilution"] = _dilution(sensitivity, equation, theta, (weighted.T @ X).real) ** 2
     for cause in CAUSES[3:]:
         variances[cause] = np.zeros(len(theta))
-    errors = [
-        (_cause_of(name), change, sensitivity.parameter_std[name])
-        for name, change in sensitivity.by_parameter.items()
-        if name not in learnt
-    ]
-    errors += [("scale", change, sensitivity.scale_std[name]) for name, change in sensitivity.by_scale.items()]
-    for cause, change, std in errors:
-        variances[cause] = variances[cause] + (std * inverse @ (weighted.T @ change[:, equation]).real) ** 2
+    for name, change in sensitivity.by_error.items():
+        if name not in learnt:
+            shift = sensitivity.std[name] * inverse @ (weighted.T @ change[:, equation]).real
+            variances[_cause_of(name)] = variances[_cause_of(name)] + shift**2
     return {
         cause: dict(zip(theta, np.sqrt(np.maximum(values, 0.0)).tolist(), strict=True))
         for cause, values in variances.items()
@@ -259,7 +254,7 @@ def _least_squares(
     sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], learnt: tuple[str, ...]
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
     """Return X (f, k), what it is weighted with (f, k), and the inverse of X'X (k, k)."""
-    columns = {**sensitivity.by_combination, **{name: sensitivity.by_parameter[name] for name in learnt}}
+    columns = {**sensitivity.by_combination, **{name: sensitivity.by_error[name] for name in learnt}}
     X = np.stack([columns[name][:, equation] for name in theta], axis=1)
     weighted = X.conj() * sensitivity.density[:, None]
     return X, weighted, _inverse((weighted.T @ X).real)
@@ -276,15 +271,14 @@ def _dilution(sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], 
 
 def _bounds(sensitivity: _Sensitivity) -> dict[str, float]:
     """Return the Cramer-Rao bound of combinations and yaw stiffness; of what is reported nothing is known before."""
-    names = [*sensitivity.by_combination, *sensitivity.by_parameter, *sensitivity.by_scale]
-    changes = [*sensitivity.by_combination.values(), *sensitivity.by_parameter.values(), *sensitivity.by_scale.values()]
+    changes = {**sensitivity.by_combination, **sensitivity.by_error}
     prior = [ANGLE_SUM_STD if name == "angle_sum" else math.inf for name in sensitivity.by_combination]
-    prior += [*sensitivity.parameter_std.values(), *sensitivity.scale_std.values()]
-    J = np.stack(changes, axis=2)  # (f, 2, names)
+    prior += sensitivity.std.values()
+    J = np.stack(list(changes.values()), axis=2)  # (f, 2, names)
     weighted = np.linalg.solve(sensitivity.noise + sensitivity.track, J * sensitivity.density[:, None, None])
     information = 2 * sensitivity.duration * np.einsum("fej,fek->jk", J.conj(), weighted).real
     free = [n for n, std in enumerate(prior) if std > CERTAIN]
-    names, prior = [names[n] for n in free], [prior[n] for n in free]
+    names, prior = [list(changes)[n] for n in free], [prior[n] for n in free]
     information = information[np.ix_(free, free)]
 
     def std_of(name: str) -> float:
@@ -296,6 +290,8 @@ def _bounds(sensitivity: _Sensitivity) -> dict[str, float]:
 
 
 def _cause_of(name: str) -> str:
+    if name.startswith(SCALE_OF):
+        return "scale"
     if name.endswith("_coefficient"):
         return "creep"
     if name.endswith(("_stiffness", "_damping")):
@@ -310,6 +306,5 @@ def _inverse(matrix: FloatArray) -> FloatArray:
 
 
 def _weights(f: FloatArray) -> FloatArray:
-    """Return the weights (f,) of the trapezoidal rule."""
     steps = np.diff(f)
     return np.asarray(0.5 * (np.append(steps, 0.0) + np.insert(steps, 0, 0.0)))

@@ -63,8 +63,8 @@ def check_plausible(vehicle_class: VehicleClass) -> None:
 def plausible_ranges(vehicle_class: VehicleClass) -> tuple[PlausibleRange, ...]:
     """Return the quantities of a class with their ranges, modes first."""
     p, bogie = vehicle_class.parameters, vehicle_class.bogie
-    of_bogie = () if bogie is None else (*_secondary_damping(bogie), *_bogie_ratios(bogie))
-    return (*_modes(p, bogie), *_damping(p), *of_bogie, *_wheelset_ratios(p), *_creep_ratios(p))
+    of_bogie = () if bogie is None else tuple(_bogie_ratios(bogie))
+    return (*_modes(p, bogie), *_damping(p, bogie), *of_bogie, *_wheelset_ratios(p), *_creep_ratios(p))
 
 
 def _suspect(vehicle_class: VehicleClass, failing: list[PlausibleRange]) -> tuple[str, float | None]:
@@ -107,11 +107,8 @@ def _modes(p: VehicleParameters, bogie: BogieParameters | None) -> Iterator[Plau
     torsion = 2 * p.yaw_stiffness + both * (bogie.wheelbase / 2) ** 2
     names = "frame_yaw_inertia", "yaw_stiffness", "lateral_stiffness", "wheelbase"
     yield _mode(f"frame yaw {on}", torsion, bogie.frame_yaw_inertia, (3.0, 90.0), *names)
-    on, stiffness, torsion = (
-        "on the secondary springs",
-        bogie.secondary_lateral_stiffness,
-        bogie.secondary_yaw_stiffness,
-    )
+    on = "on the secondary springs"
+    stiffness, torsion = bogie.secondary_lateral_stiffness, bogie.secondary_yaw_stiffness
     if stiffness:
         names = "secondary_lateral_stiffness", "body_mass"
         yield _mode(f"body lateral {on}", stiffness, bogie.body_mass, (0.2, 6.0), *names)
@@ -120,29 +117,22 @@ def _modes(p: VehicleParameters, bogie: BogieParameters | None) -> Iterator[Plau
         yield _mode(f"frame yaw {on}", torsion, bogie.frame_yaw_inertia, (0.3, 9.0), *names)
 
 
-def _damped(
-    name: str, damping: float, stiffness: float, inertia: float, ends: tuple[float, float], *names: str
-) -> Iterator[PlausibleRange]:
-    if damping and stiffness:
-        ratio = damping / (2 * math.sqrt(stiffness * inertia))
-        yield PlausibleRange(f"the damping ratio of the mode {name!r}", "", ratio, *ends, names)
-
-
-def _damping(p: VehicleParameters) -> Iterator[PlausibleRange]:
-    ends = 0.003, 3.0
-    on = "on its primary springs"
-    lateral = p.lateral_damping, p.lateral_stiffness, p.wheelset_mass
-    yield from _damped(f"wheelset lateral {on}", *lateral, ends, "lateral_damping")
-    yaw = p.yaw_damping, p.yaw_stiffness, p.yaw_inertia
-    yield from _damped(f"wheelset yaw {on}", *yaw, ends, "yaw_damping")
-
-
-def _secondary_damping(bogie: BogieParameters) -> Iterator[PlausibleRange]:
-    on = "on the secondary springs"
-    lateral = bogie.secondary_lateral_damping, bogie.secondary_lateral_stiffness, bogie.body_mass
-    yield from _damped(f"body lateral {on}", *lateral, (0.01, 5.0), "secondary_lateral_damping")
-    yaw = bogie.secondary_yaw_damping, bogie.secondary_yaw_stiffness, bogie.frame_yaw_inertia
-    yield from _damped(f"frame yaw {on}", *yaw, (0.05, 60.0), "secondary_yaw_damping")
+def _damping(p: VehicleParameters, bogie: BogieParameters | None) -> Iterator[PlausibleRange]:
+    on, ends = "on its primary springs", (0.003, 3.0)
+    rows = [
+        (f"wheelset lateral {on}", p.lateral_damping, p.lateral_stiffness, p.wheelset_mass, ends, "lateral_damping"),
+        (f"wheelset yaw {on}", p.yaw_damping, p.yaw_stiffness, p.yaw_inertia, ends, "yaw_damping"),
+    ]
+    if bogie is not None:
+        on = "on the secondary springs"
+        lateral = bogie.secondary_lateral_damping, bogie.secondary_lateral_stiffness, bogie.body_mass
+        yaw = bogie.secondary_yaw_damping, bogie.secondary_yaw_stiffness, bogie.frame_yaw_inertia
+        rows.append((f"body lateral {on}", *lateral, (0.01, 5.0), "secondary_lateral_damping"))
+        rows.append((f"frame yaw {on}", *yaw, (0.05, 60.0), "secondary_yaw_damping"))
+    for mode, damping, stiffness, inertia, (lowest, highest), name in rows:
+        if damping and stiffness:
+            ratio = damping / (2 * math.sqrt(stiffness * inertia))
+            yield PlausibleRange(f"the damping ratio of the mode {mode!r}", "", ratio, lowest, highest, (name,))
 
 
 def _bogie_ratios(bogie: BogieParameters) -> Iterator[PlausibleRange]:

@@ -16,10 +16,6 @@ y and measures psi + b phi, by b: k_psi phi and the creep of phi'/V.
 Creep forces saturate: a force T of a wheel needs 1 + T/(3 mu N) times its linear creep (Vermeulen and Johnson 1964,
 first term). The derivative by 1/mu stands beside the others. The last two targets of z2 are c times the variance of
 R and of y - d that the noise of the sensors makes: regressed on c they give the means of these variances.
-
-Compiled regressors and targets of both equations of motion, sample by sample: see ``estimation.vehicle.regressors``.
-
-The order of the operations is that of the formulas there.
 """
 
 from __future__ import annotations

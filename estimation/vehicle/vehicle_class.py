@@ -19,7 +19,7 @@ from annotated_types import Ge, Gt, Interval
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import GRAVITY, RAIL_HEAD_RADIUS, VehicleParameters
+from estimation.vehicle.equations_of_motion import GRAVITY, RAIL_HEAD_RADIUS, VehicleParameters, check_possible
 
 AXLES_OF_A_BOGIE = 2
 
@@ -49,11 +49,7 @@ class BogieParameters:
     secondary_yaw_damping: Annotated[float, Ge(0.0)] = 0.0  # N m s/rad
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            least_is_zero = item.name.startswith("secondary")
-            if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not least_is_zero):
-                raise ParameterError(f"{value!r} is not a possible value", field=item.name)
+        check_possible(self, ("secondary",))
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,11 +219,9 @@ def difference_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> f
     """Return the variance of rL - rR by the noise of the sensors, times the cube of the speed, m2 (m/s)3.
 
     The moment of the yaw spring takes nearly all of it: white noise of an acceleration, of density n, integrated twice
-    and without what is slower than f_c = V / L, has the variance n^2 / (3 (2 pi)^4 f_c^3); that of a gyroscope,
-    integrated once, n^2 / ((2 pi)^2 f_c), which is taken at 20 m/s. In a bogie the two sensors of the frame add theirs.
-
-    Args:
-        cutoff_wavelength: L, m, of the high-pass of the motion.
+    and without what is slower than f_c = V / L, L the cut-off, has the variance n^2 / (3 (2 pi)^4 f_c^3); that of a
+    gyroscope, integrated once, n^2 / ((2 pi)^2 f_c), which is taken at 20 m/s. In a bogie the two sensors of the frame
+    add theirs.
     """
     p, sensors = vehicle_class.parameters, vehicle_class.sensors
     per_yaw = p.yaw_stiffness * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
@@ -246,13 +240,11 @@ def usable_cutoff(vehicle_class: VehicleClass, longest: float) -> float:
     longer waves hold noise alone. Shorter ones than ``SHORTEST_CUTOFF`` would not hold the displacement of a wheelset.
     """
     cutoff = longest
-    while cutoff - CUTOFF_STEP >= SHORTEST_CUTOFF and _usual_noise(vehicle_class, cutoff) > MOST_DIFFERENCE_NOISE:
+    while cutoff - CUTOFF_STEP >= SHORTEST_CUTOFF:
+        if math.sqrt(difference_noise(vehicle_class, cutoff) / USUAL_SPEED**3) <= MOST_DIFFERENCE_NOISE:
+            break
         cutoff -= CUTOFF_STEP
     return cutoff
-
-
-def _usual_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> float:
-    return math.sqrt(difference_noise(vehicle_class, cutoff_wavelength) / USUAL_SPEED**3)
 
 
 MOST_DIFFERENCE_NOISE = 0.3e-3  # m, std of rL - rR at the usual speed
@@ -268,9 +260,6 @@ def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, sp
     Where gravity is taken out, g times the roll is integrated twice once more, which adds to the same error. A slow
     vehicle takes longer over a wave: twice integrated, the variance grows with the third power of its period, and that
     of g times the roll with the seventh.
-
-    Args:
-        cutoff_wavelength: m, of the high-pass of the motion.
     """
     slowest = speed / cutoff_wavelength
     sensors, height = vehicle_class.sensors, vehicle_class.parameters.nominal_radius

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gauge_passes import LENGTH, Section, passes, section
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.track.gridded_pass import GriddedPass, grid_pass
 from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.normal_equations import init, update

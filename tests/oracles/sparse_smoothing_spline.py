@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_factor, cho_solve
 
-from estimation.filters.smoothing_spline import KNOTS_PER_CUT_OFF, ORDER, REGULARISATION
+from estimation.filters import KNOTS_PER_CUT_OFF, ORDER, REGULARISATION
 from estimation.values.arrays import BoolArray, FloatArray
 
 DEGREE = 3

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from estimation.adhesion.creep_forces import ContactForces, forces_on, gear_segments
 from estimation.adhesion.window_adhesion import AdhesionInputs, refused, window_adhesion
-from estimation.dampers.window_damper import looked_at, window_damper
+from estimation.dampers.damper import looked_at, window_damper
 from estimation.errors import DamagedError, PurgedError
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import WindowLoader

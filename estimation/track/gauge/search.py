@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, cg
 
-from estimation.filters.local_cubic import high_pass
+from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.basis import Panel, gauge_at, gauge_curves, pass_residual
 from estimation.track.panel.solution import PanelSolution

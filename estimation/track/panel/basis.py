@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.filters.local_cubic import high_pass
+from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.passes import ProfileLife

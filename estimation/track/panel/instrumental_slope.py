@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.filters.local_cubic import high_pass
+from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.basis import Panel, curve_displacement, known_shift
 from estimation.track.panel.normal_equations import PanelState, groups_of

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.compiled import compiled
-from estimation.filters.local_cubic import high_pass
+from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.basis import Panel, gauge_at, knot_shares, known_shift
 from estimation.track.passes import ProfileLife

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gridded_pass import SectionGrid
 from estimation.track.panel.basis import Panel
 from estimation.track.panel.measured_curves import MeasuredCurve

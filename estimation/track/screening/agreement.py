@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.track.passes import Pass, PositionParameters, gridded
 from estimation.values.arrays import FloatArray, runs
 from estimation.values.quantities import log10_chance

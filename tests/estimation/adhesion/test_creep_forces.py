@@ -11,7 +11,7 @@ from bogie_run import SOFT, joined, motions, of_bogie, wheelset
 
 from bench.adhesion_case import contact_forces
 from estimation.adhesion.creep_forces import MOST_INNOVATION, ContactForces
-from estimation.filters.smoothing_spline import remove_wander
+from estimation.filters import remove_wander
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode

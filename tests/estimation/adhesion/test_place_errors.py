@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from test_friction import a_pass
 
-from estimation.adhesion.along_track import BELOW, BEST, LEAST_COMMON, LOWEST, PLACES_BEFORE, common_std
-from estimation.adhesion.pass_sums import pass_sums
+from estimation.adhesion.pass_sums import BELOW, BEST, LEAST_COMMON, LOWEST, PLACES_BEFORE, common_std, pass_sums
 from estimation.values.arrays import FloatArray
 
 USUAL, PLACES = 0.3, 60

@@ -13,9 +13,9 @@ from estimation.adhesion.parameters import FileErrors
 from estimation.adhesion.pass_sums import (
     FAR,
     FEWEST_VEHICLES,
-    GRID,
     MOST_DEVIATION,
     MOST_STD,
+    SCALES,
     WHEELSET_SCATTER,
     Agreed,
     contradicting,
@@ -35,7 +35,7 @@ def passes_of(vehicles: int, wrong: int, factor: float) -> list[WindowAdhesion]:
 
 def test_limits_are_pinned() -> None:
     assert (WHEELSET_SCATTER, FEWEST_VEHICLES, MOST_DEVIATION, MOST_STD, FAR) == (0.1, 3, 3.0, 0.25, 0.5)
-    assert (GRID[0], GRID[-1], len(GRID)) == (-1.8, 1.8, 73)
+    assert (SCALES[0], SCALES[-1], len(SCALES)) == (-1.8, 1.8, 73)
 
 
 @pytest.mark.parametrize("factor", [0.7, 0.85, 1.2, 1.5])

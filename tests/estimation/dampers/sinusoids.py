@@ -8,7 +8,7 @@ import numpy as np
 
 from bench.adhesion_fleet import GOOD
 from estimation.adhesion.creep_forces import gear_segments
-from estimation.dampers.window_damper import window_damper
+from estimation.dampers.damper import window_damper
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import WindowDamper

@@ -9,10 +9,9 @@ import pytest
 from sinusoids import DENSITY, SENSORS, SINGLE, SOFT, judged, windows_of
 
 from estimation.adhesion.creep_forces import gear_segments
-from estimation.dampers import window_damper
+from estimation.dampers import damper
+from estimation.dampers.damper import EVERY, looked_at, not_judged, posterior
 from estimation.dampers.damper_filters import LATE_STD_S, add_products, damper_filters, gain_std, of_signals
-from estimation.dampers.pooled import posterior
-from estimation.dampers.window_damper import EVERY, looked_at, not_judged
 from estimation.motion.parameters import SignalParameters
 from estimation.values.opinions import SHARES
 from estimation.values.reasons import Reason, ReasonCode
@@ -74,17 +73,17 @@ def test_the_limit_of_innovations_decides(monkeypatch: pytest.MonkeyPatch) -> No
     found = judged(windows, SOFT)
     assert found.innovation is not None
     assert 0.1 < found.innovation < 1.0
-    assert window_damper.MOST_UNEXPLAINED == 0.05
-    monkeypatch.setattr(window_damper, "MOST_UNEXPLAINED", 0.05 * 0.5 * found.innovation)
+    assert damper.MOST_UNEXPLAINED == 0.05
+    monkeypatch.setattr(damper, "MOST_UNEXPLAINED", 0.05 * 0.5 * found.innovation)
     assert judged(windows, SOFT).sums is None
 
 
 def test_what_stiff_bodies_do_not_explain_bounds_the_weight_of_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert window_damper.MODEL_ERROR == 0.02
+    assert damper.MODEL_ERROR == 0.02
     windows = windows_of(SOFT, 1.0)
     stds = []
     for error in (0.02, 0.04):
-        monkeypatch.setattr(window_damper, "MODEL_ERROR", error)
+        monkeypatch.setattr(damper, "MODEL_ERROR", error)
         sums = judged(windows, SOFT).sums
         assert sums is not None
         said = posterior(sums.products, sums.curved)
@@ -98,11 +97,11 @@ def test_motion_that_shows_no_more_than_noise_does_is_not_judged(size: float, ex
     found = judged(windows_of(SOFT, 0.3, size=size), SOFT)
     assert (found.sums is not None) == excited
     assert excited or (found.reason is not None and found.reason.code is ReasonCode.DAMPER_NOT_EXCITED)
-    assert window_damper.LEAST_EXCITATION == 3.0
+    assert damper.LEAST_EXCITATION == 3.0
 
 
 def test_short_windows_say_nothing() -> None:
-    assert window_damper.FEWEST_SAMPLES == 600.0
+    assert damper.FEWEST_SAMPLES == 600.0
     cut = [replace(one, valid=np.arange(len(one.valid)) < 60.0 * 250 / 60 * 16) for one in windows_of(SOFT, 1.0)]
     found = judged(cut, SOFT)
     assert found.reason is not None
@@ -153,7 +152,7 @@ def test_what_noise_adds_to_the_products_is_known() -> None:
         gear = gear_segments(windows_of(SOFT, 1.0, number, size=0.0), SOFT, SignalParameters())
         assert not isinstance(gear, Reason)
         for segment in gear.segments:
-            taken = window_damper._taken(segment, gear, filters.apart)
+            taken = damper._taken(segment, gear, filters.apart)
             assert taken is not None
             add_products(filters, taken[0], taken[1], taken[2], products)
             samples += int(taken[2].sum())

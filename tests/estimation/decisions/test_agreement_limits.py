@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from estimation.filters.local_cubic import local_cubic_kernel
+from estimation.filters import local_cubic_kernel
 from estimation.track.passes import Pass, ProfileLife
 from estimation.track.screening.agreement import (
     NOTHING,

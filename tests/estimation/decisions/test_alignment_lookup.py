@@ -10,7 +10,7 @@ from plain_windows import plain_track
 from scipy.interpolate import CubicSpline
 from test_agreement_limits import smooth
 
-from estimation.filters.local_cubic import local_cubic_kernel
+from estimation.filters import local_cubic_kernel
 from estimation.motion.track_lookup import alignment_at, deconvolved
 from estimation.values.arrays import FloatArray
 from estimation.values.track import TrackAlignment

@@ -33,8 +33,7 @@ from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.geometry.conicity import (
     CurveReplicates,
 )
-from estimation.geometry.rolling_line import SLOPES, held_difference_std
-from estimation.geometry.sharpening import jumps_displaced, sharpen
+from estimation.geometry.sharpening import SLOPES, held_difference_std, jumps_displaced, sharpen
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import CentreOrigin

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from plain_windows import DT, SPEED, plain_track, plain_window
 
-from estimation.filters.local_cubic import local_cubic_kernel
-from estimation.filters.smoothing_spline import remove_wander
+from estimation.filters import local_cubic_kernel, remove_wander
 from estimation.motion.integration import integrate
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_radius_difference import fuse, motion_signals

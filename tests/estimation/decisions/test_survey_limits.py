@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 from test_agreement_limits import smooth
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.track.positions import peak_position
 from estimation.track.survey_check import (
     SurveyCheck,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimation.filters.smoothing_spline import remove_wander, subtract_smoothing_spline
+from estimation.filters import remove_wander, subtract_smoothing_spline
 from estimation.values.arrays import FloatArray
 
 CUT_OFF = 40.0

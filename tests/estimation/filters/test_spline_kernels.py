@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from oracles.sparse_smoothing_spline import sparse_smoothing_spline
 
-from estimation.filters.smoothing_spline import (
+from estimation.filters import (
     PIECES,
     add_roughness,
     factorise,

@@ -11,7 +11,7 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import TreadWear, worn
-from estimation.geometry.rolling_line import ContactRoll, standard_curve
+from estimation.geometry.sharpening import ContactRoll, standard_curve
 from estimation.geometry.uncertainty import SCALE_STDS, ParameterUncertainty
 from estimation.motion.rolling_radius_difference import standard_displacement
 from estimation.values.arrays import FloatArray

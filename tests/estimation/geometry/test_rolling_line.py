@@ -8,7 +8,7 @@ import pytest
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.geometry.rolling_line import (
+from estimation.geometry.sharpening import (
     DIAMETER_STD,
     SLOPES,
     held_difference_std,

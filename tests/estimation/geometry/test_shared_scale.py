@@ -68,7 +68,7 @@ def packed(several: list[Samples]) -> tuple[FloatArray, FloatArray]:
 @pytest.mark.parametrize("prior_std", [1e-4, 0.02, 1e6])
 def test_it_is_the_least_squares_of_all_samples_at_once(prior_std: float) -> None:
     both = [samples(1), samples(2)]
-    found = solve_with_shared_scales(*packed(both), REGRESSORS, TARGETS, (prior_std,) * SHARED).solution
+    found = solve_with_shared_scales(*packed(both), REGRESSORS, TARGETS, (prior_std,) * SHARED)[0]
     theta = found.theta.reshape(2, BINS, REGRESSORS, TARGETS)
     for one, ours in zip(both, theta, strict=True):
         expected = dense(one, prior_std, list(range(BINS)))
@@ -81,7 +81,7 @@ def test_it_is_the_least_squares_of_all_samples_at_once(prior_std: float) -> Non
 def test_residuals_are_those_of_the_samples() -> None:
     one = samples(3)
     weight = packed([one])[1][0]
-    found = solve_with_shared_scales(*packed([one]), REGRESSORS, TARGETS, (0.02,) * SHARED).solution
+    found = solve_with_shared_scales(*packed([one]), REGRESSORS, TARGETS, (0.02,) * SHARED)[0]
     for b in range(BINS):
         inside = one.bin == b
         left = one.targets[inside, 0] - one.features[inside] @ found.theta[b, :, 0]
@@ -93,7 +93,7 @@ def test_a_bin_without_enough_samples_has_no_coefficients_and_adds_nothing() -> 
     few = np.flatnonzero(one.bin == 2)[:2]
     keep = np.sort(np.concatenate([np.flatnonzero(one.bin != 2), few]))
     thin = Samples(one.features[keep], one.targets[keep], one.bin[keep])
-    found = solve_with_shared_scales(*packed([thin]), REGRESSORS, TARGETS, (0.02,) * SHARED).solution
+    found = solve_with_shared_scales(*packed([thin]), REGRESSORS, TARGETS, (0.02,) * SHARED)[0]
     assert np.isnan(found.theta[2]).all()
     expected = dense(thin, 0.02, [0, 1, 3])
     np.testing.assert_allclose(found.theta[0, :SHARED], expected[:SHARED], rtol=1e-7, atol=1e-12)
@@ -110,7 +110,7 @@ def test_what_the_data_leave_of_the_shared_ones_moves_the_others_as_a_solution_w
     noise = counted * z @ z / (len(z) - alone.shape[1])
     unknown = noise * np.linalg.inv(rest.T @ rest + noise * np.diag(np.array(stds) ** -2.0))
     for b in range(BINS):
-        own, ours = of_shared[3 * b : 3 * (b + 1)], found.sensitivity[b]
+        own, ours = of_shared[3 * b : 3 * (b + 1)], found[1][b]
         np.testing.assert_allclose(ours @ ours.T, own @ unknown @ own.T, rtol=1e-6, atol=1e-12)
 
 
@@ -118,7 +118,7 @@ def test_samples_that_say_little_leave_the_shared_ones_near_zero() -> None:
     one = samples(6)
     moments, stds = packed([one]), (0.02,) * SHARED
     near, far = (
-        solve_with_shared_scales(*moments, REGRESSORS, TARGETS, stds, (counted,) * SHARED).solution.theta[0, 0, 0]
+        solve_with_shared_scales(*moments, REGRESSORS, TARGETS, stds, (counted,) * SHARED)[0].theta[0, 0, 0]
         for counted in (1e9, 1.0)
     )
     assert abs(near) < 1e-3 * abs(far)
@@ -127,8 +127,8 @@ def test_samples_that_say_little_leave_the_shared_ones_near_zero() -> None:
 def test_without_samples_nothing_is_known_but_what_was_known_beforehand() -> None:
     moments, weight = packed([samples(7)])
     found = solve_with_shared_scales(0.0 * moments, 0.0 * weight, REGRESSORS, TARGETS, (0.02,) * SHARED)
-    assert np.isnan(found.solution.theta).all()
-    assert np.isnan(found.sensitivity).all()
+    assert np.isnan(found[0].theta).all()
+    assert np.isnan(found[1]).all()
 
 
 def test_scales_have_the_stds_on_file_and_at_least_a_fifth_of_a_percent() -> None:

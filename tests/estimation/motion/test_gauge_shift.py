@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from smooth_wheelset import alignment, mems_windows, run, track
 
-from estimation.filters.smoothing_spline import remove_wander
+from estimation.filters import remove_wander
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.track_lookup import gauge_shift
 from estimation.motion.window_motion import motion

@@ -11,7 +11,7 @@ from scipy.signal import butter, sosfilt
 from smooth_wheelset import mems_windows, run
 from whole_runs import whole_runs
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_radius_difference import MotionSignals, _sampled, _shortest
 from estimation.track.passes import Pass, passes

@@ -9,7 +9,7 @@ import pytest
 from smooth_wheelset import alignment, mems_windows, run, track
 
 from estimation.errors import ParameterError
-from estimation.filters.smoothing_spline import remove_wander
+from estimation.filters import remove_wander
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_radius_difference import standard_displacement
 from estimation.motion.window_motion import motion

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from smooth_wheelset import SmoothTable, alignment, mems_windows, run, track
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.motion.checks import straight, straight_part
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.track_lookup import deconvolved
@@ -51,14 +51,14 @@ def test_straight_is_where_nothing_bends_within_the_margin(corners: list[float],
     at = np.linspace(-50.0, 2050.0, 701)
     fine = np.arange(ordered[0], ordered[-1], 0.05)
     bent = fine[
-        (np.abs(np.interp(fine, laid.s, laid.curvature)) > LIMITS.curvature)
-        | (np.abs(np.interp(fine, laid.s, laid.cant)) > LIMITS.cant)
+        (np.abs(np.interp(fine, laid.s, laid.curvature)) > LIMITS.sharpest_curvature)
+        | (np.abs(np.interp(fine, laid.s, laid.cant)) > LIMITS.highest_cant)
     ]
     nearest = np.array([np.abs(bent - x).min() if len(bent) else np.inf for x in at])
     inside = (at >= laid.s[0]) & (at <= laid.s[-1])
     found = straight(at, laid, LIMITS)
-    decided = np.abs(nearest - LIMITS.margin) > 1.5  # the layout is looked at every metre
-    np.testing.assert_array_equal(found[decided], (inside & (nearest > LIMITS.margin))[decided])
+    decided = np.abs(nearest - LIMITS.curve_margin) > 1.5  # the layout is looked at every metre
+    np.testing.assert_array_equal(found[decided], (inside & (nearest > LIMITS.curve_margin))[decided])
 
 
 def test_curves_are_left_out_and_do_not_leak_into_the_straight() -> None:

@@ -12,11 +12,12 @@ from oracles.regression import regression as plain_regression
 from same_values import same_values
 
 from bench.moments import collect
-from estimation.tables import bin_kernels, bin_table
+from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters, fill_cells, group_of
+from estimation.tables.least_squares import LATERAL_COLUMNS, NOISE
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.windows import OF_FRAME, Motion
-from estimation.vehicle.regressors import LATERAL_TARGETS, YAW_TARGETS, Signals, regression
+from estimation.vehicle.regressors import LATERAL_TARGETS, YAW_TARGET_COLUMNS, YAW_TARGETS, Signals, regression
 from fleet_db.packed_values import pack_bin_table
 
 SINGLE = BinParameters(difference_noise=1e-9)
@@ -96,9 +97,9 @@ def test_groups_are_those_of_plain_arrays(blocks: list[int], groups: int) -> Non
 
 
 def test_columns_are_as_the_equations_have_them() -> None:
-    assert 4 + len(LATERAL_TARGETS) == bin_kernels.LATERAL_COLUMNS
-    assert YAW_TARGETS[bin_kernels.NOISE] == "noise"
-    assert len(YAW_TARGETS) == bin_kernels.YAW_TARGET_COLUMNS
+    assert 4 + len(LATERAL_TARGETS) == LATERAL_COLUMNS
+    assert YAW_TARGETS[NOISE] == "noise"
+    assert len(YAW_TARGETS) == YAW_TARGET_COLUMNS
 
 
 @pytest.mark.parametrize("parameters", [SINGLE, BOGIE])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gauge_passes import LENGTH, Wheels, passes, section
 
-from estimation.filters.local_cubic import high_pass
+from estimation.filters import high_pass
 from estimation.track.gauge.wheel_functions import total_gauge_shifts
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
 from estimation.track.panel.basis import Panel, PanelParameters

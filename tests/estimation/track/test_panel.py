@@ -14,7 +14,7 @@ from whole_runs import whole_runs
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.motion.parameters import SignalParameters
 from estimation.track.gridded_pass import grid_pass
 from estimation.track.panel.basis import Panel, PanelParameters, basis_functions

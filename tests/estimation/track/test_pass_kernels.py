@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.motion.rolling_radius_difference import sample_smoothed
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.basis import Panel, PanelParameters, basis_functions, gauge_at

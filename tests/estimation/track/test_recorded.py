@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.track.survey_check import check_survey
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource, TrackAlignment

@@ -11,7 +11,7 @@ from smooth_wheelset import SmoothTable, mems_windows, track
 from test_panel import PARAMETERS
 from whole_runs import whole_runs
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.motion.parameters import SignalParameters
 from estimation.track.passes import Pass, ProfileLife, passes
 from estimation.track.section import LEAST_USUAL, USUAL_FACTOR, Residuals, SectionEstimate, estimate_section

@@ -13,7 +13,7 @@ from smooth_wheelset import track
 from test_panel import PARAMETERS, fleet_passes
 from test_positions import OFFSETS, SCALES
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.track.passes import Pass
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.track.panel.basis import PanelParameters
 from estimation.track.passes import Pass, ProfileLife
 from estimation.track.results import CORRELATED, REPORTED_STD, position_std, shrunk

@@ -9,7 +9,7 @@ import pytest
 from smooth_wheelset import track
 from test_panel import PANEL, fleet_passes
 
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.track.gridded_pass import Placed, place
 from estimation.track.iteration import IterationParameters, iterate
 from estimation.track.panel.solution import PriorAlignment

@@ -1,4 +1,4 @@
-"""The slow wander of integrated signals, by a fixed-interval smoother in distance.
+"""High-passes in distance: smoothing spline for windows, local cubic for passes.
 
 An integrated acceleration is what the wheelset did plus a wander. The wander is modelled as an integrated random walk
 of third order *in distance*: its third derivative by distance is white. The most probable wander w given the whole
@@ -13,10 +13,12 @@ at 2 L. At the ends of a segment, where a filter would have to guess, the spline
 ``remove_wander`` is the high-pass of a segment: it also takes out what offsets and gaps of an acceleration integrate
 to. ``docs/decisions/wander-smoother.md`` gives the reasons.
 
-Compiled sums of the smoothing spline: normal equations on uniform knots, their solution, and what it leaves.
-
 The normal matrix is a band, one row and the next three columns for each B-spline, with a border of a few functions that
 are taken out whole. Every sum goes in an order of its own, so that it is the same on every processor.
+
+The high-pass of passes along a section is a signal minus its local cubic fit. The local fit over distance has weights
+of compact support that reproduce every cubic, so the filter is the same for every pass, does not depend on what is
+further away than its reach, and removes the slow wander of integrated sensors.
 """
 
 from __future__ import annotations
@@ -25,8 +27,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
+from scipy import fft
 
 from estimation.compiled import compiled
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
@@ -219,7 +224,8 @@ def subtract_smoothing_spline(
     gram[np.diag_indices_from(gram)] *= 1 + REGULARISATION
     gram -= _products(of_removed, explained)
     coefficients = spline.solved(wander)
-    shares = _solved_definite(gram, _products(weighted, rows) - _products(of_removed, coefficients))
+    factor, right = np.linalg.cholesky(gram), _products(weighted, rows) - _products(of_removed, coefficients)
+    shares = np.asarray(np.linalg.solve(factor.T, np.linalg.solve(factor, right)))
     coefficients -= shares.T @ explained
     subtract(rows, spline.interval, spline.pieces, coefficients, removed, shares)
     return rows
@@ -263,16 +269,9 @@ def _spline(distance: FloatArray, known: BoolArray, cutoff_wavelength: float) ->
 
 
 def _products(weighted: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return the products (k, m) of functions (k, n) with rows (m, n)."""
     products = np.empty((len(weighted), len(rows)))
     multiply(weighted, rows, products)
     return products
-
-
-def _solved_definite(gram: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the solution (k, m) of a positive definite system (k, k)."""
-    factor = np.linalg.cholesky(gram)
-    return np.asarray(np.linalg.solve(factor.T, np.linalg.solve(factor, right)))
 
 
 def remove_wander(
@@ -321,3 +320,52 @@ def _after_gaps(n: int, gaps: Sequence[tuple[int, int]]) -> FloatArray:
     steps = [(t >= behind).astype(np.float64) for _, behind in gaps]
     lines = [np.maximum(t - 0.5 * (first - 1 + behind), 0.0) / n for first, behind in gaps]
     return np.array([*steps, *lines])
+
+
+Precision = TypeVar("Precision", bound=np.floating[Any])
+REACH_IN_WIDTHS = 3.5
+CUT_OFF_IN_WIDTHS = 3.43  # wavelength that is halved over the width of the weights: (1 + u) exp(-u) = 1/2, u = 1.678
+
+
+@lru_cache(maxsize=64)
+def local_cubic_kernel(cutoff_wavelength: float, step: float) -> FloatArray:
+    """Return the weights (2 m + 1,) of the local cubic fit on a grid of ``step`` m, read-only; they sum to one.
+
+    Args:
+        cutoff_wavelength: Wavelength, m, of which half remains after the high-pass.
+    """
+    width = cutoff_wavelength / CUT_OFF_IN_WIDTHS
+    m = int(np.ceil(REACH_IN_WIDTHS * width / step))
+    u = np.arange(-m, m + 1) * step / width
+    weights = np.exp(-0.5 * u * u)
+    moments = [float((weights * u**k).sum()) for k in (0, 2, 4)]
+    # (a + b u^2) w(u) with sum 1 and no second moment reproduces cubics
+    a, b = np.linalg.solve([[moments[0], moments[1]], [moments[1], moments[2]]], [1.0, 0.0])
+    return frozen_array((a + b * u * u) * weights, (2 * m + 1,), name="weights")
+
+
+def high_pass(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) -> npt.NDArray[Precision]:
+    """Return ``signals`` (m, n) minus their local fit; the first and last len(weights)//2 samples mean nothing.
+
+    Args:
+        weights: (2 k + 1,) from :func:`local_cubic_kernel` for that grid, of the same precision.
+    """
+    n, reach = signals.shape[-1], len(weights) // 2
+    size = fft.next_fast_len(n + 2 * reach, real=True)
+    fit = fft.irfft(fft.rfft(signals, size) * _spectrum(weights.tobytes(), weights.dtype.str, size), size)
+    return np.asarray(signals - fit[..., reach : reach + n])
+
+
+@lru_cache(maxsize=64)
+def _spectrum(weights: bytes, kind: str, size: int) -> npt.NDArray[Any]:
+    """Return the transform of weights of a type that numpy knows by ``kind``, padded to ``size``."""
+    return np.asarray(fft.rfft(np.frombuffer(weights, dtype=kind), size))
+
+
+def valid_support(valid: BoolArray, weights: FloatArray) -> BoolArray:
+    """Return where every sample within the reach of the filter is valid."""
+    m = len(weights) // 2
+    padded = np.concatenate([np.zeros(m), ~valid, np.zeros(m)])
+    padded[:m] = padded[len(padded) - m :] = 1.0
+    sums = np.concatenate([[0.0], np.cumsum(padded)])
+    return np.asarray(sums[2 * m + 1 :] - sums[: -(2 * m + 1)] == 0)

@@ -1,1 +1,0 @@
-"""High-passes in distance (smoothing spline for windows, local cubic for passes) and peaks between samples."""
