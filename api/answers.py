@@ -1,4 +1,9 @@
-"""Answers: JSON or CSV with a strong ETag, pages with a link to the next, preconditions."""
+"""Answers: JSON or CSV with a strong ETag, pages with a link to the next, preconditions.
+
+A list as a table has one column a number, in an order that follows from the schema alone. Parts of a representation
+become columns named after both; of a pair the ends; lists become one cell, of words joined by ``; `` or, of anything
+else, as JSON. Paths of related resources are left out.
+"""
 
 from __future__ import annotations
 
@@ -6,25 +11,109 @@ import csv
 import hashlib
 import io
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from http import HTTPMethod, HTTPStatus
+from operator import itemgetter
 from threading import Lock
-from typing import Annotated, TypeVar
+from types import NoneType, UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 from urllib.parse import quote, urlencode
 
 import orjson
 from fastapi import Header, Query, Request, Response
-from pydantic import BaseModel, SerializeAsAny
+from pydantic import BaseModel
 
-from api import cursors
 from api.contract import CSV, JSON
-from api.csv_tables import ITEMS, item_of, table
 from api.problems import ProblemError
-from api.schemas.common import Page
 
-RecordT = TypeVar("RecordT")
-ItemT = TypeVar("ItemT", bound=BaseModel)
+ITEMS = "items"
+LINKS = "links"
+_PLAIN = (str, int, float, bool)
+_ENDS = ("low", "high")
+Convert = Callable[[Any], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: its name, the fields that lead to its cell, and what is written of what is there."""
+
+    name: str
+    fields: tuple[str, ...]
+    convert: Convert = lambda value: value
+
+    def read(self, item: Any) -> object:  # noqa: ANN401 - any representation
+        """Return the cell of a representation; of what is absent it is absent."""
+        for name in self.fields:
+            item = None if item is None else getattr(item, name)
+        return None if item is None else self.convert(item)
+
+
+def item_of(model: Any) -> type[BaseModel] | None:  # noqa: ANN401 - whatever a route answers with
+    """Return what the items of a list are; None where the model is no list."""
+    if not (isinstance(model, type) and issubclass(model, BaseModel)) or ITEMS not in model.model_fields:
+        return None
+    (item,) = get_args(model.model_fields[ITEMS].annotation) or (None,)
+    return item if isinstance(item, type) and issubclass(item, BaseModel) else None
+
+
+@cache
+def columns_of(model: type[BaseModel]) -> tuple[Column, ...]:
+    """Return the columns of a representation, in the order of its fields."""
+    return tuple(_columns(model, (), ()))
+
+
+def table(model: type[BaseModel], items: Sequence[BaseModel]) -> tuple[Sequence[str], Iterator[Sequence[object]]]:
+    """Return header and rows of a list."""
+    columns = columns_of(model)
+    return [column.name for column in columns], ([column.read(item) for column in columns] for item in items)
+
+
+def _columns(model: type[BaseModel], path: tuple[str, ...], fields: tuple[str, ...]) -> Iterator[Column]:
+    for name, info in model.model_fields.items():
+        if name != LINKS:
+            yield from _cells(info.annotation, (*path, info.serialization_alias or name), (*fields, name))
+
+
+def _cells(annotation: Any, path: tuple[str, ...], fields: tuple[str, ...]) -> Iterator[Column]:  # noqa: ANN401 - any type
+    kind, arguments = _known(annotation)
+    name = "_".join(path)
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        yield from _columns(kind, path, fields)
+    elif kind is tuple and len(arguments) == len(_ENDS) and Ellipsis not in arguments:
+        for place, end in enumerate(_ENDS):
+            yield Column(f"{name}_{end}", fields, itemgetter(place))
+    elif isinstance(kind, type) and issubclass(kind, _PLAIN):
+        yield Column(name, fields)
+    elif kind in {list, tuple} and all(
+        isinstance(_known(one)[0], type) and issubclass(_known(one)[0], _PLAIN)
+        for one in arguments
+        if one is not Ellipsis
+    ):
+        yield Column(name, fields, lambda values: "; ".join(map(str, values)))
+    else:
+        yield Column(name, fields, lambda value: orjson.dumps(value, default=_plain).decode())
+
+
+def _known(annotation: Any) -> tuple[Any, tuple[Any, ...]]:  # noqa: ANN401 - any type
+    """Return a type without what may be absent or is said about it, and its arguments."""
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _known(arguments[0])
+    if origin in {Union, UnionType}:
+        present = [one for one in arguments if one is not NoneType]
+        return _known(present[0]) if len(present) == 1 else (None, ())
+    return (annotation, ()) if origin is None else (origin, arguments)
+
+
+def _plain(value: Any) -> object:  # noqa: ANN401 - what orjson does not know
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json", by_alias=True)
+    raise TypeError(f"{type(value).__name__} has no place in a table")
+
+
+Table = tuple[Sequence[str], Iterable[Sequence[object]]]
 
 Limit = Annotated[int, Query(ge=1, le=1000, description="How many items at most.")]
 Cursor = Annotated[str | None, Query(description="`next_cursor` of the page before, with the same filter.")]
@@ -82,19 +171,14 @@ def answer(request: Request, body: BaseModel, *, status: int = 200, headers: Map
     """Return a representation with its ETag: as JSON, or a list as the table that the client asked for."""
     item = item_of(request.scope["route"].response_model) if wants_table(request) else None
     if item is not None:
-        return _answer_csv(request, table(item, getattr(body, ITEMS)), headers)
+        rows = csv_text(*table(item, getattr(body, ITEMS)))
+        return answer_bytes(request, rows, media_type=_CSV_TYPE, headers=headers)
     return answer_bytes(request, payload_of(body), status=status, headers=headers)
 
 
 def wants_table(request: Request) -> bool:
     """Return whether the client asked for CSV, and the operation offers it."""
     return getattr(request.state, "media_type", JSON) == CSV
-
-
-def _answer_csv(
-    request: Request, rows: tuple[Sequence[str], Iterable[Sequence[object]]], headers: Mapping[str, str] = {}
-) -> Response:
-    return answer_bytes(request, csv_text(*rows), media_type=_CSV_TYPE, headers=headers)
 
 
 def _cell(value: object) -> object:
@@ -117,7 +201,7 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
     return text.getvalue().encode()
 
 
-def table_payload(body: BaseModel, media_type: str, rows: tuple[Sequence[str], Iterable[Sequence[object]]]) -> bytes:
+def table_payload(body: BaseModel, media_type: str, rows: Table) -> bytes:
     """Return a representation as JSON, or its table as CSV."""
     return csv_text(*rows) if media_type == CSV else payload_of(body)
 
@@ -133,61 +217,14 @@ def next_path(request: Request, name: str, cursor: str) -> str:
     return f"{quote(request.scope['path'])}?{urlencode([*kept, (name, cursor)])}"
 
 
-def answer_page(
-    request: Request,
-    filters: Mapping[str, object],
-    limit: int,
-    rows: Sequence[RecordT],
-    key: Callable[[RecordT], cursors.Key],
-    represent: Callable[[RecordT], ItemT],
-) -> Response:
-    """Return one page of a list, as JSON or as a table.
-
-    Args:
-        rows: Up to ``limit + 1`` records behind the cursor; one more than shown means that there is a next page.
-    """
-    shown, cursor, path = _shown(request, filters, limit, rows, key)
-    return answer(
-        request,
-        Page[SerializeAsAny[BaseModel]](items=[represent(row) for row in shown], next_cursor=cursor, next=path),
-        headers=_link(path),
-    )
-
-
-def answer_payloads(
-    request: Request,
-    filters: Mapping[str, object],
-    limit: int,
-    rows: Sequence[RecordT],
-    key: Callable[[RecordT], cursors.Key],
-    payload: Callable[[RecordT], bytes],
-    represent: Callable[[RecordT], ItemT],
-) -> Response:
-    """Return one page of a list whose items are kept as JSON, for long lists that are read often."""
-    if wants_table(request):
-        return answer_page(request, filters, limit, rows, key, represent)
-    shown, cursor, path = _shown(request, filters, limit, rows, key)
+def answer_items(request: Request, items: Iterable[bytes], cursor: str | None, path: str | None) -> Response:
+    """Return one page of a list whose items are JSON already."""
     rest = orjson.dumps({"next_cursor": cursor, "next": path})
-    body = b'{"items":[' + b",".join(payload(row) for row in shown) + b"]," + rest[1:]
-    return answer_bytes(request, body, headers=_link(path))
+    return answer_bytes(request, b'{"items":[' + b",".join(items) + b"]," + rest[1:], headers=link(path))
 
 
-def _shown(
-    request: Request,
-    filters: Mapping[str, object],
-    limit: int,
-    rows: Sequence[RecordT],
-    key: Callable[[RecordT], cursors.Key],
-) -> tuple[Sequence[RecordT], str | None, str | None]:
-    """Return the records of a page, the cursor of the next and its path; None where this is the last."""
-    shown = rows[:limit]
-    if len(rows) <= limit:
-        return shown, None, None
-    cursor = cursors.encode(operation(request), filters, key(shown[-1]))
-    return shown, cursor, next_path(request, "cursor", cursor)
-
-
-def _link(path: str | None) -> Mapping[str, str]:
+def link(path: str | None) -> Mapping[str, str]:
+    """Return the header that names the next page."""
     return {} if path is None else {"Link": f'<{path}>; rel="next"'}
 
 
@@ -205,8 +242,7 @@ def require_match(header: str | None, current: BaseModel) -> None:
         raise ProblemError(412, "precondition-failed", "the resource has changed; read it again", headers={"ETag": tag})
 
 
-CACHED_BYTES = 64 << 20
-"""Size of the representations that one process keeps, in bytes."""
+CACHED_BYTES = 64 << 20  # size of the representations that one process keeps, in bytes
 
 
 @dataclass(slots=True)

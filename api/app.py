@@ -19,8 +19,7 @@ from prometheus_client import CollectorRegistry
 from api import contract, problems
 from api.access.caller import authorise
 from api.access.guard import AccessPlan, allow_pages, guard_of
-from api.feed.streams import WaitingPlaces
-from api.feed.watch import FeedWatch, ending
+from api.feed.watch import FeedWatch, WaitingPlaces, ending
 from api.http_server import HttpLimits
 from api.measures import Measured, reference_measures
 from api.metrics import RequestMeasures, stored_measures, upload_measures
@@ -143,12 +142,7 @@ def build_app(
     plan: AccessPlan | None = None,
     sender: Sender | None = None,
 ) -> FastAPI:
-    """Return the app that answers with these services, within these limits or the usual ones.
-
-    Args:
-        services: None while the database is waited for: all but ``/healthz`` and ``/metrics`` is refused until
-            ``state.services`` is set.
-    """
+    """Return the app of these services; while they are None all but ``/healthz`` and ``/metrics`` is refused."""
     app = describe()
     registry = CollectorRegistry(auto_describe=False)
     registry.register(Measured(lambda: stored_measures(app.state.services)))

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from http import HTTPStatus
 from typing import Annotated, TypeVar
 
-from fastapi import Depends, Request, Response
-from pydantic import BaseModel
+import orjson
+from fastapi import Depends, Path, Query, Request, Response
+from pydantic import BaseModel, SerializeAsAny
 
 from api import cursors
-from api.access.caller import Caller, CallerDep
+from api.access.caller import Caller, CallerDep, known_caller
 from api.answers import (
     DEFAULT_LIMIT,
     Cursor,
@@ -20,11 +23,91 @@ from api.answers import (
     IfNoneMatch,
     Limit,
     answer,
-    answer_page,
+    answer_bytes,
+    answer_items,
+    link,
+    next_path,
     operation,
+    payload_of,
+    wants_table,
 )
+from api.problems import ProblemError, invalid
+from api.schemas.common import Page
 from api.services import Services, ServicesDep
+from api.times import Moment, to_rfc3339
 from fleet_db.storage import SqlUnitOfWork
+
+CODE = r"^[^\x00-\x1f\x7f]{1,64}$"
+_INT64_MAX = 2**63 - 1
+
+Code = Annotated[str, Path(pattern=CODE, examples=["demo"])]
+Serial = Annotated[str, Path(pattern=CODE, description="Serial of the wheelset.", examples=["WS-0001"])]
+Number = Annotated[int, Path(ge=1, le=_INT64_MAX, examples=[1])]
+FleetFilter = Annotated[str | None, Query(pattern=CODE, description="Only of this fleet.")]
+VehicleFilter = Annotated[str | None, Query(pattern=CODE, description="Only what runs under this vehicle now.")]
+WheelsetFilter = Annotated[str | None, Query(pattern=CODE, description="Only of this wheelset.")]
+AsOf = Annotated[
+    Moment | None,
+    Query(description="The result as recorded at this time; reproducible.", examples=["2026-01-31T12:00:00Z"]),
+]
+MeasuredFrom = Annotated[Moment | None, Query(alias="from", description="Measured at or after this time.")]
+MeasuredTo = Annotated[Moment | None, Query(alias="to", description="Measured before this time.")]
+
+
+def require_order(from_ns: int | None, to_ns: int | None, begin: str = "from", end: str = "to") -> None:
+    """Refuse (422) a range that ends before it begins; an empty one, `[t, t)`, is allowed; None is open."""
+    if from_ns is not None and to_ns is not None and from_ns > to_ns:
+        raise invalid(f"#/{begin}", f"is after `{end}`", f"{begin} is after {end}", "query")
+
+
+def not_in_the_future(as_of_ns: int | None, now_ns: int) -> None:
+    """Refuse (422) a time in the future."""
+    if as_of_ns is not None and as_of_ns > now_ns:
+        raise invalid("#/as_of", "is in the future", "as_of is in the future", "query")
+
+
+def not_purged(as_of_ns: int | None, purged_before_ns: int | None) -> None:
+    """Refuse (410) a time from which replaced results are not kept any more: what was known then is not known now."""
+    if as_of_ns is not None and purged_before_ns is not None and as_of_ns < purged_before_ns:
+        kept = to_rfc3339(purged_before_ns)
+        raise ProblemError(410, "history-purged", f"replaced results are kept from {kept} on, see the retention")
+
+
+@dataclass(frozen=True, slots=True)
+class IdempotentPost:
+    """One POST with its key; without a key every request is a new one."""
+
+    key: str | None
+    request_digest: str
+
+    def earlier(self, request: Request, unit: SqlUnitOfWork) -> Response | None:
+        """Return the answer that was already given under this key."""
+        known = None if self.key is None else unit.idempotency.get(self.key)
+        if known is None:
+            return None
+        digest, status, body = known
+        if digest != self.request_digest:
+            detail = "this Idempotency-Key was used for another request; use a new one"
+            raise ProblemError(422, "idempotency-key-reused", detail)
+        headers = {"Idempotency-Replayed": "true"}
+        if status == HTTPStatus.ACCEPTED:
+            headers["Location"] = orjson.loads(body)["links"]["self"]
+        return answer_bytes(request, body.encode(), status=status, headers=headers)
+
+    def remember(self, unit: SqlUnitOfWork, status: int, body: BaseModel, now_ns: int) -> None:
+        """Keep the answer, in the transaction of the change itself."""
+        if self.key is not None:
+            unit.idempotency.put(self.key, self.request_digest, status, payload_of(body).decode(), now_ns)
+
+
+def idempotent_post(request: Request, key: str | None, body: BaseModel | None = None) -> IdempotentPost:
+    """Return this POST's identity: its key, and a digest of what it asks for."""
+    request_parts = [request.method, request.scope["path"], None if body is None else body.model_dump(mode="json")]
+    identity = None if (caller := known_caller(request.scope)) is None else caller.identity
+    if key is not None and identity is not None:  # another key's answers are not for this caller
+        key = f"{hashlib.sha256(identity.encode()).hexdigest()[:32]} {hashlib.sha256(key.encode()).hexdigest()}"
+    return IdempotentPost(key, hashlib.sha256(orjson.dumps(request_parts)).hexdigest())
+
 
 RecordT = TypeVar("RecordT")
 Filters = Mapping[str, object]
@@ -61,6 +144,11 @@ class AskedList(Asked):
         """Return the number that the page begins behind; None at the beginning."""
         return cursors.decode_number(operation(self.request), filters, self.cursor)
 
+    def after_time(self, filters: Filters, from_ns: int | None) -> int | None:
+        """Return the time that the page begins behind, at the beginning that of a filter; None without one."""
+        after = self.after_number(filters)
+        return from_ns - 1 if after is None and from_ns is not None else after
+
     def after_text(self, filters: Filters) -> str | None:
         """Return the text that the page begins behind; None at the beginning."""
         return cursors.decode_text(operation(self.request), filters, self.cursor)
@@ -72,8 +160,34 @@ class AskedList(Asked):
         key: Callable[[RecordT], cursors.Key],
         represent: Callable[[RecordT], BaseModel],
     ) -> Response:
-        """Return a page: up to ``limit + 1`` records behind the cursor, as ``answer_page`` does."""
-        return answer_page(self.request, filters, self.limit, rows, key, represent)
+        """Return a page, as JSON or as a table, of up to ``limit + 1`` records behind the cursor."""
+        shown, cursor, path = self._shown(filters, rows, key)
+        items = [represent(row) for row in shown]
+        body = Page[SerializeAsAny[BaseModel]](items=items, next_cursor=cursor, next=path)
+        return answer(self.request, body, headers=link(path))
+
+    def payloads(
+        self,
+        filters: Filters,
+        rows: Sequence[RecordT],
+        key: Callable[[RecordT], cursors.Key],
+        payload: Callable[[RecordT], bytes],
+        represent: Callable[[RecordT], BaseModel],
+    ) -> Response:
+        """Return a page whose items are kept as JSON, for long lists that are read often."""
+        if wants_table(self.request):
+            return self.page(filters, rows, key, represent)
+        shown, cursor, path = self._shown(filters, rows, key)
+        return answer_items(self.request, map(payload, shown), cursor, path)
+
+    def _shown(
+        self, filters: Filters, rows: Sequence[RecordT], key: Callable[[RecordT], cursors.Key]
+    ) -> tuple[Sequence[RecordT], str | None, str | None]:
+        shown = rows[: self.limit]
+        if len(rows) <= self.limit:
+            return shown, None, None
+        cursor = cursors.encode(operation(self.request), filters, key(shown[-1]))
+        return shown, cursor, next_path(self.request, "cursor", cursor)
 
     def numbered(
         self,
@@ -88,10 +202,7 @@ class AskedList(Asked):
         return self.page(filters, rows[: self.limit + 1], key, represent)
 
     def named(
-        self,
-        found: Iterable[RecordT],
-        key: Callable[[RecordT], str],
-        represent: Callable[[RecordT], BaseModel],
+        self, found: Iterable[RecordT], key: Callable[[RecordT], str], represent: Callable[[RecordT], BaseModel]
     ) -> Response:
         """Return a page of all records, in the order of their names."""
         after = self.after_text({})
@@ -106,6 +217,19 @@ class AskedChange(Asked):
     caller: Caller
     if_match: str | None = None
     key: str | None = None
+
+    def once(
+        self, body: BaseModel, apply: Callable[[SqlUnitOfWork, int], BaseModel], status: HTTPStatus = HTTPStatus.OK
+    ) -> Response:
+        """Change something in one transaction; the same request again changes nothing and gets the same answer."""
+        post, now_ns = idempotent_post(self.request, self.key, body), self.services.clock.now_ns()
+        with self.services.storage.write() as unit:
+            earlier = post.earlier(self.request, unit)
+            if earlier is not None:
+                return earlier
+            done = apply(unit, now_ns)
+            post.remember(unit, status, done, now_ns)
+        return answer(self.request, done, status=status)
 
 
 async def _asked(request: Request, services: ServicesDep, _held: IfNoneMatch = None) -> Asked:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import platform
 from collections.abc import MutableMapping
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 DIRECTORY, CPU = "TREADWATCH_COMPILED_DIR", "TREADWATCH_COMPILED_CPU"
 PORTABLE = "portable"
@@ -36,10 +39,43 @@ def portable_cpu(machine: str | None = None, facts: Path = CPU_FACTS) -> tuple[s
 
 
 def _of_file(path: Path) -> dict[str, str]:
-    """Return the two settings as a file ``.env`` has them."""
     if not path.is_file():
         return {}
     from dotenv import dotenv_values  # noqa: PLC0415 - most starts have no such file
 
     found = dotenv_values(path, interpolate=False)
     return {name: value for name in (DIRECTORY, CPU) if (value := found.get(name))}
+
+
+SIGNATURES = Path(__file__).with_name("kernel_signatures.json")  # a test compares it with runs of every kernel
+
+
+def compile_kernels() -> None:
+    """Compile every kernel with every type of arguments, or load what is already there."""
+    for name, signatures in json.loads(SIGNATURES.read_text(encoding="utf-8")).items():
+        kernel = _named(name)
+        for signature in signatures:
+            kernel.compile(tuple(_type_of(described) for described in signature))
+
+
+def _named(path: str) -> Any:  # noqa: ANN401 - a compiled function, or a class
+    module, _, name = path.rpartition(".")
+    return getattr(import_module(module), name)
+
+
+def _type_of(described: Any) -> Any:  # noqa: ANN401 - JSON, and a type of numba
+    """Return a type: a scalar, an array with its dimensions, a tuple of types, or a named tuple by its class."""
+    import numba  # noqa: PLC0415 - not before it knows its directory
+    import numpy as np  # noqa: PLC0415 - the same
+
+    types: Any = numba.types
+    if isinstance(described, dict):
+        ((name, parts),) = described.items()
+        return types.BaseTuple.from_types([_type_of(part) for part in parts], pyclass=_named(name))
+    if isinstance(described, list):
+        return types.BaseTuple.from_types([_type_of(part) for part in described])
+    kind, *dimensions = described.split()
+    scalar = numba.from_dtype(np.dtype(kind))
+    if not dimensions:
+        return scalar
+    return types.Array(scalar, int(dimensions[0]), "C", readonly="readonly" in dimensions)

@@ -91,13 +91,7 @@ def _refuse_other_body(request: Request, taken: Sequence[str]) -> None:
 
 
 async def media_type(request: Request) -> str:
-    """Return the media type that the client accepts best of what the operation offers.
-
-    Raises:
-        ProblemError: 406: it accepts none; 415: the body is of another type; 422: an unknown or repeated query
-            parameter.
-        LookupError: The route has been added without its description.
-    """
+    """Return the media type that the client accepts best of what the operation offers (else 406, 415, 422)."""
     contracts: Contracts = request.app.state.contracts
     path = request.scope["route"].path_format
     contract = contracts.get((path, request.method))

@@ -29,7 +29,7 @@ def encode(operation: str, filters: Mapping[str, object], key: Key) -> str:
     return base64.urlsafe_b64encode(raw).decode().rstrip("=")
 
 
-def refused(detail: str) -> ProblemError:
+def refused(detail: str = "this is no cursor of this list") -> ProblemError:
     """Return the problem of a cursor that cannot be used."""
     return ProblemError(400, "invalid-cursor", detail)
 
@@ -57,7 +57,7 @@ def number_of(key: object) -> int | None:
         return None
     if isinstance(key, int) and is_number(key):
         return key
-    raise refused("this is no cursor of this list")
+    raise refused()
 
 
 def is_number(key: float) -> bool:
@@ -72,7 +72,7 @@ def decode_text(operation: str, filters: Mapping[str, object], cursor: str | Non
     """
     key = decode(operation, filters, cursor)
     if key is not None and (not isinstance(key, str) or "\0" in key):
-        raise refused("this is no cursor of this list")
+        raise refused()
     return key
 
 
@@ -84,5 +84,5 @@ def decode(operation: str, filters: Mapping[str, object], cursor: str | None) ->
     if digest != _digest(operation, filters):
         raise refused("this cursor belongs to another list or another filter; start again without it")
     if key is None:
-        raise refused("this is no cursor of this list")
+        raise refused()
     return key

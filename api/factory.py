@@ -6,8 +6,9 @@ import logging
 import os
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,14 +18,12 @@ from typing import TYPE_CHECKING, TypeVar
 from api.raw_stores import open_raw_store
 from api.rules_file import load_rules
 from api.settings import PREFIX, Settings, known_sections, load_retention
-from api.topic import publisher
 from api.tracing import traced
 from estimation.alerts.rules.book import RuleBook
-from estimation.errors import MigrationError, ParameterError, StorageError
+from estimation.errors import InputError, MigrationError, ParameterError, StorageError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.rails_settings import KnownSection, RailsSettings
-from estimation.jobs.settings import JobSettings
+from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.numerics_version import NUMERICS_VERSION
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import Clock
@@ -44,7 +43,9 @@ from ingest.own_bus.loading import load_own_bus
 from ingest.receipts import Announce, to_nobody
 from ingest.receiver import Receiver
 from ingest.stored_settings import SECOND_NS, check_window_length, claim
-from ingest.vehicle_class_file import class_of_package
+from ingest.topic.client import Topic, load_properties
+from ingest.topic.publishing import Publisher
+from ingest.vehicle_class_schema import class_of_package
 
 if TYPE_CHECKING:
     import uvicorn
@@ -52,11 +53,53 @@ if TYPE_CHECKING:
 
     from api.services import Services
     from api.uploads import Uploads
-    from ingest.topic.publishing import Publisher
 
 
-FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0
-"""Between attempts to reach it; each is twice the one before."""
+Client = TypeVar("Client")
+
+
+def topic_of(settings: Settings) -> Topic | None:
+    """Return the topic; None where no brokers are set. An error in its properties names the line, never a value."""
+    if settings.kafka_servers is None:
+        return None
+    properties = {} if settings.kafka_properties is None else load_properties(settings.kafka_properties)
+    return Topic(settings.kafka_servers, settings.kafka_topic, properties)
+
+
+def publisher(settings: Settings, storage_of: Callable[[], SqlStorage | None]) -> Publisher | None:
+    """Return what publishes references to received chunks; None where no brokers are set."""
+
+    def fleet_of(vehicle: str) -> str:
+        storage = storage_of()
+        if storage is None:
+            return ""
+        with storage.read() as unit:
+            return unit.registry.vehicle(vehicle).fleet
+
+    topic = topic_of(settings)
+    return None if topic is None else with_named_setting(lambda: Publisher(topic, fleet_of))
+
+
+@contextmanager
+def publishing(settings: Settings, storage_of: Callable[[], SqlStorage | None]) -> Iterator[Announce]:
+    """Yield what announces receipts on the topic, to nobody where none is set; what waits at the end is published."""
+    references = publisher(settings, storage_of)
+    if references is None:
+        yield to_nobody
+        return
+    with closing(references):
+        yield references.publish
+
+
+def with_named_setting(make: Callable[[], Client]) -> Client:
+    """Return a client; a refusal of its configuration names the setting."""
+    try:
+        return make()
+    except InputError as error:
+        raise ParameterError(error.reason, field=f"{PREFIX}KAFKA_PROPERTIES") from None
+
+
+FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0  # between attempts to reach it; each is twice the one before
 
 Service = TypeVar("Service")
 
@@ -64,11 +107,7 @@ _log = logging.getLogger(__name__)
 
 
 def once_the_database_answers(make: Callable[[], Service], settings: Settings, stopping: Event) -> Service | None:
-    """Return what needs the database as soon as a server answers; None when a stop is asked for before.
-
-    Args:
-        settings: Of the deployment. A file of SQLite that cannot be opened is not waited for: nobody brings it back.
-    """
+    """Return what needs the database as soon as a server answers, SQLite at once; None after a stop."""
     delays, waited = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S), False
     while not stopping.is_set():
         try:
@@ -90,12 +129,9 @@ def once_the_database_answers(make: Callable[[], Service], settings: Settings, s
 
 
 MEGABYTE = 1_000_000
-RECEIPT_PATIENCE_S = 20.0
-"""How long receipts of uploads wait for another process that writes to the embedded database."""
-AT_ONCE_S = 1.0
-"""A database server that answers within this time is there before the REST API listens."""
-WRITERS = 16
-"""Requests that write at once on a database server; the others are left for those that read."""
+RECEIPT_PATIENCE_S = 20.0  # how long receipts of uploads wait for another process that writes to the embedded database
+AT_ONCE_S = 1.0  # a database server that answers within this time is there before the REST API listens
+WRITERS = 16  # requests that write at once on a database server; the others are left for those that read
 
 
 class SystemClock:
@@ -120,13 +156,7 @@ def process_name(number: int | None = None) -> str:
 
 
 def open_store(settings: Settings) -> SqlStorage:
-    """Return the store of this deployment.
-
-    Raises:
-        MigrationError: The database is at another migration; the message gives the command to run.
-        ParameterError: The database URL names none that can be used, or windows of another length are stored.
-        StorageError: The database cannot be reached.
-    """
+    """Return the store of this deployment; refused at another migration, of other windows, or out of reach."""
     limits = ServerLimits(
         settings.database_connect_timeout_s, settings.database_silence_s, settings.database_statement_timeout_s
     )
@@ -152,11 +182,7 @@ def raw_store(settings: Settings) -> RawStore:
 def job_context(
     settings: Settings, storage: SqlStorage, progress: Callable[[int, int], None] | None = None
 ) -> JobContext:
-    """Return what the jobs of this deployment may touch.
-
-    Args:
-        progress: Called with (done, total) by jobs that count.
-    """
+    """Return what the jobs of this deployment may touch; ``progress`` is called with (done, total)."""
     rules = RuleBook() if settings.rules_file is None else load_rules(settings.rules_file)
     chosen = JobSettings(rules=rules, rails=rails_settings(settings))
     return JobContext(
@@ -204,11 +230,7 @@ def receiver(
     deleted_taken_by: str | None = None,
     announce: Announce = to_nobody,
 ) -> Receiver:
-    """Return what takes recordings in and makes their windows.
-
-    Args:
-        deleted_taken_by: Who wants recordings that were deleted to be taken in again; None where they are refused.
-    """
+    """Return what takes recordings in and makes their windows; deleted ones only where somebody wants them back."""
     buses = [load_own_bus(path) for path in catalogues or settings.catalogue_files]
     chosen = claim(storage, bus_choice(default_catalogue(), buses), _length_ns(settings), clock.now_ns())
     return Receiver(

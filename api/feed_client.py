@@ -66,8 +66,7 @@ def blocks(lines: Iterable[str]) -> Iterator[Block]:
             data.append(value)
 
 
-def checked(response: httpx.Response) -> Any:  # noqa: ANN401 - JSON
-    """Return the body of a success."""
+def _checked(response: httpx.Response) -> Any:  # noqa: ANN401 - JSON
     if response.is_success:
         return _json(response)
     problem = _json(response)
@@ -98,11 +97,9 @@ STREAM = f"{FEED}/stream"
 EVENT_STREAM = "text/event-stream"
 PAGE = 500
 WAIT_S = 25
-SILENCE_S = 40.0
-"""Of a stream, whose signs of life come every 15 s; longer is a broken connection."""
+SILENCE_S = 40.0  # of a stream, whose signs of life come every 15 s; longer is a broken connection
 FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 30.0
-STREAM_FAILURES = 3
-"""Streams that break without a word, one after the other, until the client polls instead."""
+STREAM_FAILURES = 3  # streams that break without a word, one after the other, until the client polls instead
 Event = dict[str, Any]
 
 
@@ -171,9 +168,8 @@ class Follower:
         return httpx.QueryParams(given if self.cursor is None else [*given, ("after", self.cursor)])
 
     def _page(self, wait_s: int) -> bool:
-        """Hand one page over; return whether it was full."""
         parameters = self._parameters(limit=PAGE, wait_s=wait_s)
-        page = checked(self.http.get(FEED, params=parameters, timeout=wait_s + 30.0))
+        page = _checked(self.http.get(FEED, params=parameters, timeout=wait_s + 30.0))
         for number, event in enumerate(page["items"], 1):
             last = number == len(page["items"])
             self.taker.event(event, page["next_cursor"] if last else self.cursor or "")
@@ -186,7 +182,6 @@ class Follower:
         return True
 
     def _stream(self) -> bool:
-        """Hand over what a stream brings until it ends."""
         headers = {"Accept": EVENT_STREAM}
         timeout = httpx.Timeout(30.0, read=SILENCE_S)
         with self.http.stream("GET", STREAM, params=self._parameters(), headers=headers, timeout=timeout) as response:
@@ -195,7 +190,7 @@ class Follower:
                 return True
             if response.is_error or not response.headers.get("content-type", "").startswith(EVENT_STREAM):
                 response.read()
-                checked(response)
+                _checked(response)
                 raise RefusedError("the answer is no stream: is this address the service's?")
             self._silent_streams += 1
             for block in blocks(response.iter_lines()):
@@ -217,7 +212,7 @@ class Follower:
         found: list[Event] = []
         path: str | None = "/v1/alerts?open=true&limit=1000"
         while path is not None:
-            page = checked(self.http.get(path))
+            page = _checked(self.http.get(path))
             found += page["items"]
             path = page["next"]
         return found

@@ -26,12 +26,9 @@ from api.settings import PREFIX, Settings
 from estimation.errors import ParameterError
 
 MAX_BODY_BYTES = 1 << 20
-MAX_HEAD_BYTES = 16 << 10
-"""Request line and headers of one request."""
-REQUESTS = 100
-"""Requests that are answered at the same time; beyond, 503."""
-SEND_TIMEOUT_S = 30.0
-"""How long a client may leave an answer unread, in seconds."""
+MAX_HEAD_BYTES = 16 << 10  # request line and headers of one request
+REQUESTS = 100  # requests that are answered at the same time; beyond, 503
+SEND_TIMEOUT_S = 30.0  # how long a client may leave an answer unread, in seconds
 ACCEPTED_AT_ONCE = 8
 """Connections that are accepted in one turn of the event loop; those they displace are closed a few turns later."""
 RESERVED_DESCRIPTORS = 64 + 5 * ACCEPTED_AT_ONCE
@@ -80,14 +77,10 @@ class Cut(StrEnum):
 
 @dataclass(slots=True)
 class Connections:
-    """The open connections of one server.
-
-    Attributes:
-        header_timeout_s: How long one may wait for the headers of a request.
-    """
+    """The open connections of one server."""
 
     limit: int
-    header_timeout_s: float
+    header_timeout_s: float  # how long one may wait for the headers of a request
     cut: Counter[Cut] = field(default_factory=Counter)
     _open: set[LimitedConnection] = field(default_factory=set)
     _waiting: OrderedDict[LimitedConnection, None] = field(default_factory=OrderedDict)
@@ -188,7 +181,6 @@ class LimitedConnection(H11Protocol):
             self._due.pop(why).cancel()
 
     def _note(self) -> None:
-        """Note whether it is busy now, and wait for headers no longer than allowed."""
         if self.transport.is_closing():
             return
         if self.cycle is None or self.cycle.response_complete:
@@ -202,8 +194,7 @@ class LimitedConnection(H11Protocol):
             self._all.work(self)
 
 
-def connection_measures(connections: Connections) -> list[Metric]:
-    """Return the measures of the connections."""
+def _connection_measures(connections: Connections) -> list[Metric]:
     cut = {reason.value: connections.cut[reason] for reason in Cut}
     return [
         GaugeMetricFamily("treadwatch_http_connections", "Open connections.", value=len(connections)),
@@ -211,8 +202,7 @@ def connection_measures(connections: Connections) -> list[Metric]:
     ]
 
 
-WAITING_TO_BE_ACCEPTED = 2048
-"""Connections that the system holds until they are accepted."""
+WAITING_TO_BE_ACCEPTED = 2048  # connections that the system holds until they are accepted
 
 
 class HttpServer(uvicorn.Server):
@@ -251,7 +241,7 @@ def check_address(settings: Settings) -> None:
 def http_server(app: FastAPI, settings: Settings) -> HttpServer:
     """Return the server of an app, which answers running requests before it ends on a signal."""
     connections = Connections(open_connections(settings.max_connections), settings.header_timeout_s)
-    app.state.registry.register(Measured(partial(connection_measures, connections)))
+    app.state.registry.register(Measured(partial(_connection_measures, connections)))
     config = uvicorn.Config(
         app,
         host=settings.host,

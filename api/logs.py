@@ -1,7 +1,7 @@
 """Logs of the services: one line an event with its facts, as JSON or as text; our own and the libraries' alike.
 
-An error is written without local variables, bounded, and once: what follows of the same fault is counted
-(:mod:`api.logs`). No line holds a password (:mod:`api.logs`).
+An error is written without local variables, bounded, and once: what follows of the same fault is counted. No line holds
+a password.
 """
 
 from __future__ import annotations
@@ -14,12 +14,11 @@ import time
 import traceback
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from logging.handlers import QueueHandler, QueueListener
 from queue import Full, Queue
-from types import TracebackType
 from typing import Any
 from urllib.parse import quote, quote_plus, unquote
 
@@ -29,12 +28,9 @@ from structlog.typing import EventDict, Processor
 from api.settings import Settings
 from api.tracing import with_trace
 
-SUMMARY_S = 60.0
-"""A fault that goes on is summed up this often, in seconds."""
-FULL_AGAIN_S = 3600.0
-"""After this long its trace is written again, in seconds."""
-FAULTS = 500
-"""Faults that are remembered; beyond, the one not seen for longest is forgotten."""
+SUMMARY_S = 60.0  # a fault that goes on is summed up this often, in seconds
+FULL_AGAIN_S = 3600.0  # after this long its trace is written again, in seconds
+FAULTS = 500  # faults that are remembered; beyond, the one not seen for longest is forgotten
 FRAMES, CAUSES, MESSAGE_CHARACTERS, TRACE_CHARACTERS = 12, 4, 500, 8000
 """Bounds of one trace: innermost calls of an error, errors behind it, characters of a message and of the whole."""
 
@@ -57,7 +53,7 @@ def short_trace(error: BaseException, clean: Callable[[str], str] = str) -> str:
     parts, one, seen = [], error, set[int]()
     for _ in range(CAUSES):
         seen.add(id(one))
-        parts += [f"{_heading(one, clean)}\n", *_calls(one.__traceback__)]
+        parts += [f"{_heading(one, clean)}\n", *traceback.extract_tb(one.__traceback__, limit=-FRAMES).format()]
         behind = one.__cause__ or (None if one.__suppress_context__ else one.__context__)
         if behind is None or id(behind) in seen:
             break
@@ -72,14 +68,8 @@ def _heading(error: BaseException, clean: Callable[[str], str]) -> str:
     return clean(heading)[:MESSAGE_CHARACTERS] + clean(inside)[:MESSAGE_CHARACTERS]
 
 
-def _calls(trace: TracebackType | None) -> list[str]:
-    return traceback.extract_tb(trace, limit=-FRAMES).format()
-
-
 @dataclass(slots=True)
 class _Seen:
-    """What is known of one fault."""
-
     full_at_s: float
     written_at_s: float
     repeats: int = 0
@@ -103,20 +93,13 @@ class FaultLedger:
             self._seen.popitem(last=False)
         return True
 
-    def due(self, now_s: float) -> Iterator[tuple[Fault, int, float]]:
-        """Yield the faults to be summed up now: which, how often it came back, within how many seconds."""
+    def due(self, now_s: float, after_s: float = SUMMARY_S) -> Iterator[tuple[Fault, int, float]]:
+        """Yield the faults to be summed up: which, how often it came back, within how many seconds."""
         for fault, known in self._seen.items():
             since_s = now_s - known.written_at_s
-            if known.repeats and since_s >= SUMMARY_S:
+            if known.repeats and since_s >= after_s:
                 yield fault, known.repeats, since_s
                 known.repeats, known.written_at_s = 0, now_s
-
-    def rest(self, now_s: float) -> Iterator[tuple[Fault, int, float]]:
-        """Yield every fault that came back since it was last written; for the end of a process."""
-        for fault, known in self._seen.items():
-            if known.repeats:
-                yield fault, known.repeats, now_s - known.written_at_s
-                known.repeats = 0
 
 
 HIDDEN = "***"
@@ -172,10 +155,8 @@ CHATTY = ("apscheduler", "alembic.runtime", "uvicorn.access", "httpx", "httpcore
 EXPORTER = "opentelemetry.exporter.otlp.proto.http.trace_exporter"
 REPETITIVE = ("asyncio", "uvicorn.error", EXPORTER)
 """They warn of what any client can cause, and of a collector that is away: their warnings are faults too."""
-VALUE_CHARACTERS = 2000
-"""Longest text of one fact of an event."""
-QUEUED = 10_000
-"""Events that wait to be written by a service that must not wait for its log; beyond, they are counted."""
+VALUE_CHARACTERS = 2000  # longest text of one fact of an event
+QUEUED = 10_000  # events that wait to be written by a service that must not wait for its log; beyond, they are counted
 
 
 def configure(settings: Settings) -> None:
@@ -249,7 +230,6 @@ def _bounded(_logger: object, _name: str, event: EventDict) -> EventDict:
 
 
 def _error(given: object) -> BaseException | None:
-    """Return the error of any form of ``exc_info``."""
     found = sys.exc_info()[1] if given is True else given[1] if isinstance(given, tuple) else given
     return found if isinstance(found, BaseException) else None
 
@@ -280,8 +260,8 @@ class FaultHandler(logging.StreamHandler[Any]):
 
     def close(self) -> None:
         """Sum up what was counted since the last summary."""
-        with self.lock or _nothing():
-            self._sum_up(self.ledger.rest(time.monotonic()))
+        with self.lock or nullcontext():
+            self._sum_up(self.ledger.due(time.monotonic(), 0.0))
         super().close()
 
     def _sum_up(self, due: Iterator[tuple[Fault, int, float]]) -> None:
@@ -289,11 +269,6 @@ class FaultHandler(logging.StreamHandler[Any]):
             behind = f" from {cause}" if cause else ""
             message = f"again {repeats} times in {since_s:.0f} s: {kind}{behind} at {place}"
             super().emit(logging.LogRecord("treadwatch.faults", logging.ERROR, "", 0, message, (), None))
-
-
-@contextmanager
-def _nothing() -> Iterator[None]:
-    yield
 
 
 class _Queueing(QueueHandler):

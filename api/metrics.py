@@ -18,40 +18,30 @@ from estimation.values.runs import TRIED_AGAIN, SubjectKind
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.window_counts import Backlog, backlog_of
-from fleet_db.webhook_records import Webhook, WebhookCount, WebhookState
+from fleet_db.stores.window_counts import backlog_of
+from fleet_db.webhook_records import Webhook, WebhookState
 from ingest.intake.backlog import Limit, free_bytes
 
-SILENT_AFTER_NS = 86_400 * 1_000_000_000
-"""A vehicle without data for longer is counted as silent."""
+SILENT_AFTER_NS = 86_400 * 1_000_000_000  # a vehicle without data for longer is counted as silent
 
 
 def backlog_measures(services: Services) -> list[Metric]:
     """Return what waits, since when, and how many vehicles of each fleet are silent."""
     with services.storage.read() as unit:
         found = backlog_of(unit.connection)
-    return [_recordings(found), _oldest(found), *_vehicles(found, services.clock.now_ns())]
-
-
-def _recordings(found: Backlog) -> Metric:
-    numbers = {state.value: found.recordings.get(state, 0) for state in ChunkState}
-    return gauge("treadwatch_recordings", "Recordings by state.", "state", numbers)
-
-
-def _oldest(found: Backlog) -> Metric:
-    text = "Since when the oldest waits that is not decoded or estimated; 0 where none waits."
+    states = {state.value: found.recordings.get(state, 0) for state in ChunkState}
     oldest = {"recording": found.oldest_recording_ns, "window": found.oldest_window_ns}
-    numbers = {what: 0.0 if at_ns is None else at_ns / 1e9 for what, at_ns in oldest.items()}
-    return gauge("treadwatch_oldest_waiting_timestamp_seconds", text, "what", numbers)
-
-
-def _vehicles(found: Backlog, now_ns: int) -> list[Metric]:
+    since = {what: 0.0 if at_ns is None else at_ns / 1e9 for what, at_ns in oldest.items()}
+    long_ago_ns = services.clock.now_ns() - SILENT_AFTER_NS
     every = Tally(fleet for fleet, _ in found.last_data)
-    quiet = Tally(fleet for fleet, at_ns in found.last_data if at_ns is None or at_ns < now_ns - SILENT_AFTER_NS)
-    silent, text = {fleet: quiet[fleet] for fleet in sorted(every)}, "Those of them without data for more than a day."
+    quiet = Tally(fleet for fleet, at_ns in found.last_data if at_ns is None or at_ns < long_ago_ns)
+    silent = {fleet: quiet[fleet] for fleet in sorted(every)}
+    text = "Since when the oldest waits that is not decoded or estimated; 0 where none waits."
     return [
+        gauge("treadwatch_recordings", "Recordings by state.", "state", states),
+        gauge("treadwatch_oldest_waiting_timestamp_seconds", text, "what", since),
         gauge("treadwatch_vehicles", "Vehicles with a mounted wheelset.", "fleet", dict(sorted(every.items()))),
-        gauge("treadwatch_vehicles_silent", text, "fleet", silent),
+        gauge("treadwatch_vehicles_silent", "Those of them without data for more than a day.", "fleet", silent),
     ]
 
 
@@ -176,22 +166,18 @@ def webhook_measures(storage: SqlStorage) -> list[Metric]:
     """Return how many webhooks are in which state, how their attempts ended, and since when the oldest event waits."""
     with storage.read() as unit:
         found = unit.webhooks.counts()
-    return [_states(found), _attempts(found), _oldest_undelivered(storage, [one.webhook for one in found])]
-
-
-def _states(found: Sequence[WebhookCount]) -> Metric:
-    states = Tally(one.webhook.state for one in found)
-    numbers = {state.value: states[state] for state in WebhookState}
-    return gauge("treadwatch_webhooks", "Webhooks by state.", "state", numbers)
-
-
-def _attempts(found: Sequence[WebhookCount]) -> Metric:
-    numbers = {
+    in_state = Tally(one.webhook.state for one in found)
+    states = {state.value: in_state[state] for state in WebhookState}
+    attempts = {
         (str(one.webhook.webhook_id), outcome): count
         for one in found
         for outcome, count in (("delivered", one.delivered), ("failed", one.failed))
     }
-    return counter("treadwatch_webhook_attempts", "Attempts to hand over an event.", "webhook outcome", numbers)
+    return [
+        gauge("treadwatch_webhooks", "Webhooks by state.", "state", states),
+        counter("treadwatch_webhook_attempts", "Attempts to hand over an event.", "webhook outcome", attempts),
+        _oldest_undelivered(storage, [one.webhook for one in found]),
+    ]
 
 
 def _oldest_undelivered(storage: SqlStorage, webhooks: Sequence[Webhook]) -> Metric:

@@ -22,8 +22,7 @@ from api.problems import ProblemError, from_error, problem_response
 from api.uploads import is_upload
 
 ALWAYS_ANSWERED = "/healthz"
-WITHOUT_DATABASE = (ALWAYS_ANSWERED, "/metrics")
-"""What is answered before the database has answered for the first time."""
+WITHOUT_DATABASE = (ALWAYS_ANSWERED, "/metrics")  # what is answered before the database has answered for the first time
 OTHER = "other"
 TURN = "treadwatch.turn"
 _METHODS = frozenset(HTTPMethod)
@@ -133,9 +132,11 @@ class RequestContextMiddleware:
         with structlog.contextvars.bound_contextvars(request_id=identity):
             try:
                 _refuse_large_head(scope)
-                self._refuse_without_database(scope)
+                _refuse_without_database(scope)
                 await self.access.gate.admit(scope)
-                await self._run(scope, await self._with_body(scope, receive), answer)
+                if not is_upload(scope):  # whose route takes the body piece by piece
+                    receive = await with_body(scope, receive, self.limits.body_timeout_s, self.limits.max_body_bytes)
+                await self._run(scope, receive, answer)
             except Exception as error:
                 if answer.status is not None:
                     raise
@@ -176,16 +177,6 @@ class RequestContextMiddleware:
             raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "5"})
         await task
 
-    async def _with_body(self, scope: Scope, receive: Receive) -> Receive:
-        """Return ``receive`` with the whole body, or as it is where the route takes the body piece by piece."""
-        if is_upload(scope):
-            return receive
-        return await with_body(scope, receive, self.limits.body_timeout_s, self.limits.max_body_bytes)
-
-    def _refuse_without_database(self, scope: Scope) -> None:
-        if scope["app"].state.services is None and scope["path"] not in WITHOUT_DATABASE:
-            raise _waits_for_database()
-
     def _count(self, change: int) -> None:
         self._running += change
 
@@ -195,9 +186,10 @@ class RequestContextMiddleware:
             task.exception()  # whoever still waits for the task has it; a late one is of no interest any more
 
 
-def _waits_for_database() -> ProblemError:
-    detail = "the database has not answered since the start of the service"
-    return ProblemError(503, "not-ready", detail, headers={"Retry-After": "5"}, reason_code="waits_for_database")
+def _refuse_without_database(scope: Scope) -> None:
+    if scope["app"].state.services is None and scope["path"] not in WITHOUT_DATABASE:
+        detail = "the database has not answered since the start of the service"
+        raise ProblemError(503, "not-ready", detail, headers={"Retry-After": "5"}, reason_code="waits_for_database")
 
 
 def _refuse_large_head(scope: Scope) -> None:

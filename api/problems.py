@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from http import HTTPMethod, HTTPStatus
@@ -25,30 +24,48 @@ _KIND_OF_STATUS = {404: "not-found"}
 _log = logging.getLogger(__name__)
 
 # Type URIs are names for programs to compare; they never change once published.
-TYPES: Mapping[str, str] = {
-    "not-found": "No such resource",
-    "invalid-request": "The request does not validate",
-    "invalid-cursor": "The cursor cannot be used",
-    "cursor-of-another-database": "The cursor belongs to another history of the database",
-    "conflict": "The resource is not in the state that the request assumes",
-    "precondition-required": "If-Match is required",
-    "precondition-failed": "The resource has changed since it was read",
-    "idempotency-key-reused": "The Idempotency-Key was used for another request",
-    "history-purged": "What was known at that time has been purged",
-    "not-acceptable": "None of the accepted media types is offered",
-    "unsupported-media-type": "The request's media type is not supported",
-    "digest-mismatch": "The bytes have another digest",
-    "content-too-large": "The request body is too large",
-    "headers-too-large": "Request line and headers are too large",
-    "request-timeout": "The request did not arrive in time",
-    "unauthenticated": "A valid key or token is required",
-    "forbidden": "The key or token does not allow this",
-    "foreign-origin": "The request comes from a page of another origin",
-    "unknown-host": "The service is not reached under this name",
-    "too-many-requests": "A limit of requests is reached",
-    "overloaded": "The service has too much to do",
-    "not-ready": "The service is not ready",
-    "internal-error": "The service failed",
+TYPES: Mapping[str, tuple[str, str]] = {  # title, and the detail of an example
+    "not-found": ("No such resource", "no wheelset 'WS-9999'"),
+    "invalid-request": ("The request does not validate", "query #/limit: Input should be less than or equal to 1000"),
+    "invalid-cursor": (
+        "The cursor cannot be used",
+        "this cursor belongs to another list or another filter; start again without it",
+    ),
+    "cursor-of-another-database": (
+        "The cursor belongs to another history of the database",
+        "the cursor is of another database: read what is open now, then follow `next`",
+    ),
+    "conflict": ("The resource is not in the state that the request assumes", "alert 7 is closed"),
+    "precondition-required": ("If-Match is required", "send the ETag of the resource as If-Match"),
+    "precondition-failed": ("The resource has changed since it was read", "the resource has changed; read it again"),
+    "idempotency-key-reused": (
+        "The Idempotency-Key was used for another request",
+        "this Idempotency-Key was used for another request; use a new one",
+    ),
+    "history-purged": (
+        "What was known at that time has been purged",
+        "replaced results are kept from 2026-01-01T00:00:00Z on, see the retention",
+    ),
+    "not-acceptable": ("None of the accepted media types is offered", "offered: application/json"),
+    "unsupported-media-type": ("The request's media type is not supported", "send application/json"),
+    "digest-mismatch": ("The bytes have another digest", "the body has another sha256 than its path"),
+    "content-too-large": ("The request body is too large", "at most 1048576 bytes"),
+    "headers-too-large": ("Request line and headers are too large", "request line and headers: at most 16384 bytes"),
+    "request-timeout": ("The request did not arrive in time", "the body did not arrive within 30 s"),
+    "unauthenticated": ("A valid key or token is required", "send a valid key or token: Authorization: Bearer ..."),
+    "forbidden": ("The key or token does not allow this", "this needs the scope 'act'"),
+    "foreign-origin": (
+        "The request comes from a page of another origin",
+        "pages of https://elsewhere.example may not change anything here",
+    ),
+    "unknown-host": ("The service is not reached under this name", "name the host in TREADWATCH_HOSTS"),
+    "too-many-requests": (
+        "A limit of requests is reached",
+        "limit requests_per_s: at most 50 requests a second of a key; try again",
+    ),
+    "overloaded": ("The service has too much to do", "100 requests are being answered; try again"),
+    "not-ready": ("The service is not ready", "the database does not answer"),
+    "internal-error": ("The service failed", "the failure has been logged"),
 }
 
 
@@ -56,8 +73,8 @@ class ProblemItem(BaseModel):
     """One thing that does not validate: a JSON Pointer into the part of the request that is named by ``in``."""
 
     part: str = Field(serialization_alias="in", examples=["query"])
-    pointer: str = Field(examples=["#/limit"])
-    detail: str = Field(examples=["Input should be less than or equal to 1000"])
+    pointer: str = Field(description="JSON Pointer into that part.", examples=["#/limit"])
+    detail: str = Field(description="What is wrong there.", examples=["Input should be less than or equal to 1000"])
 
 
 class ContradictedRecord(BaseModel):
@@ -72,10 +89,10 @@ class Problem(BaseModel):
     """What went wrong, as in RFC 9457."""
 
     type: str = Field(examples=["urn:treadwatch:problem:not-found"])
-    title: str = Field(examples=["No such resource"])
-    status: int = Field(ge=400, le=599, examples=[404])
+    title: str = Field(description="What kind of problem it is.", examples=["No such resource"])
+    status: int = Field(ge=400, le=599, description="HTTP status.", examples=[404])
     detail: str | None = Field(default=None, examples=["no wheelset 'WS-9999'"])
-    instance: str | None = Field(default=None, examples=["/v1/wheelsets/WS-9999"])
+    instance: str | None = Field(default=None, description="Path of the request.", examples=["/v1/wheelsets/WS-9999"])
     errors: list[ProblemItem] | None = None
     contradicts: list[ContradictedRecord] | None = Field(
         default=None, description="The records on file that what was sent contradicts."
@@ -124,7 +141,7 @@ def problem_response(request: Request, error: ProblemError) -> Response:
     """Return the problem as a response."""
     problem = Problem(
         type=f"urn:treadwatch:problem:{error.kind}" if error.kind in TYPES else "about:blank",
-        title=TYPES.get(error.kind) or HTTPStatus(error.status).phrase,
+        title=TYPES[error.kind][0] if error.kind in TYPES else HTTPStatus(error.status).phrase,
         status=error.status,
         detail=error.detail or None,
         instance=request.scope.get("path"),
@@ -155,10 +172,14 @@ def _invalid(error: RequestValidationError) -> ProblemError:
     return ProblemError(422, "invalid-request", first, items)
 
 
+def invalid(place: str, detail: str, said: str | None = None, part: str = "body") -> ProblemError:
+    """Return the refusal (422) of one value, by its JSON Pointer; ``said`` in place of the sentence that names it."""
+    item = ProblemItem(part=part, pointer=place, detail=detail)
+    return ProblemError(422, "invalid-request", said or f"{part} {place}: {detail}", [item])
+
+
 def _bad_input(error: InputError) -> ProblemError:
-    place = [error.field] if error.field else []
-    item = ProblemItem(part="body", pointer=pointer(place), detail=error.reason)
-    return ProblemError(422, "invalid-request", error.reason, [item])
+    return invalid(pointer([error.field] if error.field else []), error.reason, error.reason)
 
 
 def _refused_record(error: RegistryRefusedError) -> ProblemError:
@@ -181,26 +202,14 @@ def _refused_record(error: RegistryRefusedError) -> ProblemError:
 
 def _plain(error: HTTPException) -> ProblemError:
     if error.status_code == HTTPStatus.BAD_REQUEST:  # the framework could not even decode the body
-        item = ProblemItem(part="body", pointer=pointer([]), detail="is no JSON in UTF-8")
-        return ProblemError(422, "invalid-request", "the body is no JSON in UTF-8", [item])
+        return invalid(pointer([]), "is no JSON in UTF-8", "the body is no JSON in UTF-8")
     return ProblemError(
         error.status_code, _KIND_OF_STATUS.get(error.status_code, ""), str(error.detail), headers=error.headers or {}
     )
 
 
-def _unavailable(_error: StorageError) -> ProblemError:
-    return ProblemError(503, "not-ready", "the storage is not available", headers={"Retry-After": "5"})
-
-
-def _busy(_error: BusyError) -> ProblemError:
-    detail = "the database is being written to; nothing was changed, try again"
-    return ProblemError(503, "not-ready", detail, headers={"Retry-After": "2"})
-
-
-def _unexpected(_error: Exception) -> ProblemError:
-    return ProblemError(500, "internal-error", "the failure has been logged")
-
-
+_BUSY = "the database is being written to; nothing was changed, try again"
+_AWAY = "the storage is not available"
 # The first line whose class fits; errors that are not ours are answered without their message.
 _TABLE: tuple[tuple[type[Exception], Callable[[Any], ProblemError]], ...] = (
     (ProblemError, lambda error: error),
@@ -211,9 +220,9 @@ _TABLE: tuple[tuple[type[Exception], Callable[[Any], ProblemError]], ...] = (
     (RegistryRefusedError, _refused_record),
     (InputError, _bad_input),
     (MigrationError, lambda error: ProblemError(503, "not-ready", str(error))),
-    (BusyError, _busy),
-    (StorageError, _unavailable),
-    (Exception, _unexpected),
+    (BusyError, lambda _: ProblemError(503, "not-ready", _BUSY, headers={"Retry-After": "2"})),
+    (StorageError, lambda _: ProblemError(503, "not-ready", _AWAY, headers={"Retry-After": "5"})),
+    (Exception, lambda _: ProblemError(500, "internal-error", "the failure has been logged")),
 )
 
 
@@ -246,10 +255,7 @@ def described(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Return the ``responses`` of a route's OpenAPI description for these statuses."""
     schema = {"$ref": "#/components/schemas/Problem"}
     return {
-        status: {
-            "description": HTTPStatus(status).phrase,
-            "content": {PROBLEM_MEDIA_TYPE: {"schema": schema}},
-        }
+        status: {"description": HTTPStatus(status).phrase, "content": {PROBLEM_MEDIA_TYPE: {"schema": schema}}}
         for status in statuses
     }
 
@@ -259,7 +265,7 @@ def allowed_methods(operations: Iterable[tuple[str, str]], path: str, named: str
     methods: dict[str, set[str]] = {}
     for template, method in operations:
         methods.setdefault(template, set()).add(method)
-    fitting = [template for template in methods if _fits(template, path)]
+    fitting = [template for template in methods if compile_path(template)[0].match(path)]
     if fitting:
         found = methods[min(fitting, key=lambda template: template.count("{"))]
     else:
@@ -267,8 +273,3 @@ def allowed_methods(operations: Iterable[tuple[str, str]], path: str, named: str
     if HTTPMethod.GET in found:
         found = {*found, HTTPMethod.HEAD.value}
     return ", ".join(sorted(found))
-
-
-def _fits(template: str, path: str) -> bool:
-    pattern: re.Pattern[str] = compile_path(template)[0]
-    return pattern.match(path) is not None

@@ -10,10 +10,8 @@ from typing import Annotated, Literal
 from fastapi import Response
 from pydantic import BaseModel, Field
 
-from api.answers import answer, require_match
-from api.asking import AskedChange
-from api.idempotency import IdempotentPost, idempotent_post
-from api.parameters import CODE
+from api.answers import require_match
+from api.asking import CODE, AskedChange
 from api.schemas.common import Body
 from estimation.errors import InputError
 from fleet_db.registry_events import Decision
@@ -55,8 +53,7 @@ class RegistryChange(Body):
 MOST_TEXT = MEBIBYTE  # of one file; a request has at most as much
 
 
-UNNAMED = "unnamed client"
-"""Who changes something where access is open and nobody says who it is."""
+UNNAMED = "unnamed client"  # who changes something where access is open and nobody says who it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +80,6 @@ class RegistryRequest:
     asked: AskedChange
     body: RegistryChange
 
-    def decision(self, now_ns: int) -> Decision:
-        """Return who decides, why, and when."""
-        return Decision(self.asked.caller.acts_as(self.body.by, UNNAMED), self.body.why, now_ns)
-
     def visible(self, find: Callable[[SqlUnitOfWork], object]) -> None:
         """Refuse what the body names and the caller does not see, as if it did not exist."""
         with self.asked.read() as unit:
@@ -98,22 +91,14 @@ class RegistryRequest:
         apply: Callable[[SqlUnitOfWork, Decision], BaseModel],
         status: HTTPStatus = HTTPStatus.CREATED,
     ) -> Response:
-        """Change something in one transaction; the same request again changes nothing and gets the same answer.
+        """Change something once, in one transaction; ``current`` is what ``If-Match`` is of, None if new."""
 
-        Args:
-            current: Representation of the asset that is changed, for ``If-Match``; None where there is none yet.
-        """
-        post: IdempotentPost = idempotent_post(self.asked.request, self.asked.key, self.body)
-        now_ns = self.asked.services.clock.now_ns()
-        with self.asked.services.storage.write() as unit:
-            earlier = post.earlier(self.asked.request, unit)
-            if earlier is not None:
-                return earlier
+        def entered(unit: SqlUnitOfWork, now_ns: int) -> BaseModel:
             if current is not None:
                 require_match(self.asked.if_match, current(unit))
-            done = apply(unit, self.decision(now_ns))
-            post.remember(unit, status, done, now_ns)
-        return answer(self.asked.request, done, status=status)
+            return apply(unit, Decision(self.asked.caller.acts_as(self.body.by, UNNAMED), self.body.why, now_ns))
+
+        return self.asked.once(self.body, entered, status)
 
     def enter(self, unit: SqlUnitOfWork, decision: Decision, contents: RegistryContents, source: BodySource) -> None:
         """Enter records as a registry file does."""

@@ -63,7 +63,6 @@ def table_of(value_type: type[Any], without: frozenset[str] = frozenset()) -> ty
 
 
 def _key_of(item: Field[Any], hint: object) -> tuple[object, object]:
-    """Return type and default of a key, as pydantic takes them."""
     default = ... if item.default is MISSING and item.default_factory is MISSING else None
     if is_dataclass(hint) and isinstance(hint, type):
         return table_of(hint) | None, default
@@ -192,7 +191,6 @@ def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
 
 
 def _schema(book: RuleBook) -> type[InputTable]:
-    """Return the schema of the whole file."""
     everywhere: dict[str, Any] = {rule.kind: (table_of(type(rule)) | None, None) for rule in book.rules}
     flood: dict[str, Any] = {_ALARM_FLOOD: (table_of(AlarmFloodRule) | None, None)}
     scoped: dict[str, Any] = {rule.kind: (table_of(type(rule), _COMPARED) | None, None) for rule in book.rules}
@@ -239,7 +237,6 @@ def _scopes(layers: Sequence[_Layer]) -> list[tuple[str | None, str | None]]:
 
 
 def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
-    """Return a book with what a layer changes."""
     rules = []
     for rule in book.rules:
         table = getattr(layer.tables, rule.kind)

@@ -13,7 +13,7 @@ from typing import Annotated, cast
 from fastapi import Depends, Request
 
 from api.access.caller import CallerDep
-from api.accuracy.contact_cache import ContactCache
+from api.accuracy import ContactCache
 from api.answers import RepresentationCache
 from api.uploads import Uploads
 from estimation.errors import BusyError, ConflictError, NotFoundError
@@ -25,11 +25,9 @@ from fleet_db.session import BUSY_TIMEOUT_MS
 from fleet_db.storage import SqlStorage
 from ingest.topic.publishing import Publisher
 
-MOST_WAITING = 16
-"""Requests that may wait for a slot; more are refused at once."""
+MOST_WAITING = 16  # requests that may wait for a slot; more are refused at once
 
-PATIENCE_S = 3.0
-"""How long a request waits for a slot, and in it for other processes that write."""
+PATIENCE_S = 3.0  # how long a request waits for a slot, and in it for other processes that write
 
 
 class WriterSlots:
@@ -52,19 +50,16 @@ class WriterSlots:
             raise BusyError(f"{self._present} requests write or wait for it already")
         self._present += 1
         try:
-            await self._acquire()
+            try:
+                await asyncio.wait_for(self._slots.acquire(), self._patience_s)
+            except TimeoutError:
+                raise BusyError(f"other requests have been writing for {self._patience_s:g} s") from None
             try:
                 yield
             finally:
                 self._slots.release()
         finally:
             self._present -= 1
-
-    async def _acquire(self) -> None:
-        try:
-            await asyncio.wait_for(self._slots.acquire(), self._patience_s)
-        except TimeoutError:
-            raise BusyError(f"other requests have been writing for {self._patience_s:g} s") from None
 
 
 class JobRunner:

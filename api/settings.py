@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from datetime import UTC, date, datetime, time
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeVar
 from urllib.parse import quote, urlsplit
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationError, create_model, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from estimation.errors import ParameterError
@@ -38,11 +39,7 @@ SECOND_NS = 1_000_000_000
 
 
 def known_sections(text: str) -> list[tuple[str, int]]:
-    """Return codes of sections, each with the begin of its day, ns UTC.
-
-    Args:
-        text: ``S1@2026-03-01,S2@2026-05-17``; a section may come several times.
-    """
+    """Return codes of sections, each with the begin of its day, ns UTC, of a text ``S1@2026-03-01,S2@2026-05-17``."""
     found = []
     for entry in filter(None, (one.strip() for one in text.split(","))):
         code, at, day = entry.rpartition("@")
@@ -61,6 +58,40 @@ def known_sections(text: str) -> list[tuple[str, int]]:
 PREFIX = "TREADWATCH_"
 MOST_WORKERS = 256
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
+
+
+Given = TypeVar("Given")
+
+
+def _must(is_right: Callable[[Given], bool], reason: str) -> AfterValidator:
+    def checked(value: Given) -> Given:
+        if value is not None and not is_right(value):
+            raise ValueError(reason)
+        return value
+
+    return AfterValidator(checked)
+
+
+def _is_count(workers: int | str) -> bool:
+    return isinstance(workers, str) or 1 <= workers <= MOST_WORKERS
+
+
+def _has_days(sections: str) -> bool:
+    return known_sections(sections) is not None
+
+
+DATABASES = ("sqlite:///", "postgresql://", "postgresql+psycopg://")
+DatabaseUrl = Annotated[
+    str, _must(lambda url: url.startswith(DATABASES), "must begin with sqlite:/// or postgresql://")
+]
+SchedulerAddress = Annotated[str, _must(lambda url: "://" in url, "must be an address such as tcp://scheduler:8786")]
+PlaceOfKeys = Annotated[
+    str,
+    _must(
+        lambda url: not url.startswith("http://") or urlsplit(url).hostname in LOOPBACK,
+        "must be https:// or a file: whoever can change keys on their way can sign tokens",
+    ),
+]
 
 
 class Settings(BaseSettings):
@@ -144,12 +175,12 @@ class Settings(BaseSettings):
     )
 
     data_dir: Path = Path("treadwatch-data")
-    raw_store: str | None = None
-    s3_endpoint: str | None = None
+    raw_store: Annotated[str | None, _must(names_store, "must be file:///absolute/path or s3://bucket/prefix")] = None
+    s3_endpoint: Annotated[str | None, _must(names_endpoint, "must be https://host or https://host:port")] = None
     s3_region: str | None = None
     s3_allow_http: bool = False
     s3_timeout_s: float = Field(default=30.0, ge=0.1, le=600.0)
-    database_url: str | None = Field(default=None, repr=False)  # it may carry a password
+    database_url: DatabaseUrl | None = Field(default=None, repr=False)  # it may carry a password
     database_host: str | None = None
     database_port: int = Field(default=5432, ge=1, le=65535)
     database_name: str = "treadwatch"
@@ -173,7 +204,7 @@ class Settings(BaseSettings):
     max_body_kb: int = Field(default=1024, ge=1, le=1 << 20)
     oidc_issuer: str | None = None
     oidc_audience: str | None = None
-    oidc_keys: str | None = None
+    oidc_keys: PlaceOfKeys | None = None
     oidc_owner_claim: str = "sub"
     oidc_scopes_claim: str = "scope"
     oidc_fleets_claim: str = "fleets"
@@ -184,13 +215,13 @@ class Settings(BaseSettings):
     jobs_every_s: float | None = Field(default=None, gt=0.0)
     compiled_dir: Path | None = None
     compiled_cpu: Literal["host", "portable"] = "host"
-    rails_known_sections: str | None = None
+    rails_known_sections: Annotated[str | None, _must(_has_days, "")] = None
     rails_limit: float = Field(default=RailsParameters().limit, gt=0.0, lt=1.0)
-    workers: int | Literal["auto"] = 1
+    workers: Annotated[int | Literal["auto"], _must(_is_count, f"must be auto, or from 1 to {MOST_WORKERS}")] = 1
     worker_memory_mb: int = Field(default=1024, ge=256, le=1 << 20)
     lease_s: float = Field(default=60.0, ge=1.0, le=3600.0)
     unit_limit_s: float = Field(default=3600.0, ge=1.0, le=86400.0)
-    dask_scheduler: str | None = None
+    dask_scheduler: SchedulerAddress | None = None
     catalogues: str | None = None
     spool_mb: int = Field(default=1024, ge=1)
     spool_memory_mb: int = Field(default=64, ge=1)
@@ -220,56 +251,6 @@ class Settings(BaseSettings):
     def _empty_is_left_out(cls, values: dict[str, object]) -> dict[str, object]:
         """Read ``TREADWATCH_RULES_FILE=`` (as compose files leave it) as not set."""
         return {name: value for name, value in values.items() if value != ""}
-
-    @field_validator("database_url")
-    @classmethod
-    def _known_database(cls, value: str | None) -> str | None:
-        if value is not None and not value.startswith(("sqlite:///", "postgresql://", "postgresql+psycopg://")):
-            msg = "must begin with sqlite:/// or postgresql://"
-            raise ValueError(msg)
-        return value
-
-    @field_validator("raw_store")
-    @classmethod
-    def _known_store(cls, value: str | None) -> str | None:
-        if value is not None and not names_store(value):
-            raise ValueError("must be file:///absolute/path or s3://bucket/prefix")
-        return value
-
-    @field_validator("s3_endpoint")
-    @classmethod
-    def _address_of_store(cls, value: str | None) -> str | None:
-        if value is not None and not names_endpoint(value):
-            raise ValueError("must be https://host or https://host:port")
-        return value
-
-    @field_validator("workers")
-    @classmethod
-    def _some_workers(cls, value: int | str) -> int | str:
-        if not isinstance(value, str) and not 1 <= value <= MOST_WORKERS:
-            raise ValueError(f"must be auto, or from 1 to {MOST_WORKERS}")
-        return value
-
-    @field_validator("dask_scheduler")
-    @classmethod
-    def _address_of_scheduler(cls, value: str | None) -> str | None:
-        if value is not None and "://" not in value:
-            raise ValueError("must be an address such as tcp://scheduler:8786")
-        return value
-
-    @field_validator("oidc_keys")
-    @classmethod
-    def _keys_come_unchanged(cls, value: str | None) -> str | None:
-        here = value is not None and urlsplit(value).hostname in LOOPBACK
-        if value is not None and value.startswith("http://") and not here:
-            raise ValueError("must be https:// or a file: whoever can change keys on their way can sign tokens")
-        return value
-
-    @field_validator("rails_known_sections")
-    @classmethod
-    def _sections_with_days(cls, value: str | None) -> str | None:
-        known_sections(value or "")
-        return value
 
     @property
     def url(self) -> str:
@@ -327,27 +308,14 @@ FOR_EVER = "for ever"
 Days = Annotated[float, Field(gt=0.0, le=36_500.0)] | Literal["for ever"] | None
 
 
-class DaysTable(InputTable):
-    """Days by kind."""
-
-    job_runs: Days = None
-    failed_job_runs: Days = None
-    idempotency_keys: Days = None
-    superseded_estimates: Days = None
-    every_estimate: Days = None
-    track_reports: Days = None
-    recordings: Days = None
-    audit: Days = None
-    webhook_deliveries: Days = None
-    orphaned_files: Days = None
-    window_samples: Days = None
-    window_bin_tables: Days = None
+_DAYS: dict[str, Any] = {kind.value: (Days, None) for kind in Kept}
+DaysTable = create_model("DaysTable", __base__=InputTable, **_DAYS)
 
 
 class RetentionTable(InputTable):
     """The whole file."""
 
-    days: DaysTable
+    days: DaysTable  # type: ignore[valid-type]  # made above
 
 
 def load_retention(path: Path) -> Retention:

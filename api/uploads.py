@@ -30,18 +30,18 @@ def is_upload(scope: Scope) -> bool:
     return bool(scope["method"] == "PUT" and scope["path"].startswith(FOLDER))
 
 
-PIECE_BYTES = 1 << 20
-"""What is gathered in memory before it is written."""
+PIECE_BYTES = 1 << 20  # what is gathered in memory before it is written
 DRAIN_S = 2.0
 """How long the rest of a refused body is read, so that its sender reads the answer and not a broken connection."""
 CLOSING = {"Connection": "close"}
 
 
 @dataclass(frozen=True, slots=True)
-class BodyLimits:
-    """Size in bytes, time in all and time without a byte, in seconds."""
+class UploadLimits:
+    """Size of a chunk in bytes, how many are received at the same time, time of one in all and without a byte, s."""
 
     most_bytes: int
+    at_once: int
     total_s: float
     pause_s: float
 
@@ -49,7 +49,7 @@ class BodyLimits:
 class UploadBody:
     """The body of one request."""
 
-    def __init__(self, headers: Headers, receive: Receive, limits: BodyLimits) -> None:
+    def __init__(self, headers: Headers, receive: Receive, limits: UploadLimits) -> None:
         self._headers = headers
         self._receive = receive
         self._limits = limits
@@ -61,7 +61,7 @@ class UploadBody:
         if not announced.isdecimal():
             return self._limits.most_bytes
         if int(announced) > self._limits.most_bytes:
-            raise too_large(self._limits.most_bytes)
+            raise _too_large(self._limits.most_bytes)
         return int(announced)
 
     async def pieces(self) -> AsyncIterator[bytearray]:
@@ -80,7 +80,7 @@ class UploadBody:
             body = message.get("body", b"")
             size += len(body)
             if size > self._limits.most_bytes:
-                raise too_large(self._limits.most_bytes)
+                raise _too_large(self._limits.most_bytes)
             held += body
             if len(held) >= PIECE_BYTES:
                 yield held
@@ -103,17 +103,14 @@ class UploadBody:
             return
 
 
-def too_large(most_bytes: int) -> ProblemError:
-    """Return the refusal of a body that is too large."""
+def _too_large(most_bytes: int) -> ProblemError:
     detail = f"limit max_chunk_mb: a chunk has at most {most_bytes} bytes"
     return ProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "content-too-large", detail, headers=CLOSING)
 
 
 ResultT = TypeVar("ResultT")
-THREADS = 8
-"""That write and force chunks to the disk."""
-TRY_AGAIN_S = {Limit.CHUNKS: 30, Limit.BYTES: 30, Limit.DISK: 60}
-"""What a sender that is refused waits, by the limit."""
+THREADS = 8  # that write and force chunks to the disk
+TRY_AGAIN_S = {Limit.CHUNKS: 30, Limit.BYTES: 30, Limit.DISK: 60}  # what a sender that is refused waits, by the limit
 UPLOADS_FULL, NO_STORAGE = "uploads", "storage"
 
 
@@ -127,16 +124,6 @@ class Taken(StrEnum):
     BEHIND = "behind"  # 503, to be sent again
 
 
-@dataclass(frozen=True, slots=True)
-class UploadLimits:
-    """Size of a chunk in bytes, how many are received at the same time, time of one in all and without a byte, s."""
-
-    most_bytes: int
-    at_once: int
-    total_s: float
-    pause_s: float
-
-
 class Uploads:
     """Takes uploads."""
 
@@ -144,8 +131,7 @@ class Uploads:
         self._raw = raw
         self._group = ReceiptGroup(storage, most_waiting=limits.at_once)
         self._threads = ThreadPoolExecutor(THREADS, thread_name_prefix="upload")
-        self._body = BodyLimits(limits.most_bytes, limits.total_s, limits.pause_s)
-        self._at_once = limits.at_once
+        self._limits = limits
         self.backlog = backlog
         self.running = 0
         self.ended: Counter[Taken] = Counter()
@@ -165,7 +151,7 @@ class Uploads:
             ConflictError: The same chunk was received from another vehicle, or deleted.
             StorageError: The database cannot be reached: nothing is stored.
         """
-        body = UploadBody(headers, receive, self._body)
+        body = UploadBody(headers, receive, self._limits)
         self.running += 1
         try:
             stored = await self._take(body, digest, chunk)
@@ -183,8 +169,8 @@ class Uploads:
 
     async def _take(self, body: UploadBody, digest: str, chunk: Chunk) -> Stored:
         size = body.announced_bytes()
-        if self.running > self._at_once:
-            raise self._behind(UPLOADS_FULL, f"{self._at_once} chunks are being received", 1)
+        if self.running > self._limits.at_once:
+            raise self._behind(UPLOADS_FULL, f"{self._limits.at_once} chunks are being received", 1)
         ask = self.backlog.behind
         behind = ask(size) if self.backlog.fresh else await self._in_thread(ask, size)
         if behind is not None:

@@ -45,15 +45,11 @@ Find = Callable[[SqlUnitOfWork, str], object]
 _READING = frozenset({"GET", "HEAD"})
 
 
-def _fleet(unit: SqlUnitOfWork, code: str) -> None:
-    if all(one.code != code for one in unit.registry.fleets()):
-        raise NotFoundError("fleet", code)
+def _numbered(look_up: Callable[[SqlUnitOfWork, int], object]) -> Find:
+    def find(unit: SqlUnitOfWork, text: str) -> object:
+        return look_up(unit, int(text)) if text.isdecimal() and int(text) < 2**63 else None  # the route refuses others
 
-
-def _alert(unit: SqlUnitOfWork, alert_id: str) -> object:
-    if not alert_id.isdecimal() or int(alert_id) >= 2**63:
-        return None  # the route refuses it
-    return unit.alerts.get(int(alert_id))
+    return find
 
 
 def _recording(unit: SqlUnitOfWork, digest: str) -> None:
@@ -61,23 +57,17 @@ def _recording(unit: SqlUnitOfWork, digest: str) -> None:
         raise NotFoundError("recording", digest)
 
 
-def _webhook(unit: SqlUnitOfWork, webhook_id: str) -> object:
-    if not webhook_id.isdecimal() or int(webhook_id) >= 2**63:
-        return None  # the route refuses it
-    return unit.webhooks.get(int(webhook_id))
-
-
 SHARED: Find = lambda _unit, _name: None  # noqa: E731 - a name for what needs no look
 FINDERS: Mapping[str, Find] = {
-    "/v1/alerts/{alert_id}": _alert,
-    "/v1/fleets/{code}": _fleet,
+    "/v1/alerts/{alert_id}": _numbered(lambda unit, number: unit.alerts.get(number)),
+    "/v1/fleets/{code}": lambda unit, code: require_known(unit, fleet=code),
     "/v1/vehicles/{code}": lambda unit, code: unit.registry.vehicle(code),
     "/v1/wheelsets/{serial}": lambda unit, serial: unit.registry.wheelset(serial),
     "/v1/jobs/{name}": SHARED,
     "/v1/keys/{prefix}": SHARED,
     "/v1/recordings/{digest}": _recording,
     "/v1/chunks/{sha256}": SHARED,  # it need not be there yet; the route looks at its vehicle
-    "/v1/webhooks/{webhook_id}": _webhook,
+    "/v1/webhooks/{webhook_id}": _numbered(lambda unit, number: unit.webhooks.get(number)),
 }
 """How the first object in a path is found, by the template of the path up to it."""
 

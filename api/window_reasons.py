@@ -29,8 +29,7 @@ from fleet_db.stores.window_counts import COUNTED, CountedWindows, newest_by_rea
 OF_SECTION = {ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.WAITS_FOR_POSITION}
 """Codes whose sentence names a section and what it lacks."""
 
-SHOWN = 3
-"""Reasons that the sentence on a wheelset names."""
+SHOWN = 3  # reasons that the sentence on a wheelset names
 
 
 @dataclass(slots=True)
@@ -57,12 +56,7 @@ class WindowReasons:
         return found
 
     def without_estimate(self, serial: str, of_geometry: Reason | None = None, most: int = COUNTED) -> WithoutEstimate:
-        """Return why nothing is estimated of a wheelset.
-
-        Args:
-            of_geometry: Why its geometry holds no number; None where it has none.
-            most: How many of its windows since its last reprofiling are counted at most, the newest.
-        """
+        """Return why nothing is estimated of a wheelset; ``of_geometry`` is why that holds no number."""
         record = self.unit.registry.wheelset(serial)
         counted = self._counted(record, most)
         if not counted:
@@ -178,7 +172,6 @@ class WindowReasons:
         return None if latest is None else latest.start_ns + latest.length_ns
 
     def _without_windows(self, record: WheelsetRecord) -> tuple[str, str]:
-        """Return why a wheelset has no window, and what to do."""
         mounting = record.mounting
         if self._last_ns(record.serial) is not None:
             return "no window has been received since the last reprofiling", "Check the vehicle and its receiver."
@@ -210,7 +203,6 @@ _DOES = {WindowState.PENDING: "wait", WindowState.REFUSED: "are refused", Window
 
 
 def _sentence(found: list[WindowsOfReason]) -> str:
-    """Return what became of windows in one sentence, the most frequent reasons first."""
     total = sum(one.windows for one in found)
     if len(found) == 1:
         return f"its newest {total} windows {_DOES[found[0].state]}: {found[0].reason}"

@@ -237,8 +237,10 @@ def _score_forces(
     done.contact.add(signals.contact[good], contact[good])
     newton = p.wheelset_mass * motion.lateral_acceleration - p.lateral_stiffness * motion.suspension_deflection
     newton = newton - p.lateral_damping * motion.suspension_deflection_rate
-    turning = p.yaw_inertia * motion.yaw_acceleration + p.yaw_stiffness * motion.yaw_deflection
-    turning = turning + p.yaw_damping * motion.yaw_deflection_rate
+    frame = (np.zeros(1) if one is None else one for one in (motion.frame_yaw, motion.frame_yaw_rate))
+    yaw, yaw_rate = (own - other for own, other in zip((motion.yaw, motion.yaw_rate), frame, strict=True))
+    turning = p.yaw_inertia * motion.yaw_acceleration + p.yaw_stiffness * yaw
+    turning = turning + p.yaw_damping * yaw_rate
     turning = turning + p.pitch_inertia * motion.speed / p.nominal_radius * motion.roll_rate
     done.newton_contact.add(newton[good], contact[good])
     done.newton_moment.add(turning[good], moment[good])

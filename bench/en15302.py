@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from api.reproduction.study import ideal_motion
+from api.reproduction import ideal_motion
 from bench import en15302_family
 from bench.report import BenchRow
 from estimation.contact.conicity import equivalent_conicity
@@ -32,7 +32,7 @@ from estimation.vehicle.vehicle_class import VehicleClass
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import TrackRecipe, make_track
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 
 AMPLITUDES = np.array([2.0e-3, 2.5e-3, 3.0e-3])
 GRID = 0.01e-3 * np.arange(-1100, 1101)  # m

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from api.reproduction import study
+from api import reproduction
 from bench.mems import conicity_errors
 from bench.report import BenchRow
 from estimation.values.geometry import COMBINATIONS, BinStatus
@@ -25,7 +25,7 @@ LIMITS = {
 
 def rows() -> Iterator[BenchRow]:
     """Yield the accuracy rows."""
-    cases = [study.run(0.0, SECONDS, seed) for seed in SEEDS]
+    cases = [reproduction.run(0.0, SECONDS, seed) for seed in SEEDS]
     scores = [score(case) for case in cases]
     for name, (limit, text) in LIMITS.items():
         worst = max(s.errors[name] for s in scores)
@@ -54,7 +54,7 @@ class Score:
     published: int
 
 
-def score(case: study.Case) -> Score:
+def score(case: reproduction.Case) -> Score:
     """Compare one case with its truth; differences relative to the range of the truth, sums absolute or relative."""
     enough = case.estimate.samples >= LEAST_SAMPLES
     crossed = enough & (case.jump > 0)
@@ -83,7 +83,7 @@ def score(case: study.Case) -> Score:
 
 def gauge_rows() -> Iterator[BenchRow]:
     """Show what becomes of the contact angle sum when the gauge varies unknown to the estimator."""
-    case = study.run(study.STANDARD_DEVIATION, SECONDS, SEEDS[0])
+    case = reproduction.run(reproduction.STANDARD_DEVIATION, SECONDS, SEEDS[0])
     status = case.estimate.contact_angle_sum.status
     enough = case.estimate.samples >= LEAST_SAMPLES
     published = sum(s is BinStatus.ESTIMATED for s, e in zip(status, enough, strict=True) if e)

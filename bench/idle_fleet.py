@@ -18,10 +18,9 @@ from api.settings import Settings
 from bench.idle_opinions import DAY_NS, KEPT_BYTES, opinions_copied, put_friction
 from bench.wheelset_recording import recorded
 from bench.wheelset_year import SERIAL, At, WheelsetYear
-from estimation.jobs.catalogue import job_named
+from estimation.jobs.catalogue import ALL_STAGES, job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.stages import ALL_STAGES
 from estimation.jobs.steps.epoch_inputs import FileLookup, given
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord

@@ -28,11 +28,11 @@ from api.settings import Settings
 from bench.rails_sections import KNOWN, BenchSection, reference_wheel, sections_of
 from estimation.jobs import refresh_rails
 from estimation.jobs.job import JobContext
-from estimation.jobs.rails_settings import KnownSection, RailsSettings
+from estimation.jobs.settings import KnownSection, RailsSettings
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.arrays import FloatArray
+from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS
 from estimation.values.quantities import Estimate
-from estimation.values.rails import SECTION_RAILS, WHEELSET_RAILS
 from ingest.simulator.scenario import DrawnFleet, Scenario, VehiclePlan
 from ingest.simulator.wear import truth_of, wear_at, worn_contact
 

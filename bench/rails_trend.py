@@ -17,9 +17,9 @@ from bench.rails_case import received
 from bench.rails_sections import KNOWN, TEMPLATE, BenchSection, on_section, reference_wheel
 from estimation.contact.wear import RailWear
 from estimation.jobs import refresh_rails
-from estimation.jobs.rails_settings import KnownSection, RailsSettings
+from estimation.jobs.settings import KnownSection, RailsSettings
+from estimation.values.opinions import SECTION_RAILS
 from estimation.values.quantities import Estimate
-from estimation.values.rails import SECTION_RAILS
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario import DAY_NS, Scenario, VehiclePlan
 from ingest.simulator.scenario_file import load_scenario

@@ -13,7 +13,7 @@ from bench.refusals_case import AMPLITUDES, RefusalCase
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.rolling_radius import check_radius, rolling_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, MOST_SHARE
+from estimation.jobs.steps.estimated_geometry import CONTRADICTIONS, MOST_SHARE
 from estimation.motion.axle_distance import (
     bogie_runs_backwards,
     check_axle_distance,

@@ -14,8 +14,7 @@ from api.comparison.study import TrackInformation, TrueWheelset, on_file, read_t
 from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, run_jobs
 from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import estimators
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
-from estimation.estimators.replicates import nothing
+from estimation.estimators.interface import CurveEstimate, EstimatorParameters, nothing
 from estimation.jobs.job import JobContext
 from estimation.jobs.refresh_geometry import geometries_of
 from estimation.jobs.steps.rolling import members

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ingest.simulator.scenario import ClassOnFile, Scenario
-from ingest.vehicle_class_file import read_vehicle_class
+from ingest.vehicle_class_schema import read_vehicle_class
 
 PREFIX = "power"
 BASE = "soft_known"  # scenario

@@ -36,6 +36,7 @@ Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 _log = logging.getLogger(__name__)
+_config: Any = config  # its names are made when it is imported, from the environment (``NUMBA_...``)
 
 DIGEST_BYTES = 32
 OTHERS_MAY_WRITE = 0o002
@@ -82,13 +83,8 @@ def directories() -> tuple[Path, ...]:
     user's own for caches (``XDG_CACHE_HOME``, ``~/.cache``).
     """
     own = AppDirs("treadwatch", appauthor=False).user_cache_dir  # type: ignore[no-untyped-call]
-    named = numba_config().CACHE_DIR
+    named = _config.CACHE_DIR
     return tuple(Path(base) / "compiled" for base in dict.fromkeys((named or own, own)))
-
-
-def numba_config() -> Any:  # noqa: ANN401 - a module whose names are made when it is imported
-    """Return the settings of numba, which it reads from the environment (``NUMBA_...``)."""
-    return config
 
 
 class KernelCache:
@@ -142,7 +138,7 @@ class KernelCache:
         """Do nothing: a file of another source has another name."""
 
     def _name(self, sig: Any, codegen: Any) -> str:  # noqa: ANN401 - numba's own
-        facts = (sig, codegen.magic_tuple(), _versions(), numba_config().OPT, numba_config().BOUNDSCHECK, self._options)
+        facts = (sig, codegen.magic_tuple(), _versions(), _config.OPT, _config.BOUNDSCHECK, self._options)
         key = sha256(f"{self._source}\n{facts}".encode()).hexdigest()
         return f"{self._function.__qualname__}-{key[:40]}{SUFFIX}"
 

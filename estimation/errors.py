@@ -1,30 +1,7 @@
 """One tree for everything that is raised on purpose.
 
-Bad *data* is never an exception: it is a value marked invalid with its reason. What is raised is either a
-mistake of ours or bad input from the outside world, and carries its facts as fields::
-
-    TreadwatchError
-    ├── InputError                 what somebody handed us is wrong: names the file, line or field
-    │   ├── ProfileError           a wheel or rail profile
-    │   ├── ContactError           profiles that never touch, a table that cannot be built
-    │   ├── ScenarioError          a scenario file
-    │   ├── CatalogueError         a signal catalogue (DBC)
-    │   ├── LogFileError           a recording of a bus
-    │   │   └── ExchangeError      an exchange of runs: its TOML file or its table
-    │   └── ParameterError         a parameter outside its range
-    ├── NotFoundError              no such fleet, vehicle, wheelset, section, alert, job
-    ├── ConflictError              the thing is not in the state that the request assumes
-    ├── PassingFaultError          the machine cannot do it now: no space, mount, permission, memory, extra
-    ├── NotFiniteError             an estimated number is none: the result before it stays in force
-    ├── WorkersEndedError          so many worker processes ended at one thing that it is set aside
-    ├── WorkFailedError            a unit of work failed in its worker process
-    ├── StoppedError               a job ended between two batches because the process is stopping
-    └── StorageError               the database or the window files
-        ├── DamagedError           something that was stored is missing or damaged; the rest is whole
-        ├── MigrationError         the database is at another migration head
-        ├── BusyError              another writer did not end in time; nothing was changed
-        ├── AlreadyRunningError    a second scheduler on the same database
-        └── LeaseLostError         the lease under which this process works has ended
+Bad *data* is never an exception: it is a value marked invalid with its reason. What is raised is either a mistake of
+ours or bad input from the outside world, and carries its facts as fields.
 """
 
 from __future__ import annotations
@@ -37,12 +14,7 @@ class TreadwatchError(Exception):
 
 
 class InputError(TreadwatchError):
-    """What somebody handed us is wrong.
-
-    Args:
-        reason: What is wrong, in one sentence, without the place.
-        file, line, field: Where it is, as far as known.
-    """
+    """What somebody handed us is wrong: the reason in one sentence, and where it is, as far as known."""
 
     def __init__(
         self, reason: str, *, file: Path | str | None = None, line: int | None = None, field: str | None = None
@@ -54,11 +26,9 @@ class InputError(TreadwatchError):
         super().__init__(self._message())
 
     def _message(self) -> str:
-        place = []
+        place = [] if self.line is None else [f"line {self.line}"]
         if self.file is not None:
-            place.append(self.file if self.line is None else f"{self.file}:{self.line}")
-        elif self.line is not None:
-            place.append(f"line {self.line}")
+            place = [self.file if self.line is None else f"{self.file}:{self.line}"]
         if self.field is not None:
             place.append(f"field {self.field!r}")
         return f"{', '.join(place)}: {self.reason}" if place else self.reason
@@ -129,8 +99,6 @@ class StoppedError(TreadwatchError):
     """A job ended between two batches because the process is stopping; a later run does the rest."""
 
     def __init__(self, done: int, total: int) -> None:
-        self.done = done
-        self.total = total
         super().__init__(f"stopped on request after {done} of {total}")
 
 
@@ -142,7 +110,6 @@ class WorkersEndedError(TreadwatchError):
     """So many worker processes ended while they worked at one thing that it is set aside."""
 
     def __init__(self, ended: int) -> None:
-        self.ended = ended
         super().__init__(f"{ended} worker processes ended while they worked at it")
 
 
@@ -188,4 +155,3 @@ class LeaseLostError(StorageError):
 
     def __init__(self, holder: str) -> None:
         super().__init__(f"{holder} has lost its lease, for it or its database stood still: its work is left to others")
-        self.holder = holder

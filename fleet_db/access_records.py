@@ -10,11 +10,7 @@ from estimation.values.fields import Served
 
 @dataclass(frozen=True, slots=True)
 class ApiKey:
-    """What is kept of a key: not its secret.
-
-    ``digest`` is the SHA-256 of the whole key, hexadecimal. A slow hash is for passwords that people choose; a key has
-    256 random bits, which nobody can try out.
-    """
+    """What is kept of a key, not its secret: ``digest`` is the SHA-256 of the whole key, 256 random bits."""
 
     prefix: Annotated[str, Served("Its public part, by which it is found.", example="3fq2xh7a")]
     digest: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import tempfile
 from collections.abc import Iterator
@@ -35,7 +36,12 @@ def write_atomically(path: Path, content: bytes, *, durable: bool) -> None:
 
 def sync_directory(directory: Path) -> None:
     """Put the names in ``directory`` on the disk."""
-    handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    synchronise(directory, os.O_DIRECTORY)
+
+
+def synchronise(path: Path, flags: int = 0) -> None:
+    """Put a file on the disk."""
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | flags)
     try:
         os.fsync(handle)
     finally:
@@ -55,3 +61,9 @@ def passing_fault(error: OSError, path: Path) -> PassingFaultError:
     """Return an error of the system at a path of ours as ours."""
     code = ReasonCode.WAITS_FOR_MEMORY if error.errno == errno.ENOMEM else ReasonCode.WAITS_FOR_STORAGE
     return PassingFaultError(error.strerror or str(error), file=path, code=code)
+
+
+def sha256_of(path: Path) -> str:
+    """Return the sha256 of a file."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -2,6 +2,8 @@
 
 A row exists for as long as its window is due. Listing a window again raises its version, so that a stage removes only
 what it has seen. A window that is gone stays listed until the stage has seen that.
+
+For the alignment an epoch is stale as well when a window that it holds has gone, or where that was has been forgotten.
 """
 
 from __future__ import annotations
@@ -34,14 +36,21 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.opinions import CREEP
 from estimation.values.quantities import Status
-from estimation.values.results import Due, Mark, StageInputs
-from estimation.values.runs import FAILED
+from estimation.values.results import Due, Facet, Mark, StageInputs
+from estimation.values.runs import FAILED, SubjectKind
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import by_wheelset, reason_columns, table_of
-from fleet_db.tables.track import TrackAlignmentRow, TrackVersionRow, WindowPositionRow
+from fleet_db.subjects import Subjects
+from fleet_db.tables.track import (
+    TrackAlignmentRow,
+    TrackEpochRow,
+    TrackEpochWindowRow,
+    TrackVersionRow,
+    WindowPositionRow,
+)
 from fleet_db.tables.windows import PENDING, WearSignatureRow, WindowAdhesionRow, WindowDueRow, WindowRow
 
 DUE, WINDOWS = table_of(WindowDueRow), table_of(WindowRow)
@@ -279,3 +288,63 @@ def _aligned_by_fleet() -> Select[Any]:
 def _settled() -> Delete:
     same = (DUE.c[name] == bindparam(f"of_{name}") for name in ("stage", "wheelset", "start_ns", "version"))
     return delete(DUE).where(*same)
+
+
+EPOCHS, MEMBERS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow)
+OF_WINDOW = and_(MEMBERS.c.wheelset == WINDOWS.c.wheelset, MEMBERS.c.start_ns == WINDOWS.c.start_ns)
+PLACED_MEMBER = and_(
+    POSITIONS.c.wheelset == MEMBERS.c.wheelset,
+    POSITIONS.c.start_ns == MEMBERS.c.start_ns,
+    POSITIONS.c.content_digest == MEMBERS.c.content_digest,
+)
+OF_EPOCH = (MEMBERS.c.section, MEMBERS.c.epoch)
+
+
+def list_for_alignment(subjects: Subjects, sections: Mapping[WindowKey, str | None]) -> None:
+    """List windows that are new or others now; after they are stored.
+
+    Args:
+        sections: That the windows are on, by key; those on none are no concern of an alignment.
+    """
+    keys = sorted(key for key, section in sections.items() if section is not None)
+    for first in range(0, len(keys), BATCH):
+        own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys[first : first + BATCH])
+        list_due(subjects.connection, DueStage.ALIGNMENT, own)
+    raise_sections(subjects, sections.values())
+
+
+def raise_sections(subjects: Subjects, sections: Collection[str | None]) -> None:
+    """Let the windows of sections have another version; None is no section."""
+    for section in set(sections) - {None}:
+        subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
+
+
+def windows_left(subjects: Subjects, keys: Sequence[WindowKey]) -> None:
+    """Let epochs be computed again whose windows are gone or on another section; after these are."""
+    elsewhere = WINDOWS.c.track_section.is_distinct_from(MEMBERS.c.section)
+    held = select(*OF_EPOCH).select_from(MEMBERS.outerjoin(WINDOWS, OF_WINDOW)).where(elsewhere).distinct()
+    ordered, epochs = sorted(keys), set[tuple[str, int]]()
+    for first in range(0, len(ordered), BATCH):
+        own = tuple_(MEMBERS.c.wheelset, MEMBERS.c.start_ns).in_(ordered[first : first + BATCH])
+        epochs.update((row.section, row.epoch) for row in subjects.connection.execute(held.where(own)))
+    stale_epochs(subjects, sorted(epochs))
+
+
+def positions_forgotten(subjects: Subjects, chosen: ColumnElement[bool]) -> None:
+    """Let epochs be computed again that have found where some windows were; before that is forgotten.
+
+    Args:
+        chosen: Condition on the table of windows.
+    """
+    placed = MEMBERS.join(POSITIONS, PLACED_MEMBER).join(WINDOWS, OF_WINDOW)
+    found = subjects.connection.execute(select(*OF_EPOCH).select_from(placed).where(chosen).distinct())
+    stale_epochs(subjects, [(row.section, row.epoch) for row in found])
+
+
+def stale_epochs(subjects: Subjects, epochs: Sequence[tuple[str, int]]) -> None:
+    """Let epochs be computed again, each by section and number."""
+    if epochs:
+        own = tuple_(EPOCHS.c.section, EPOCHS.c.number).in_(sorted(epochs))
+        subjects.connection.execute(update(EPOCHS).where(own).values(stale=True))
+    for section in {section for section, _ in epochs}:
+        subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)

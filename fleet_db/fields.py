@@ -12,7 +12,7 @@ import math
 import struct
 import types
 from collections.abc import Callable, Collection, Hashable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
@@ -25,7 +25,7 @@ from estimation.errors import DamagedError, StorageError
 from estimation.values.fields import JsonValue
 
 MAGIC = b"TWPK"
-FORMAT = 1
+FORMAT, VERSION = 1, 1
 LEVEL = 1
 DTYPES: Mapping[str, np.dtype[Any]] = {
     "<f8": np.dtype("<f8"),
@@ -38,26 +38,11 @@ LARGEST = 1 << 30  # bytes that a blob may unfold to
 Array = npt.NDArray[Any]
 
 
-@dataclass(frozen=True, slots=True)
-class Unpacked:
-    """What was packed."""
-
-    version: int
-    scalars: Mapping[str, Any]
-    arrays: Mapping[str, Array]
-
-
-def pack(kind: str, version: int, scalars: Mapping[str, JsonValue], arrays: Mapping[str, Array]) -> bytes:
-    """Return one blob of ``arrays`` and ``scalars``.
-
-    Args:
-        kind, version: What the blob is, and the version of that layout; ``unpack`` insists on the kind.
-        scalars: Anything JSON holds except NaN and infinity (numbers that may be one go into an array).
-        arrays: float64, int64, int16 or uint8, of any shape.
-    """
+def pack(kind: str, scalars: Mapping[str, JsonValue], arrays: Mapping[str, Array]) -> bytes:
+    """Return one blob of ``scalars`` (JSON without NaN) and ``arrays`` (float64, int64, int16, uint8, of any shape)."""
     described = [[name, _little(array).dtype.str, list(array.shape)] for name, array in arrays.items()]
     header = json.dumps(
-        {"kind": kind, "version": version, "scalars": dict(scalars), "arrays": described},
+        {"kind": kind, "version": VERSION, "scalars": dict(scalars), "arrays": described},
         separators=(",", ":"),
         allow_nan=False,
     ).encode()
@@ -66,8 +51,8 @@ def pack(kind: str, version: int, scalars: Mapping[str, JsonValue], arrays: Mapp
     return MAGIC + bytes([FORMAT]) + compressor.compress(body)
 
 
-def unpack(blob: bytes, kind: str, *, where: str) -> Unpacked:
-    """Return what ``pack`` put into ``blob``, arrays read-only; DamagedError names ``where`` it was read from."""
+def unpack(blob: bytes, kind: str, *, where: str) -> tuple[Mapping[str, Any], Mapping[str, Array]]:
+    """Return scalars and arrays, read-only, that ``pack`` put into ``blob``; DamagedError names ``where`` from."""
     if blob[: len(MAGIC)] != MAGIC or blob[len(MAGIC) : len(MAGIC) + 1] != bytes([FORMAT]):
         raise DamagedError(f"{where}: not packed arrays of format {FORMAT}")
     try:
@@ -79,7 +64,7 @@ def unpack(blob: bytes, kind: str, *, where: str) -> Unpacked:
         raise DamagedError(f"{where}: damaged ({error})") from error
     if header["kind"] != kind:
         raise DamagedError(f"{where}: holds {header['kind']!r}, expected {kind!r}")
-    return Unpacked(header["version"], header["scalars"], arrays)
+    return header["scalars"], arrays
 
 
 def _unfolded(frame: bytes) -> bytes:

@@ -60,9 +60,6 @@ def serialise_vehicle(connection: Connection, vehicle: str) -> None:
     On PostgreSQL statements after it see what the transaction that had it before has committed. Two vehicles whose
     codes have one checksum wait for each other, which costs time and nothing else. On SQLite a writing transaction is
     alone anyway.
-
-    Args:
-        vehicle: Code of the vehicle, registered or not.
     """
     if connection.dialect.name == "postgresql":
         number = zlib.crc32(vehicle.encode()) - (1 << 31)  # the key is a signed integer of 32 bits
@@ -73,11 +70,7 @@ def serialise_vehicle(connection: Connection, vehicle: str) -> None:
 
 @contextmanager
 def single_writer(path: Path, timeout_s: float) -> Iterator[None]:
-    """Hold the lock file ``path``: the writing transactions of all threads and processes, one after the other.
-
-    Raises:
-        BusyError: Another writer held it for longer than ``timeout_s``.
-    """
+    """Hold the lock file of the writing transactions of all threads and processes; BusyError: held for too long."""
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         until = time.monotonic() + timeout_s
@@ -92,11 +85,7 @@ def single_writer(path: Path, timeout_s: float) -> Iterator[None]:
 
 @contextmanager
 def locked_file(path: Path) -> Iterator[bool]:
-    """Try to lock a file, for as long as the context lasts or the process lives; yield whether it was free.
-
-    Args:
-        path: Created where it does not exist.
-    """
+    """Try to lock a file, for as long as the context lasts or the process lives; yield whether it was free."""
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         yield _locked(handle)
@@ -145,12 +134,7 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def prolonged(prolong: Callable[[], bool], length_s: float) -> Iterator[None]:
-    """Prolong a lease until the block ends.
-
-    Args:
-        prolong: Prolongs it, in a transaction of its own; returns whether it was still there.
-        length_s: Of the lease, s.
-    """
+    """Prolong a lease until the block ends; ``prolong`` returns whether it was still there."""
     over = threading.Event()
     thread = threading.Thread(target=_prolong, args=(prolong, length_s, over), name="lease", daemon=True)
     thread.start()

@@ -50,10 +50,7 @@ def refusal(found: str | None) -> MigrationError:
 
 
 def revision_of(connection: Connection) -> str | None:
-    """Return the migration that a database is at; None where it has never been migrated.
-
-    A database of another origin may be at several; they are returned as one text, which no version knows.
-    """
+    """Return the migration a database is at, None where it has none; several as one text, which no version knows."""
     if not inspect(connection).has_table(TABLE):
         return None
     found = connection.execute(text(f"SELECT version_num FROM {TABLE}")).scalars()  # noqa: S608 - a constant
@@ -67,10 +64,7 @@ def head() -> str:
 
 @cache
 def known_revisions() -> tuple[str, ...]:
-    """Return the migrations of this version, the first one first: the numbers with which their files begin.
-
-    They are r0001 and so on: 0001 and so on are of databases from before the first release.
-    """
+    """Return this version's migrations by the numbers of their files; 0001 and so on are from before the first."""
     return tuple(sorted(path.name.partition("_")[0] for path in (SCRIPTS / "versions").glob("r[0-9]*_*.py")))
 
 
@@ -84,15 +78,9 @@ def upgrade(url: str) -> str:
         with translate_errors(), engine.connect().execution_options(**IMMEDIATE) as connection, connection.begin():
             serialise(connection, Subject.MIGRATION)
             check_upgradable(connection)
-            config = _config()
-            config.attributes["connection"] = connection
+            config = Config(attributes={"connection": connection})
+            config.set_main_option("script_location", str(SCRIPTS).replace("%", "%%"))
             command.upgrade(config, "head")
     finally:
         engine.dispose()
     return head()
-
-
-def _config() -> Config:
-    config = Config()
-    config.set_main_option("script_location", str(SCRIPTS).replace("%", "%%"))
-    return config

@@ -25,7 +25,6 @@ from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings, T
 from fleet_db.fields import Array, fields_of, from_json, pack, to_json, unpack, value_of
 
 V = TypeVar("V")
-VERSION = 1
 ALIGNMENTS = 4  # that are kept unpacked, some megabytes each
 GEOMETRY, LAYOUT, BIN_TABLE = "wheelset_geometry", "track_layout", "bin_table"
 WHEEL_PAIR, ALIGNMENT = "wheel_pair", "track_alignment"
@@ -39,15 +38,14 @@ def pack_value(value: object) -> bytes:
     """Return a value as one blob, by its own fields."""
     if isinstance(value, WheelsetGeometry):
         return pack_geometry(value)
-    return pack(type(value).__name__, VERSION, *fields_of(value))
+    return pack(type(value).__name__, *fields_of(value))
 
 
 def unpack_value(kind: type[V], blob: bytes, *, where: str) -> V:
     """Return the value of a class, bit for bit; DamagedError names ``where`` it was read from, here and below."""
     if issubclass(kind, WheelsetGeometry):
         return cast("V", unpack_geometry(blob, where=where))
-    packed = unpack(blob, kind.__name__, where=where)
-    return value_of(kind, packed.scalars, packed.arrays)
+    return value_of(kind, *unpack(blob, kind.__name__, where=where))
 
 
 def pack_geometry(geometry: WheelsetGeometry) -> bytes:
@@ -57,7 +55,6 @@ def pack_geometry(geometry: WheelsetGeometry) -> bytes:
     scalars, arrays = fields_of(geometry, without=COMBINATIONS)
     return pack(
         GEOMETRY,
-        VERSION,
         {"combinations": statuses, **scalars},
         {
             **arrays,
@@ -69,24 +66,22 @@ def pack_geometry(geometry: WheelsetGeometry) -> bytes:
 
 def unpack_geometry(blob: bytes, *, where: str) -> WheelsetGeometry:
     """Return the geometry, bit for bit."""
-    packed = unpack(blob, GEOMETRY, where=where)
-    statuses, arrays = packed.scalars["combinations"], packed.arrays
+    scalars, arrays = unpack(blob, GEOMETRY, where=where)
+    stacked = zip(scalars["combinations"].items(), arrays["values"], arrays["stds"], strict=True)
     combinations = {
-        name: BinValues(value, std, tuple(map(STATUSES.__getitem__, listed)))
-        for (name, listed), value, std in zip(statuses.items(), arrays["values"], arrays["stds"], strict=True)
+        name: BinValues(value, std, tuple(map(STATUSES.__getitem__, listed))) for (name, listed), value, std in stacked
     }
-    return value_of(WheelsetGeometry, packed.scalars, arrays, **combinations)
+    return value_of(WheelsetGeometry, scalars, arrays, **combinations)
 
 
 def pack_layout(layout: TrackLayout) -> bytes:
     """Return ``layout`` as one blob, without its version, so that the same content is the same blob."""
-    return pack(LAYOUT, VERSION, *fields_of(layout, without={"version"}))
+    return pack(LAYOUT, *fields_of(layout, without={"version"}))
 
 
 def unpack_layout(blob: bytes, version: int, *, where: str) -> TrackLayout:
     """Return the layout as ``version``, bit for bit."""
-    packed = unpack(blob, LAYOUT, where=where)
-    return value_of(TrackLayout, packed.scalars, packed.arrays, version=version)
+    return value_of(TrackLayout, *unpack(blob, LAYOUT, where=where), version=version)
 
 
 def pack_alignment(alignment: TrackAlignment) -> bytes:
@@ -95,16 +90,16 @@ def pack_alignment(alignment: TrackAlignment) -> bytes:
     if alignment.findings is not None:
         scalars["findings"], shifts = _pack_findings(alignment.findings)
         arrays |= shifts
-    return pack(ALIGNMENT, VERSION, scalars, arrays)
+    return pack(ALIGNMENT, scalars, arrays)
 
 
 @lru_cache(maxsize=ALIGNMENTS)
 def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment:
     """Return the alignment as ``version``, bit for bit; the same again is the same object, and so is what it gives."""
-    packed = unpack(blob, ALIGNMENT, where=where)
-    stored = packed.scalars.get("findings")
-    findings = None if stored is None else _unpack_findings(stored, packed.arrays)
-    return value_of(TrackAlignment, packed.scalars, packed.arrays, version=version, findings=findings)
+    scalars, arrays = unpack(blob, ALIGNMENT, where=where)
+    stored = scalars.get("findings")
+    findings = None if stored is None else _unpack_findings(stored, arrays)
+    return value_of(TrackAlignment, scalars, arrays, version=version, findings=findings)
 
 
 def _pack_findings(findings: TrackFindings) -> tuple[JsonValue, dict[str, Array]]:
@@ -138,7 +133,6 @@ def pack_wheel_pair(left: Profile, right: Profile) -> bytes:
     sides = {"left": left, "right": right}
     return pack(
         WHEEL_PAIR,
-        VERSION,
         {side: profile.name for side, profile in sides.items()},
         {f"{side}_{name}": getattr(profile, name) for side, profile in sides.items() for name in PROFILE_ARRAYS},
     )
@@ -146,9 +140,9 @@ def pack_wheel_pair(left: Profile, right: Profile) -> bytes:
 
 def unpack_wheel_pair(blob: bytes, *, where: str) -> tuple[Profile, Profile]:
     """Return the left and the right profile, bit for bit."""
-    packed = unpack(blob, WHEEL_PAIR, where=where)
+    scalars, arrays = unpack(blob, WHEEL_PAIR, where=where)
     left, right = (
-        Profile("wheel", packed.scalars[side], *(packed.arrays[f"{side}_{name}"] for name in PROFILE_ARRAYS))
+        Profile("wheel", scalars[side], *(arrays[f"{side}_{name}"] for name in PROFILE_ARRAYS))
         for side in ("left", "right")
     )
     return left, right
@@ -166,7 +160,6 @@ def pack_bin_table(table: BinTable | FilledCells) -> bytes:
         groups, columns = table.groups, np.concatenate([table.weight[None], table.lateral.T, table.yaw.T])
     return pack(
         BIN_TABLE,
-        VERSION,
         {
             "parameter_key": table.parameter_key,
             "samples": int(table.samples),
@@ -185,34 +178,32 @@ def unpack_bin_table(blob: bytes, *, where: str) -> BinTable:
 
 def unpack_filled_cells(blob: bytes, *, where: str) -> FilledCells:
     """Return the filled cells of a packed bin table, bit for bit."""
-    packed = unpack(blob, BIN_TABLE, where=where)
-    edges, rows = packed.arrays["edges"], packed.arrays["cells"].T
-    groups = packed.scalars["groups"]
-    filled = np.unpackbits(packed.arrays["filled"], count=groups * (len(edges) - 1))
-    yaw_from = 1 + packed.scalars["lateral"]
+    scalars, arrays = unpack(blob, BIN_TABLE, where=where)
+    edges, rows, groups = arrays["edges"], arrays["cells"].T, scalars["groups"]
+    filled = np.unpackbits(arrays["filled"], count=groups * (len(edges) - 1))
+    yaw_from = 1 + scalars["lateral"]
     return FilledCells(
-        parameter_key=packed.scalars["parameter_key"],
+        parameter_key=scalars["parameter_key"],
         edges=edges,
         groups=groups,
         cells=np.flatnonzero(filled),
         weight=rows[:, 0],
         lateral=rows[:, 1:yaw_from],
         yaw=rows[:, yaw_from:],
-        samples=packed.scalars["samples"],
-        windows=packed.scalars["windows"],
+        samples=scalars["samples"],
+        windows=scalars["windows"],
     )
 
 
 def pack_rolling_sums(parts: Sequence[RollingSums]) -> bytes:
     """Return what a window says of its rolling radius as one blob."""
-    products = np.array([one.products for one in parts], dtype=np.float64)
-    noise = np.array([one.noise for one in parts], dtype=np.float64)
-    return pack(ROLLING_SUMS, VERSION, {}, {"products": products, "noise": noise})
+    arrays = {name: np.array([getattr(one, name) for one in parts], dtype=np.float64) for name in ("products", "noise")}
+    return pack(ROLLING_SUMS, {}, arrays)
 
 
 def unpack_rolling_sums(blob: bytes, *, where: str) -> tuple[RollingSums, ...]:
     """Return the sums of each part of a window, bit for bit."""
-    arrays = unpack(blob, ROLLING_SUMS, where=where).arrays
+    _, arrays = unpack(blob, ROLLING_SUMS, where=where)
     return tuple(RollingSums(*both) for both in zip(arrays["products"], arrays["noise"], strict=True))
 
 
@@ -220,57 +211,56 @@ def pack_window_adhesion(found: WindowAdhesion) -> bytes:
     """Return the creep of a window as one blob."""
     scalars, _ = fields_of(found, without={"sums"})
     arrays = {} if found.sums is None else fields_of(found.sums)[1]
-    return pack(WINDOW_ADHESION, VERSION, scalars, arrays)
+    return pack(WINDOW_ADHESION, scalars, arrays)
 
 
 def unpack_window_adhesion(blob: bytes, *, where: str) -> WindowAdhesion:
     """Return the creep of a window, bit for bit."""
-    packed = unpack(blob, WINDOW_ADHESION, where=where)
-    sums = value_of(FrictionSums, {}, packed.arrays) if packed.arrays else None
-    return value_of(WindowAdhesion, packed.scalars, {}, sums=sums)
+    scalars, arrays = unpack(blob, WINDOW_ADHESION, where=where)
+    sums = value_of(FrictionSums, {}, arrays) if arrays else None
+    return value_of(WindowAdhesion, scalars, {}, sums=sums)
 
 
 def pack_section_adhesion(found: SectionAdhesion) -> bytes:
     """Return the friction of a section as one blob."""
-    return pack(SECTION_ADHESION, VERSION, *fields_of(found))
+    return pack(SECTION_ADHESION, *fields_of(found))
 
 
 def unpack_section_adhesion(blob: bytes, *, where: str) -> SectionAdhesion:
     """Return the friction of a section, bit for bit."""
-    packed = unpack(blob, SECTION_ADHESION, where=where)
-    return value_of(SectionAdhesion, packed.scalars, packed.arrays)
+    return value_of(SectionAdhesion, *unpack(blob, SECTION_ADHESION, where=where))
 
 
 def pack_window_damper(found: WindowDamper) -> bytes:
     """Return what a window says as one blob; the products are symmetric, and half of them is kept."""
     scalars, _ = fields_of(found, without={"sums"})
     if found.sums is None:
-        return pack(WINDOW_DAMPER, VERSION, scalars, {})
+        return pack(WINDOW_DAMPER, scalars, {})
     products = found.sums.products
     rows, columns = np.tril_indices(products.shape[-1])
     scalars |= {"samples": float(found.sums.samples).hex(), "curved": found.sums.curved}
-    return pack(WINDOW_DAMPER, VERSION, scalars, {"products": products[:, rows, columns]})
+    return pack(WINDOW_DAMPER, scalars, {"products": products[:, rows, columns]})
 
 
 def unpack_window_damper(blob: bytes, *, where: str) -> WindowDamper:
     """Return what a window says, bit for bit."""
-    packed = unpack(blob, WINDOW_DAMPER, where=where)
-    if not packed.arrays:
-        return value_of(WindowDamper, packed.scalars, {}, sums=None)
-    half = packed.arrays["products"]
+    scalars, arrays = unpack(blob, WINDOW_DAMPER, where=where)
+    if not arrays:
+        return value_of(WindowDamper, scalars, {}, sums=None)
+    half = arrays["products"]
     size = round((np.sqrt(8.0 * half.shape[-1] + 1.0) - 1.0) / 2.0)
     rows, columns = np.tril_indices(size)
     products = np.zeros((len(half), size, size))
     products[:, rows, columns] = half
     products[:, columns, rows] = half
-    sums = DamperSums(products, float.fromhex(packed.scalars["samples"]), packed.scalars["curved"])
-    return value_of(WindowDamper, packed.scalars, {}, sums=sums)
+    sums = DamperSums(products, float.fromhex(scalars["samples"]), scalars["curved"])
+    return value_of(WindowDamper, scalars, {}, sums=sums)
 
 
 def pack_signatures(found: Sequence[Signature]) -> bytes:
     """Return the signatures of a window as one blob."""
     if not found:
-        return pack(SIGNATURES, VERSION, {}, {})
+        return pack(SIGNATURES, {}, {})
     scalars: dict[str, JsonValue] = {
         "vehicle": found[0].vehicle,
         "vehicle_class": found[0].vehicle_class,
@@ -283,15 +273,14 @@ def pack_signatures(found: Sequence[Signature]) -> bytes:
         "peak_wavelength": np.array([one.peak_wavelength for one in found]),
         "spectra": np.stack([one.spectra for one in found]),
     }
-    return pack(SIGNATURES, VERSION, scalars, arrays)
+    return pack(SIGNATURES, scalars, arrays)
 
 
 def unpack_signatures(blob: bytes, wheelset: str, start_ns: int) -> tuple[Signature, ...]:
     """Return the signatures of a window, bit for bit."""
-    packed = unpack(blob, SIGNATURES, where=f"signatures of {wheelset}@{start_ns}")
-    if not packed.arrays:
+    scalars, arrays = unpack(blob, SIGNATURES, where=f"signatures of {wheelset}@{start_ns}")
+    if not arrays:
         return ()
-    scalars, arrays = packed.scalars, packed.arrays
     return tuple(
         Signature(
             wheelset=wheelset,

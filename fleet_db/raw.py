@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from estimation.errors import InputError, ParameterError, PassingFaultError
@@ -25,12 +24,7 @@ PREFIX = ".incoming-"  # what a killed process leaves begins so; a purge deletes
 class IncomingFile:
     """A file that grows until it is finished; what is not placed in the raw store by then is deleted at the end.
 
-    It is made with the first piece.
-
-    Args:
-        directory: In which it is made; made itself if it is missing.
-        suffix: Of its format; its name ends so.
-        durable: Whether it is on the disk once it is finished; not where it only waits to be sent elsewhere.
+    It is made with the first piece, as its folder, and is on the disk once it is finished: where it is ``durable``.
     """
 
     def __init__(self, directory: Path, suffix: str, *, durable: bool = True) -> None:
@@ -82,9 +76,7 @@ class IncomingFile:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.discard()
 
 
@@ -130,23 +122,12 @@ class RawStore(ABC):
 
     What was put is durable, whole and readable when :meth:`put` returns. Nobody ever sees a part of a recording. The
     same bytes again change nothing, but replace a damaged recording.
-
-    Args:
-        receiving: Folder of this machine in which recordings are received before they are put.
     """
 
-    def __init__(self, receiving: Path) -> None:
-        self.receiving = receiving
-
-    @property
-    @abstractmethod
-    def url(self) -> str:
-        """Where it is, without any secret."""
-
-    @property
-    @abstractmethod
-    def saved_by_backup(self) -> bool:
-        """Whether a backup copies the recordings, because nothing else does."""
+    def __init__(self, receiving: Path, url: str, *, saved_by_backup: bool) -> None:
+        self.receiving = receiving  # folder of this machine in which recordings are received before they are put
+        self.url = url  # without any secret
+        self.saved_by_backup = saved_by_backup  # whether a backup copies the recordings, because nothing else does
 
     @abstractmethod
     def place(self, digest: str, suffix: str) -> str:
@@ -232,22 +213,17 @@ class RawStore(ABC):
             self.put([incoming])
             return incoming.digest
 
-    def put_file(self, source: Path, admit: Callable[[str], None] = lambda _digest: None) -> str:
+    def put_file(self, source: Path) -> str:
         """Put the file ``source``; return its digest. Raises as :meth:`taken_in`."""
-        with self.taken_in(source, admit) as (digest, _):
+        with self.taken_in(source) as (digest, _):
             return digest
 
     @contextmanager
     def taken_in(self, source: Path, admit: Callable[[str], None] = lambda _digest: None) -> Iterator[tuple[str, Path]]:
-        """Put the file ``source``; open a block with its digest and a file of this machine with these bytes.
+        """Put a file of somebody else; open a block with its digest and a file of this machine with these bytes.
 
-        Args:
-            source: The file of somebody else, who may change it.
-            admit: Called with the digest before the recording is put; what it raises leaves nothing behind.
-
-        Raises:
-            InputError: The file cannot be read; names it.
-            PassingFaultError: It cannot be put now: no space, no permission, no connection.
+        What ``admit`` raises of the digest leaves nothing behind. Raises InputError as :func:`pieces_of`, and
+        PassingFaultError where it cannot be put now.
         """
         with self.incoming(source.suffix.lower()) as incoming:
             for piece in pieces_of(source):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 import uuid
@@ -11,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from estimation.errors import PassingFaultError
-from fleet_db.atomic_files import passing_faults, sync_directory, write_atomically
+from fleet_db.atomic_files import passing_faults, sha256_of, sync_directory, write_atomically
 from fleet_db.raw import (
     MARK_NAME,
     IncomingFile,
@@ -31,18 +30,8 @@ class FileRawStore(RawStore):
     """Recordings under one folder, received in it and named by a rename; it is made with the first one."""
 
     def __init__(self, directory: Path) -> None:
-        super().__init__(receiving=directory)
+        super().__init__(directory, str(directory), saved_by_backup=True)
         self.directory = directory
-
-    @property
-    def url(self) -> str:
-        """The folder."""
-        return str(self.directory)
-
-    @property
-    def saved_by_backup(self) -> bool:
-        """Files on a disk of ours are."""
-        return True
 
     def path(self, digest: str, suffix: str) -> Path:
         """Return where the recording of this digest is; raises ParameterError as :meth:`RawStore.place`."""
@@ -62,7 +51,7 @@ class FileRawStore(RawStore):
         for file in files:
             path = self.path(file.digest, file.suffix)
             with passing_faults(path):
-                if not (path.is_file() and _digest_of(path) == file.digest):
+                if not (path.is_file() and sha256_of(path) == file.digest):
                     path.parent.mkdir(parents=True, exist_ok=True)
                     file.path.replace(path)
             directories |= {path.parent, self.directory}  # also of one that was there: who put it may not have got here
@@ -89,7 +78,7 @@ class FileRawStore(RawStore):
         path = self.path(digest, suffix)
         try:
             check_size(path.stat().st_size, size_bytes, path)
-            whole = _digest_of(path) == digest
+            whole = sha256_of(path) == digest
         except FileNotFoundError:
             raise missing(path) from None
         except OSError as error:  # of this file: the others may be whole
@@ -166,12 +155,7 @@ def unlink_old(path: Path, least_age_s: float) -> int | None:
 
 
 def total_of(directory: Path, enough: int) -> RawTotal:
-    """Return the files below a folder, by whole subfolders until enough were looked at; names are digests.
-
-    Args:
-        directory: The folder; it need not be there.
-        enough: Files after which the other subfolders are taken to be like those that were looked at.
-    """
+    """Return the files below a folder, if it is there, by whole subfolders until enough are seen: names are digests."""
     try:
         below = sorted(entry.path for entry in os.scandir(directory) if entry.is_dir())
         files = size = seen = 0
@@ -184,11 +168,6 @@ def total_of(directory: Path, enough: int) -> RawTotal:
         return RawTotal(0, 0, estimated=False)
     scale = len(below) / seen if seen else 1.0
     return RawTotal(round(files * scale), round(size * scale), estimated=seen < len(below))
-
-
-def _digest_of(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 LOOKED_FOR = 10  # so many of the oldest and of the newest receipts are looked for in a store without the mark

@@ -37,18 +37,9 @@ class S3RawStore(RawStore):
     """Recordings in a bucket; they are received, and copied to be read, in a folder of this machine."""
 
     def __init__(self, bucket: S3Bucket, receiving: Path) -> None:
-        super().__init__(receiving)
+        # a bucket has copies and versions of its own
+        super().__init__(receiving, bucket.place.url, saved_by_backup=False)
         self._bucket = bucket
-
-    @property
-    def url(self) -> str:
-        """``s3://``, bucket and prefix."""
-        return self._bucket.place.url
-
-    @property
-    def saved_by_backup(self) -> bool:
-        """A bucket has copies and versions of its own."""
-        return False
 
     def place(self, digest: str, suffix: str) -> str:
         """Return the URL of a recording."""
@@ -144,7 +135,7 @@ class S3RawStore(RawStore):
 
     def write_mark(self, mark: str) -> None:
         """Write the object of the mark."""
-        self._bucket.put_bytes(MARK_NAME, f"{mark}\n".encode())
+        self._bucket.put(MARK_NAME, f"{mark}\n".encode())
 
     def _put(self, file: IncomingFile) -> None:
         name = recording_name(file.digest, file.suffix)

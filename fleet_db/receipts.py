@@ -55,16 +55,13 @@ class EstimatedAgain:
     """What is estimated again because the class of vehicles, or the nominal radius of a wheelset, has changed.
 
     Attributes:
-        subjects: Codes of the vehicles, or the wheelset, of which something is.
-        windows: How many of their windows; 0 where only geometries are.
         from_ns: Start of the oldest of their windows, ns UTC on the vehicle's clock; None where there is none.
-        sections: Codes of the sections whose alignment is estimated from the begin.
     """
 
-    subjects: tuple[str, ...] = ()
-    windows: int = 0
+    subjects: tuple[str, ...] = ()  # codes of the vehicles, or the wheelset, of which something is
+    windows: int = 0  # how many of their windows; 0 where only geometries are
     from_ns: int | None = None
-    sections: tuple[str, ...] = ()
+    sections: tuple[str, ...] = ()  # codes of the sections whose alignment is estimated from the begin
 
 
 NOTHING_AGAIN = EstimatedAgain()

@@ -50,16 +50,14 @@ class RegistryEvent:
     """One decision on a record.
 
     Attributes:
-        id: In the order of the decisions.
         kind, subject, at_ns: The record: its wheelset or section, and its time on the vehicle's clock where that
             belongs to its key.
         action, actor, reason: What was done, by whom, and why; the last two are empty where a registry file changed it.
         record: What it was before it was changed or voided; what was restored; empty where it is new.
-        recorded_ns: Our time; None where it is not known.
         after: What it was afterwards where it was entered or changed; None of others.
     """
 
-    id: int
+    id: int  # in the order of the decisions
     kind: RecordKind
     subject: str
     at_ns: int | None
@@ -67,5 +65,5 @@ class RegistryEvent:
     actor: str
     reason: str
     record: Mapping[str, JsonValue]
-    recorded_ns: int | None
+    recorded_ns: int | None  # our time; None where it is not known
     after: Mapping[str, JsonValue] | None = None

@@ -52,16 +52,17 @@ def key_of(table: Table, values: Mapping[str, Any]) -> dict[str, Any]:
 
 def row_of(connection: Connection, table: Table, *key: object) -> dict[str, Any] | None:
     """Return the row with a primary key, whose columns are in the order of the table; None where there is none."""
-    given = {f"key_{column.name}": value for column, value in zip(table.primary_key, key, strict=True)}
-    row = connection.execute(_by_key(table), given).mappings().first()
+    row = connection.execute(_by_key(table), _given(table, key)).mappings().first()
     return None if row is None else {str(name): value for name, value in row.items()}
 
 
 def delete_row(connection: Connection, table: Table, *key: object) -> None:
     """Delete the row with a primary key, whose columns are in the order of the table."""
-    connection.execute(
-        delete(table).where(*(column == value for column, value in zip(table.primary_key, key, strict=True)))
-    )
+    connection.execute(delete(table).where(key_given(table)), _given(table, key))
+
+
+def _given(table: Table, key: Sequence[object]) -> dict[str, object]:
+    return dict(zip((f"key_{column.name}" for column in table.primary_key), key, strict=True))
 
 
 def upsert(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 EXTRA = "treadwatch[s3]"
 PART_BYTES = 5 << 20
 """Objects up to this size are sent and read by one request; larger ones in parts of it."""
-PARTS_AT_ONCE = 1
 CONNECT_S = 5.0
 RETRIES = 3
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 2.0
@@ -36,8 +35,6 @@ class S3Place:
     Attributes:
         bucket, prefix: Of the objects; the prefix may be empty.
         endpoint, region: Of the store.
-        allow_http: Whether the connection may go without TLS.
-        timeout_s: How long one request may take; with its repetitions, at most twice as long.
         keys: ``access_key_id``, ``secret_access_key``, and ``token`` where there is one; None where the client library
             finds credentials by a role of the machine or the container.
     """
@@ -46,8 +43,8 @@ class S3Place:
     prefix: str
     endpoint: str
     region: str
-    allow_http: bool
-    timeout_s: float
+    allow_http: bool  # whether the connection may go without TLS
+    timeout_s: float  # how long one request may take; with its repetitions, at most twice as long
     keys: Mapping[str, str] | None = field(default=None, repr=False)
 
     @property
@@ -85,32 +82,19 @@ class S3Bucket:
                 return None
 
     def pieces(self, name: str, facts: ObjectFacts) -> Iterator[bytes]:
-        """Yield the bytes of an object, by bounded requests.
+        """Yield the bytes of an object of which the store has said this, by bounded requests.
 
-        Args:
-            facts: What the store has said of it: these bytes are read, or none.
-
-        Raises:
-            FileNotFoundError: It is not there any more.
-            PassingFaultError: It cannot be read now, or has been replaced meanwhile.
+        Raises FileNotFoundError, and PassingFaultError where it cannot be read now, or has been replaced meanwhile.
         """
         for first in range(0, facts.size_bytes, PART_BYTES):
             yield self._part(name, first, min(first + PART_BYTES, facts.size_bytes), facts.e_tag)
 
-    def put(self, name: str, source: Path) -> None:
-        """Put the content of a file, whole or not at all; large ones in parts. Raises PassingFaultError."""
-        large = source.stat().st_size > PART_BYTES
+    def put(self, name: str, content: Path | bytes) -> None:
+        """Put a file or a few bytes, whole or not at all; large ones in parts. Raises PassingFaultError."""
+        large = isinstance(content, Path) and content.stat().st_size > PART_BYTES
         with self._faults(name):
             try:
-                self._store.put(name, source, use_multipart=large, chunk_size=PART_BYTES, max_concurrency=PARTS_AT_ONCE)
-            except FileNotFoundError as error:
-                self._refuse(name, error)
-
-    def put_bytes(self, name: str, content: bytes) -> None:
-        """Put a few bytes; raises as :meth:`put`."""
-        with self._faults(name):
-            try:
-                self._store.put(name, content, use_multipart=False)
+                self._store.put(name, content, use_multipart=large, chunk_size=PART_BYTES, max_concurrency=1)
             except FileNotFoundError as error:
                 self._refuse(name, error)
 

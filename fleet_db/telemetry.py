@@ -28,10 +28,10 @@ from fleet_db.atomic_files import passing_fault, passing_faults, write_atomicall
 from fleet_db.fields import Array, from_json, pack, to_json, unpack
 
 KIND = "window"
-VERSION = 1
 MISSING, LARGEST_COUNT = -32768, 32767
 NAN_BITS = int(np.array(np.nan).view(np.int64))
 SMOOTH = ("speed", "distance")
+PLAIN = ("wheelset", "vehicle", "axle", "start_ns", "length_ns", "track_section")
 QUALITY = tuple(item.name for item in fields(WindowQuality) if item.name not in ("hunting", "blows"))
 QUALITY_COUNTS = ("gaps", "sensor_fault")
 
@@ -65,13 +65,7 @@ class WindowFiles:
         return len(blob)
 
     def load(self, digest: str) -> Window:
-        """Return the window, bit for bit.
-
-        Raises:
-            DamagedError: The file is missing, damaged, or holds other content than its name says; names the file.
-            PassingFaultError: The file cannot be read now, and the directory can.
-            StorageError: The directory is not there or cannot be used.
-        """
+        """Return the window, bit for bit; StorageError: no folder, PassingFaultError: not now, DamagedError: ever."""
         path = self.path(digest)
         try:
             blob = path.read_bytes()
@@ -105,13 +99,12 @@ def pack_window(window: Window) -> bytes:
     }
     smooth = {name: np.diff(getattr(window, name).view(np.int64), prepend=np.int64(0)) for name in SMOOTH}
     valid = {"valid": np.packbits(window.valid)}
-    return pack(KIND, VERSION, _scalars(window), {**channels, **smooth, **valid})
+    return pack(KIND, _scalars(window), {**channels, **smooth, **valid})
 
 
 def unpack_window(blob: bytes, *, where: str) -> Window:
     """Return the window, bit for bit."""
-    packed = unpack(blob, KIND, where=where)
-    scalars, arrays = packed.scalars, packed.arrays
+    scalars, arrays = unpack(blob, KIND, where=where)
     steps: Any = from_json(scalars["resolution"], tuple[float, ...])
     values: dict[str, Any] = {
         name: _from_counts(arrays[name], step) for name, step in zip(ACCELERATIONS, steps, strict=True)
@@ -121,7 +114,7 @@ def unpack_window(blob: bytes, *, where: str) -> Window:
     for array in (*values.values(), valid):
         array.flags.writeable = False
     return Window(
-        **{name: scalars[name] for name in ("wheelset", "vehicle", "axle", "start_ns", "length_ns", "track_section")},
+        **{name: scalars[name] for name in PLAIN},
         sample_interval_s=from_json(scalars["sample_interval_s"], float),
         odometer_m=from_json(scalars["odometer_m"], float),
         **values,
@@ -164,15 +157,7 @@ def _from_counts(packed: Array, step: float) -> FloatArray:
 
 def _scalars(window: Window) -> dict[str, Any]:
     return {
-        "wheelset": window.wheelset,
-        "vehicle": window.vehicle,
-        "axle": int(window.axle),
-        "start_ns": int(window.start_ns),
-        "length_ns": int(window.length_ns),
-        "track_section": window.track_section,
-        "sample_interval_s": to_json(window.sample_interval_s),
-        "odometer_m": to_json(window.odometer_m),
-        "resolution": to_json(window.resolution),
+        **{name: to_json(getattr(window, name)) for name in (*PLAIN, "sample_interval_s", "odometer_m", "resolution")},
         "quality": {name: _to_json(name, getattr(window.quality, name)) for name in QUALITY},
         # only where there is some
         **({"hunting": to_json(window.quality.hunting)} if window.quality.hunting.share else {}),

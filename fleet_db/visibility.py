@@ -45,16 +45,8 @@ def _of_fleet(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
     return _among(columns.fleet, fleets)
 
 
-def _fleet_itself(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    return _among(columns.code, fleets)
-
-
 def _among(column: ColumnElement[str], fleets: Fleets) -> ColumnElement[bool]:
     return column.in_(sorted(fleets))
-
-
-def _of_vehicle(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    return _in(columns.vehicle, _VEHICLES, "code", fleets)
 
 
 def _of_vehicle_before_and_after(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
@@ -62,16 +54,8 @@ def _of_vehicle_before_and_after(columns: Columns, fleets: Fleets) -> ColumnElem
     return before & after
 
 
-def _of_wheelset(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    return _in(columns.wheelset, _WHEELSETS, "serial", fleets)
-
-
 def _of_both(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
     return _of_wheelset(columns, fleets) & _of_vehicle(columns, fleets)
-
-
-def _of_alert(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    return _in(columns.alert_id, _ALERTS, "alert_id", fleets)
 
 
 def _of_webhook(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
@@ -86,6 +70,13 @@ def _in(column: ColumnElement[Any], owner: Table, key: str, fleets: Fleets) -> C
     named = owner.alias()  # another name, so that it is never taken for a table of the statement around it
     return column.in_(select(named.c[key]).where(_among(named.c.fleet, fleets)).correlate(None))
 
+
+def _naming(column: str, owner: Table, key: str) -> Rule:
+    return lambda columns, fleets: _in(columns[column], owner, key, fleets)
+
+
+_of_vehicle = _naming("vehicle", _VEHICLES, "code")
+_of_wheelset = _naming("wheelset", _WHEELSETS, "serial")
 
 _OF_WHEELSETS = ("mounting", "reprofiling", "measurement", "wheelset")  # kinds of records
 _OF_VEHICLES = ("vehicle", "sensor_change")
@@ -125,70 +116,31 @@ def _of_quarantined(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
 RULES: Mapping[str, Rule] = {
     "registry_events": _of_subject,
     "quarantine": _of_quarantined,
-    "fleets": _fleet_itself,
-    "vehicles": _of_fleet,
-    "wheelsets": _of_fleet,
-    "alerts": _of_fleet,
-    "alert_events": _of_alert,
-    "chunks": _of_vehicle,
-    "sensor_changes": _of_vehicle,
+    "fleets": lambda columns, fleets: _among(columns.code, fleets),
+    "alert_events": _naming("alert_id", _ALERTS, "alert_id"),
     "recording_changes": _of_vehicle_before_and_after,
-    "stale_spans": _of_vehicle,
-    "track_epoch_vehicles": _of_vehicle,
-    "suspension_findings": _of_vehicle,
-    "mountings": _of_both,
-    "windows": _of_both,
-    "track_epoch_windows": _of_both,
-    "reprofilings": _of_wheelset,
-    "measured_profiles": _of_wheelset,
     "results": _of_result,
-    "wheelset_bins": _of_wheelset,
-    "window_bin_tables": _of_wheelset,
-    "window_positions": _of_wheelset,
-    "window_adhesion": _of_wheelset,
-    "window_dampers": _of_vehicle,
-    "webhooks": _of_webhook,
-    "webhook_fleets": _of_webhook,
-    "webhook_deliveries": _of_webhook,
-    "rail_cells": _of_wheelset,
-    "roll_ups": _of_wheelset,
-    "roll_up_states": _of_wheelset,
-    "rolling_sums": _of_wheelset,
-    "wear_signatures": _of_wheelset,
-    "worklist_entries": _of_fleet,
-    "worklist_alerts": _of_wheelset,
+    **dict.fromkeys(("vehicles", "wheelsets", "alerts", "worklist_entries"), _of_fleet),
+    **dict.fromkeys(("chunks", "sensor_changes", "stale_spans", "track_epoch_vehicles"), _of_vehicle),
+    **dict.fromkeys(("suspension_findings", "window_dampers"), _of_vehicle),
+    **dict.fromkeys(("mountings", "windows", "track_epoch_windows"), _of_both),
+    **dict.fromkeys(("reprofilings", "measured_profiles", "wheelset_bins", "worklist_alerts"), _of_wheelset),
+    **dict.fromkeys(("window_bin_tables", "window_positions", "window_adhesion", "wear_signatures"), _of_wheelset),
+    **dict.fromkeys(("rail_cells", "roll_ups", "roll_up_states", "rolling_sums"), _of_wheelset),
+    **dict.fromkeys(("webhooks", "webhook_fleets", "webhook_deliveries"), _of_webhook),
 }
 SHARED = frozenset(
     {
-        "feed_branches",
-        "idempotency_keys",
-        "job_runs",
-        "purges",
-        "section_adhesion",
-        "stored_settings",
-        "track_alignments",
-        "track_epochs",
-        "track_layouts",
-        "track_reports",
-        "track_sections",
-        "track_versions",
-        "vehicle_classes",
-        "work_leases",
-        "alembic_version",
+        *("feed_branches", "idempotency_keys", "job_runs", "purges", "section_adhesion", "stored_settings"),
+        *("track_alignments", "track_epochs", "track_layouts", "track_reports", "track_sections", "track_versions"),
+        *("vehicle_classes", "work_leases", "alembic_version"),
     }
 )
 """Tables of no fleet. What a row of them says of a fleet's vehicles is left out by its representation."""
 HIDDEN = frozenset(
     {
-        "api_keys",
-        "audit_entries",
-        "raw_marks",
-        "raw_scrubs",
-        "stage_marks",
-        "subject_versions",
-        "webhook_secrets",
-        "window_due",
-        "work_claims",
+        *("api_keys", "audit_entries", "raw_marks", "raw_scrubs", "stage_marks", "subject_versions"),
+        *("webhook_secrets", "window_due", "work_claims"),
     }
 )
 """Tables that a bound caller does not see at all."""

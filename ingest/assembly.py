@@ -13,22 +13,16 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlUnitOfWork
-from ingest.align.clock import (
-    CONTEXT_NS,
-    AlignedFrames,
-    merge_aligned,
-    values_near,
-)
+from ingest.align.clock import CONTEXT_NS, AlignedFrames, merge_aligned, values_near
 from ingest.align.windows import (
     MountedWindow,
     RegistryLookup,
-    VehicleSamples,
     WindowCounts,
     vehicle_samples,
     windows_of,
 )
-from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.intake import check_alone
+from ingest.exchange.run import SUFFIX as EXCHANGE_SUFFIX
 from ingest.frames import count_dropped
 from ingest.own_bus.bus import OwnBus
 from ingest.own_bus.decoding import own_samples
@@ -81,9 +75,7 @@ def registry_lookup(unit: SqlUnitOfWork, vehicle: VehicleRecord, from_ns: int, t
     )
 
 
-OWN_TIME = "own_time"
-"""Key among the counts of a receipt: 1 where the recording has a TIME frame of its own, else 0."""
-
+OWN_TIME = "own_time"  # key among the counts of a receipt: 1 where the recording has a TIME frame of its own, else 0
 WAITING = Reason(ReasonCode.WAITS_FOR_TIME, "no TIME frame in it or beside it: it waits for the recording next to it")
 
 
@@ -110,9 +102,6 @@ class Assembler:
         """Return the receipt of a stored recording with its place on the vehicle's clock, if it has one.
 
         It comes first; those that had waited for its TIME frames follow.
-
-        Raises:
-            StorageError: A recording that is needed cannot be read any more.
         """
         waiting = list(waiting_beside(unit, record.vehicle, recording))
         beside = list(waiting)
@@ -151,11 +140,7 @@ class Assembler:
     def sources(
         self, unit: SqlUnitOfWork, vehicle: str, span: Span, coming: Sequence[ChunkRecord] = ()
     ) -> list[ChunkRecord]:
-        """Return the receipts of all recordings that the windows of a vehicle in a span depend on.
-
-        Args:
-            coming: Receipts of recordings that are about to be decoded, with their place.
-        """
+        """Return the receipts of all recordings that the windows of a vehicle in a span depend on."""
         decoded = unit.chunks.overlapping(vehicle, span[0] - CONTEXT_NS, span[1] + CONTEXT_NS)
         found = {other.digest: other for other in (*decoded, *coming)}
         for source in list(found.values()):
@@ -179,9 +164,6 @@ class Assembler:
         Args:
             keep_unreadable: Whether what is stored of a recording that cannot be read any more stays, and the others go
                 on.
-
-        Raises:
-            StorageError: A recording that is needed cannot be read any more.
         """
         on_file = unit.registry.vehicle(vehicle)
         first = span[0] // self.length_ns * self.length_ns
@@ -244,23 +226,19 @@ class Assembler:
             samples, counts = own_samples(vehicle, catalogue, near)
         else:
             samples, counts = vehicle_samples(vehicle, catalogue, near)
+        starts: set[int] = set()  # of the windows that any wheelset has samples in
+        for node in samples.nodes.values():
+            low, high = np.searchsorted(node.t_ns, span)
+            numbers = node.t_ns[low:high] // self.length_ns
+            starts.update((numbers[np.diff(numbers, prepend=-1) != 0] * self.length_ns).tolist())
         windows, made = [], WindowCounts()
-        for outcome in windows_of(samples, _starts(samples, span, self.length_ns), self.length_ns, lookup):
+        for outcome in windows_of(samples, sorted(starts), self.length_ns, lookup):
             if isinstance(outcome, MountedWindow):
                 windows.append(outcome)
             else:
                 made += outcome
         made = replace(made, windows=len(windows))
         return windows, {**_nonzero(asdict(counts)), **asdict(made)}
-
-
-def _starts(samples: VehicleSamples, span: Span, length_ns: int) -> list[int]:
-    found: set[int] = set()
-    for node in samples.nodes.values():
-        low, high = np.searchsorted(node.block.t_ns, span)
-        numbers = node.block.t_ns[low:high] // length_ns
-        found.update((numbers[np.diff(numbers, prepend=-1) != 0] * length_ns).tolist())
-    return sorted(found)
 
 
 def _check_one_kind(vehicle: str, suffix: str, sources: Iterable[ChunkRecord]) -> None:
@@ -278,6 +256,12 @@ def extent(source: ChunkRecord) -> list[Span]:
     if source.first_ns is None or source.last_ns is None:
         return []
     return [(source.first_ns - CONTEXT_NS, source.last_ns + CONTEXT_NS)]
+
+
+def add_stale(unit: SqlUnitOfWork, record: ChunkRecord, cause: str) -> None:
+    """Let the windows that a recording changes be made again."""
+    for from_ns, to_ns in extent(record):
+        unit.stale_spans.add(record.vehicle, from_ns, to_ns + 1, cause)
 
 
 def _span(recording: Recording, aligned: Iterable[AlignedFrames]) -> Span | None:

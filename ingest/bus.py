@@ -34,14 +34,7 @@ _SO_RCVBUFFORCE = 33  # asm-generic/socket.h: beyond net.core.rmem_max, where th
 
 
 def open_bus(interface: str, channel: str, **options: Any) -> can.BusABC:  # noqa: ANN401 - python-can's own options
-    """Open a bus; use it as a context manager.
-
-    Args:
-        interface: One of ``INTERFACES``.
-
-    Raises:
-        ParameterError: No such interface, or it cannot be opened on this machine.
-    """
+    """Open a bus; use it as a context manager."""
     if interface not in INTERFACES:
         raise ParameterError(f"is {interface!r}; known are {', '.join(INTERFACES)}", field="interface")
     try:

@@ -121,13 +121,13 @@ def load_catalogue(path: Path) -> Catalogue:
 
     Args:
         path: The DBC file; 11-bit identifiers, little endian, integers, no multiplexing.
-
-    Raises:
-        CatalogueError: The file cannot be read, or lacks what the codec needs; names file and field.
     """
     database = parse_dbc(path)
     messages = {message.frame_id: _message_plan(message, path) for message in database.messages}
-    catalogue = Catalogue(MappingProxyType(messages), _sample_interval_ns(messages, path))
+    interval = next((plan.cycle_ns for plan in messages.values() if plan.kind == SYNC), 0)
+    if interval == 0:
+        raise CatalogueError("SYNC needs a GenMsgCycleTime: it is the sampling interval", file=path, field=SYNC)
+    catalogue = Catalogue(MappingProxyType(messages), interval)
     _check_needed(catalogue, path)
     return catalogue
 
@@ -177,10 +177,8 @@ def _signal_plan(signal: Any, name: str, path: Path) -> SignalPlan:  # noqa: ANN
     scale, offset = float(signal.scale), float(signal.offset)
     if not scale:
         raise CatalogueError(NO_SCALE, file=path, field=name)
-    lowest = -(1 << (signal.length - 1)) if signal.is_signed else 0
-    highest = lowest + (1 << signal.length) - 1
-    attribute = signal.dbc.attributes.get("InvalidRawValue") if signal.dbc else None
-    invalid = int(attribute.value) if attribute is not None else None
+    lowest, highest = raw_range(signal)
+    invalid = _invalid(signal)
     limits = [
         end if limit is None else round((float(limit) - offset) / scale)
         for limit, end in ((signal.minimum, lowest), (signal.maximum, highest))
@@ -190,26 +188,36 @@ def _signal_plan(signal: Any, name: str, path: Path) -> SignalPlan:  # noqa: ANN
         raise CatalogueError("the limits do not fit the number of bits", file=path, field=name)
     if invalid is not None and (minimum <= invalid <= maximum or not lowest <= invalid <= highest):
         raise CatalogueError("InvalidRawValue is inside the limits or outside the raw range", file=path, field=name)
+    clips = invalid is not None and maximum - minimum == highest - lowest - 1
+    return plan_of(signal, minimum, maximum, clips=clips)
+
+
+def raw_range(signal: Any) -> tuple[int, int]:  # noqa: ANN401 - cantools is untyped
+    """Return the lowest and the highest raw value that the bits of a signal hold."""
+    lowest = -(1 << (signal.length - 1)) if signal.is_signed or signal.is_float else 0
+    return lowest, lowest + (1 << signal.length) - 1
+
+
+def _invalid(signal: Any) -> int | None:  # noqa: ANN401 - cantools is untyped
+    attribute = signal.dbc.attributes.get("InvalidRawValue") if signal.dbc else None
+    return int(attribute.value) if attribute is not None else None
+
+
+def plan_of(signal: Any, minimum: int, maximum: int, *, clips: bool) -> SignalPlan:  # noqa: ANN401 - cantools is untyped
+    """Return a signal of a DBC file with its raw limits."""
     return SignalPlan(
         name=signal.name,
         start_bit=signal.start,
         bits=signal.length,
         signed=signal.is_signed,
-        scale=scale,
-        offset=offset,
+        scale=float(signal.scale),
+        offset=float(signal.offset),
         unit=signal.unit or "",
         raw_minimum=minimum,
         raw_maximum=maximum,
-        raw_invalid=invalid,
-        clips=invalid is not None and maximum - minimum == highest - lowest - 1,
+        raw_invalid=_invalid(signal),
+        clips=clips,
     )
-
-
-def _sample_interval_ns(messages: Mapping[int, MessagePlan], path: Path) -> int:
-    interval = next((plan.cycle_ns for plan in messages.values() if plan.kind == SYNC), 0)
-    if interval == 0:
-        raise CatalogueError("SYNC needs a GenMsgCycleTime: it is the sampling interval", file=path, field=SYNC)
-    return interval
 
 
 def _check_needed(catalogue: Catalogue, path: Path) -> None:
@@ -234,13 +242,10 @@ def resolution(plan: MessagePlan) -> np.ndarray[Any, np.dtype[np.float64]]:
 SYNC_ID = 0x080
 TIME_ID = 0x100
 
-SYNC_PERIOD = 240
-"""The counter runs 1..240 (CiA 301, object 1019h)."""
-
+SYNC_PERIOD = 240  # the counter runs 1..240 (CiA 301, object 1019h)
 NANOSECONDS = 1_000_000_000
 DAY_MS = 86_400_000
-EPOCH_DAYS = 5113
-"""Days from 1970-01-01 to 1984-01-01, where CANopen's TIME_OF_DAY begins."""
+EPOCH_DAYS = 5113  # days from 1970-01-01 to 1984-01-01, where CANopen's TIME_OF_DAY begins
 
 
 def sync_counter(tick: npt.ArrayLike) -> IntArray:

@@ -8,16 +8,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from estimation.compiled import compiled
 from estimation.errors import ParameterError
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, IntArray, freeze, frozen_array
 from ingest.catalogue import Catalogue, MessagePlan, SignalPlan
-from ingest.frames import DATA_BYTES, DEFAULT_CHANNEL, ERROR_FLAG, REMOTE_FLAG, FrameBatch, batch_of
+from ingest.frames import DATA_BYTES, ERROR_FLAG, REMOTE_FLAG, FrameBatch, batch_of
 
 STANDARD_IDENTIFIERS = 0x800
 
@@ -29,7 +29,6 @@ def count_by_identifier(
     """Count the frames that have an 11-bit identifier by identifier.
 
     Args:
-        arbitration_id, dlc: (n,) as in a batch.
         lengths: (2048,) bytes that a frame must have, -1 for unknown identifiers.
 
     Returns:
@@ -135,20 +134,16 @@ class FrameCounts(Counts):
 
 
 @dataclass(frozen=True, slots=True)
-class MessageValues:
-    """All frames of one message: where they stood in the batch and their raw values, one column a signal."""
+class RawValues:
+    """The raw values of frames of one message, one column a signal."""
 
     plan: MessagePlan
-    index: IntArray  # (n,) position in the batch, increasing
     raw: RawArray  # (n, m)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "index", frozen_array(self.index, (len(self.index),), np.int64, name="index"))
-        shape = (len(self.index), len(self.plan.signals))
+        freeze(self)
+        shape = (None, len(self.plan.signals))
         object.__setattr__(self, "raw", frozen_array(self.raw, shape, self.raw.dtype, name="raw"))
-
-    def __len__(self) -> int:
-        return len(self.index)
 
     def column(self, name: str) -> IntArray:
         """Return the raw values of one signal, (n,) int64."""
@@ -177,6 +172,13 @@ class MessageValues:
     def clipped(self) -> BoolArray:
         """Return (n, m): the raw value sits on a limit that is an end of the raw range."""
         return ~(self.valid() | self.invalid())
+
+
+@dataclass(frozen=True, slots=True)
+class MessageValues(RawValues):
+    """All frames of one message in a batch."""
+
+    index: Annotated[IntArray, "n"]  # position in the batch, increasing
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +214,7 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
     for arbitration_id, plan in catalogue.messages.items():
         span = slice(int(starts[arbitration_id]), int(starts[arbitration_id + 1]))
         if span.stop > span.start:
-            messages[arbitration_id] = MessageValues(plan, index[span], unpack(plan, words[span]))
+            messages[arbitration_id] = MessageValues(plan, unpack(plan, words[span]), index[span])
     invalid, clipped = _count_values(messages)
     strange = len(batch) - wrong - unknown - int(starts[-1])  # without an 11-bit identifier
     error, remote = _count_flagged(batch.arbitration_id) if strange else (0, 0)
@@ -261,9 +263,7 @@ def unpack(plan: MessagePlan, words: npt.NDArray[np.uint64]) -> RawArray:
     return raw
 
 
-def encode(
-    plan: MessagePlan, t_ns: IntArray, values: Mapping[str, npt.ArrayLike], channel: str = DEFAULT_CHANNEL
-) -> FrameBatch:
+def encode(plan: MessagePlan, t_ns: IntArray, values: Mapping[str, npt.ArrayLike]) -> FrameBatch:
     """Return one frame per time with signals in the units of the catalogue.
 
     NaN becomes "not available"; a value beyond a limit is clipped to it; signals that are not given are "not
@@ -271,9 +271,6 @@ def encode(
 
     Args:
         values: (n,) or one value per signal, in the units of the catalogue.
-
-    Raises:
-        ParameterError: A name that the message does not have; NaN in a signal without a code for it.
     """
     unknown = set(values) - set(plan.names)
     if unknown:
@@ -290,7 +287,7 @@ def encode(
         plan.signal(name).raw_invalid is None and np.isnan(np.asarray(given)).any() for name, given in values.items()
     ):
         raise ParameterError("NaN in a signal that cannot say 'not available'", field=plan.name)
-    return batch_of(plan.arbitration_id, t_ns, data, plan.length, channel)
+    return batch_of(plan.arbitration_id, t_ns, data, plan.length)
 
 
 def raw_of(signal: SignalPlan, values: FloatArray) -> IntArray:

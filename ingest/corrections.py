@@ -15,13 +15,12 @@ from estimation.errors import ConflictError, NotFoundError, PassingFaultError
 from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import SubjectKind, resolved
-from fleet_db.keeping.exclusive import keeping_alone
+from fleet_db.process_locks import keeping_alone
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import STAGE
-from ingest.align.clock import CONTEXT_NS
-from ingest.assembly import OWN_TIME, WAITING
+from ingest.assembly import OWN_TIME, WAITING, add_stale
 from ingest.recordings import ALWAYS, RECORDER_FIRST, RECORDER_LAST, is_beside
 
 STANDING = tuple(state for state in ChunkState if state is not ChunkState.DELETED)
@@ -126,19 +125,9 @@ class RecordingCorrections:
             held = unit.quarantine.get(SubjectKind.RECORDING, before.digest, STAGE)
             if held is not None:
                 unit.quarantine.put(resolved(held))
-            unit.recording_changes.add(
-                RecordingChange(
-                    before.digest,
-                    action,
-                    now_ns,
-                    author.actor,
-                    author.why,
-                    before.vehicle,
-                    before.state,
-                    after.vehicle,
-                    after.state,
-                )
-            )
+            states = (before.vehicle, before.state, after.vehicle, after.state)
+            change = RecordingChange(before.digest, action, now_ns, author.actor, author.why, *states)
+            unit.recording_changes.add(change)
             return after
 
 
@@ -174,15 +163,10 @@ def _make_stale(unit: SqlUnitOfWork, before: ChunkRecord, after: ChunkRecord, ac
     if before.state is not ChunkState.DECODED or before.first_ns is None or before.last_ns is None:
         return
     for vehicle in {before.vehicle, after.vehicle}:
-        _add_stale(unit, replace(before, vehicle=vehicle), f"recording {before.digest[:12]}: {action}")
+        add_stale(unit, replace(before, vehicle=vehicle), f"recording {before.digest[:12]}: {action}")
     for other in _placed_by(unit, before):
-        _add_stale(unit, other, f"recording {before.digest[:12]}, which had its time: {action}")
+        add_stale(unit, other, f"recording {before.digest[:12]}, which had its time: {action}")
         unit.chunks.update(replace(other, state=ChunkState.STORED, reason=WAITING, first_ns=None, last_ns=None))
-
-
-def _add_stale(unit: SqlUnitOfWork, record: ChunkRecord, cause: str) -> None:
-    if record.first_ns is not None and record.last_ns is not None:
-        unit.stale_spans.add(record.vehicle, record.first_ns - CONTEXT_NS, record.last_ns + CONTEXT_NS + 1, cause)
 
 
 def _placed_by(unit: SqlUnitOfWork, record: ChunkRecord) -> Sequence[ChunkRecord]:

@@ -15,8 +15,7 @@ import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 
-REACH = 4
-"""Samples to either side of a derivative."""
+REACH = 4  # samples to either side of a derivative
 
 
 @cache

@@ -31,7 +31,6 @@ from pydantic import (
     BeforeValidator,
     GetPydanticSchema,
     PrivateAttr,
-    ValidationInfo,
     create_model,
     model_validator,
 )
@@ -105,8 +104,9 @@ class ValueTable(InputTable):
 
     @model_validator(mode="after")
     def _make(self) -> Self:
-        given = frozenset(_alias(self, name) for name in self.model_fields_set)
-        content = {name: getattr(self, name) for name in type(self).model_fields}
+        columns = type(self).model_fields
+        given = frozenset(columns[name].alias or name for name in self.model_fields_set)
+        content = {name: getattr(self, name) for name in columns}
         self._value = _made(self.value_type, {**self.fixed, **content}, given)
         return self
 
@@ -157,8 +157,9 @@ def keys_of(value_type: type) -> tuple[str, ...]:
 
 
 def taken(value_type: type[T], wider: object, **changes: object) -> T:
-    """Return a value with the fields that it shares with a wider one."""
-    shared = {item.name: getattr(wider, item.name) for item in fields(value_type)}  # type: ignore[arg-type]
+    """Return a value with the fields that it shares with another one."""
+    names = (item.name for item in fields(value_type))  # type: ignore[arg-type]
+    shared = {name: getattr(wider, name) for name in names if hasattr(wider, name)}
     return value_type(**(shared | changes))
 
 
@@ -261,10 +262,6 @@ def _member(names: type[StrEnum]) -> Callable[[str], StrEnum]:
     return member
 
 
-def _alias(table: ValueTable, name: str) -> str:
-    return type(table).model_fields[name].alias or name
-
-
 def _made(value_type: Any, content: dict[str, Any], given: frozenset[str]) -> Any:  # noqa: ANN401 - a dataclass
     """Return a value from the content of its table, which may hold that of others; checked as a file first."""
     value = object.__new__(value_type)
@@ -296,14 +293,12 @@ def _inline(table: type, content: dict[str, Any], given: frozenset[str]) -> Any:
     return value.plan() if hasattr(value, "plan") else value
 
 
-def _beside(name: str, info: ValidationInfo) -> Path:
-    return Path(info.context or ".") / name
-
-
 FileBeside = Annotated[
     Path,
     GetPydanticSchema(
-        lambda _, handler: core_schema.with_info_after_validator_function(_beside, handler.generate_schema(Text))
+        lambda _, handler: core_schema.with_info_after_validator_function(
+            lambda name, info: Path(info.context or ".") / name, handler.generate_schema(Text)
+        )
     ),
 ]
 """A file named in another one; a relative name starts in the folder of that file."""

@@ -107,18 +107,14 @@ def take(batch: FrameBatch, index: IntArray | BoolArray | slice) -> FrameBatch:
     )
 
 
-def concatenate(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBatch:
-    """Return the frames of all batches, one after the other, as one bus.
-
-    Args:
-        channel: Name of the bus; by default that of the first batch.
-    """
+def concatenate(batches: Sequence[FrameBatch]) -> FrameBatch:
+    """Return the frames of all batches, one after the other, as the bus of the first."""
     if not batches:
-        return empty_batch(channel or DEFAULT_CHANNEL)
-    if len(batches) == 1 and channel in (None, batches[0].channel):
+        return empty_batch()
+    if len(batches) == 1:
         return batches[0]
     return from_owned_arrays(
-        channel=channel or batches[0].channel,
+        channel=batches[0].channel,
         t_ns=np.concatenate([batch.t_ns for batch in batches]),
         arbitration_id=np.concatenate([batch.arbitration_id for batch in batches]),
         dlc=np.concatenate([batch.dlc for batch in batches]),
@@ -133,14 +129,14 @@ def sort_by_time(batch: FrameBatch) -> FrameBatch:
     return take(batch, np.argsort(batch.t_ns, kind="stable"))
 
 
-def merge(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBatch:
+def merge(batches: Sequence[FrameBatch]) -> FrameBatch:
     """Return the *set* of frames of all batches in one order that does not depend on how they were cut.
 
     The order is by time, then identifier (as arbitration on the bus would have it: SYNC before what it causes), then
     length and payload. A frame that occurs twice with the same time, identifier and payload is the same frame, and
     is kept once.
     """
-    joined = concatenate(batches, channel)
+    joined = concatenate(batches)
     if np.all(joined.t_ns[1:] > joined.t_ns[:-1]):
         return joined
     joined = sort_by_time(joined)
@@ -163,18 +159,12 @@ def merge(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBat
 
 
 def between(batch: FrameBatch, from_ns: int, to_ns: int) -> FrameBatch:
-    """Return the frames of a time-ordered batch with ``from_ns <= t < to_ns``.
-
-    Args:
-        from_ns, to_ns: Span of the recorder's clock, ns.
-    """
+    """Return the frames of a time-ordered batch with ``from_ns <= t < to_ns``."""
     first, last = np.searchsorted(batch.t_ns, [from_ns, to_ns])
     return take(batch, slice(int(first), int(last)))
 
 
-OVERFLOW_ID = ERROR_FLAG | 0x004
-"""Class CAN_ERR_CRTL of linux/can/error.h."""
-
+OVERFLOW_ID = ERROR_FLAG | 0x004  # class CAN_ERR_CRTL of linux/can/error.h
 _OVERFLOW = 0x01  # CAN_ERR_CRTL_RX_OVERFLOW in byte 1
 _COUNTED = 0xDD  # in byte 0, which has no meaning in this class: a number follows in bytes 4 to 7
 _MOST = 0xFFFF_FFFF

@@ -20,7 +20,7 @@ from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import STAGE
-from ingest.assembly import extent
+from ingest.assembly import add_stale
 
 ASSEMBLY = "assemble_windows"
 
@@ -138,8 +138,7 @@ class LostRecordings:
     def _resolve(self, item: Quarantined, *found: ChunkRecord) -> None:
         with self.storage.write() as unit:
             for record in found:
-                for from_ns, to_ns in extent(record):
-                    unit.stale_spans.add(record.vehicle, from_ns, to_ns + 1, f"recording {record.digest[:12]}: {CAUSE}")
+                add_stale(unit, record, f"recording {record.digest[:12]}: {CAUSE}")
             unit.quarantine.put(resolved(item))
 
 

@@ -31,26 +31,15 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from estimation.errors import InputError
 
 MEBIBYTE = 1 << 20
-SETTINGS_BYTES = 64 * MEBIBYTE
-"""Of a TOML, JSON or DBC file: a registry of ten thousand vehicles has 40 MiB."""
-
-TABLE_BYTES = 256 * MEBIBYTE
-"""Of a table of text: an hour at 250 Hz with 25 columns has 225 MiB."""
-
+SETTINGS_BYTES = 64 * MEBIBYTE  # of a TOML, JSON or DBC file: a registry of ten thousand vehicles has 40 MiB
+TABLE_BYTES = 256 * MEBIBYTE  # of a table of text: an hour at 250 Hz with 25 columns has 225 MiB
 PROFILE_BYTES = 16 * MEBIBYTE
 
 
 def read_text_within(
     path: Path, most: int, error_type: type[InputError], *, encoding: str = "utf-8", errors: str = "strict"
 ) -> str:
-    """Return the content of a text file, without the byte order mark that some editors put first.
-
-    Args:
-        most: Bytes that it may have.
-
-    Raises:
-        InputError: As ``error_type``: the file cannot be read, is too large, or no text.
-    """
+    """Return the content of a text file, without the byte order mark that some editors put first."""
     try:
         with path.open("rb") as file:
             content = file.read(most + 1)
@@ -133,9 +122,7 @@ def increasing(values: Values) -> Values:
     return values
 
 
-CODE_LENGTH = 64
-"""Letters of a code or a serial number that a database column holds."""
-
+CODE_LENGTH = 64  # letters of a code or a serial number that a database column holds
 FreeText = Annotated[str, AfterValidator(_printable)]
 Text = Annotated[FreeText, AfterValidator(_not_empty)]
 Code = Annotated[Text, AfterValidator(_one_short_line)]

@@ -16,18 +16,10 @@ DAY_NS = 86_400 * SECOND_NS
 EARLIEST_NS = 946_684_800 * SECOND_NS
 """2000-01-01: a clock that shows less has not been set since it was switched on (CANopen's begins in 1984)."""
 
-LATEST_NS = 4_102_444_800 * SECOND_NS
-"""2100-01-01."""
-
-FEWEST_ALIKE = 3
-"""TIME frames in a row that agree and are a clock; fewer among others are odd ones."""
-
-LONGEST_SPAN_NS = 31 * DAY_NS
-"""From the first to the last frame of one recording."""
-
-MOST_AHEAD_NS = DAY_NS
-"""How far the vehicle's clock may be ahead of our time of receipt."""
-
+LATEST_NS = 4_102_444_800 * SECOND_NS  # 2100-01-01
+FEWEST_ALIKE = 3  # TIME frames in a row that agree and are a clock; fewer among others are odd ones
+LONGEST_SPAN_NS = 31 * DAY_NS  # from the first to the last frame of one recording
+MOST_AHEAD_NS = DAY_NS  # how far the vehicle's clock may be ahead of our time of receipt
 OUR_CLOCK_SET_NS = 1_577_836_800 * SECOND_NS
 """2020-01-01: a receipt that says less was given while our own clock was not set, and shows nothing."""
 
@@ -98,11 +90,7 @@ STEPS = 2.0  # of the odometer, besides
 
 
 def possible_motion(values: FloatArray) -> FloatArray:
-    """Return speed and odometer (n, 2) with NaN where no vehicle has such a one.
-
-    Args:
-        values: (n, 2) m/s and m.
-    """
+    """Return speed and odometer (n, 2) with NaN where no vehicle has such a one."""
     found = values.copy()
     with np.errstate(invalid="ignore"):
         found[~(np.abs(found[:, 0]) <= MOST_SPEED), 0] = np.nan
@@ -140,8 +128,7 @@ and 5 % (ETCS, SUBSET-041), which is 200 m after 3.9 km; a fix that is a second 
 FEWEST_FIXES = 3
 """Of a window. The median counts: fewer than half may be outliers."""
 
-SEMI_MAJOR_M, ECCENTRICITY2 = 6_378_137.0, 6.694_379_990_14e-3
-"""Of WGS84 (NIMA TR8350.2)."""
+SEMI_MAJOR_M, ECCENTRICITY2 = 6_378_137.0, 6.694_379_990_14e-3  # of WGS84 (NIMA TR8350.2)
 
 
 def off_line_m(line: SectionLine, distance: FloatArray, fixes: FloatArray) -> float:
@@ -205,7 +192,6 @@ def without_repeats(tick: IntArray, values: FloatArray, run: FloatArray) -> Floa
     vehicle has been where the speed puts it in between; otherwise its place is not known there.
 
     Args:
-        tick: (n,) instants of the frames.
         values: (n, m) section and distance, m, and what else is sent; NaN where not available.
         run: (n,) m that the vehicle has run by the speed; NaN where that is not known.
     """

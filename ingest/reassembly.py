@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 
-from estimation.errors import NotFoundError, StorageError, TreadwatchError
+from estimation.errors import StorageError, TreadwatchError
 from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
@@ -133,7 +133,7 @@ class Reassembler:
             spans = first_group(unit.stale_spans.all(vehicle))
             if spans:
                 within = (spans[0].from_ns, max(span.to_ns for span in spans))
-                part = self._next_piece(unit, vehicle, within) if _on_file(unit, vehicle) else None
+                part = self._next_piece(unit, vehicle, within) if unit.registry.vehicles_of([vehicle]) else None
                 pieces[vehicle] = Piece(spans, None if part is None else self._assembled(unit, vehicle, part))
         return pieces
 
@@ -200,12 +200,3 @@ def first_group(spans: Sequence[StaleSpan]) -> list[StaleSpan]:
         group.append(span)
         end_ns = max(end_ns, span.to_ns)
     return group
-
-
-def _on_file(unit: SqlUnitOfWork, vehicle: str) -> bool:
-    """Whether the registry knows a vehicle; of one that it does not there is no window."""
-    try:
-        unit.registry.vehicle(vehicle)
-    except NotFoundError:
-        return False
-    return True

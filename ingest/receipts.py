@@ -10,7 +10,7 @@ from estimation.errors import ConflictError
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from ingest.assembly import SpanAssembly, extent
+from ingest.assembly import SpanAssembly, add_stale
 from ingest.recordings import Recording
 
 UNDECODABLE = frozenset({ChunkState.REJECTED, ChunkState.SET_ASIDE, ChunkState.DELETED})
@@ -41,13 +41,6 @@ def printable_name(path: Path) -> str:
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
 
 
-def read_or_raise(recording: Recording | Exception) -> Recording:
-    """Return what was read; raise what was raised at reading."""
-    if isinstance(recording, Exception):
-        raise recording
-    return recording
-
-
 def check_undecided(unit: SqlUnitOfWork, receipts: Iterable[ChunkRecord]) -> None:
     """Raise where a recording was reassigned, deleted, set aside or rejected while its windows were assembled."""
     for receipt in receipts:
@@ -56,8 +49,7 @@ def check_undecided(unit: SqlUnitOfWork, receipts: Iterable[ChunkRecord]) -> Non
             raise ConflictError(f"recording {receipt.digest[:12]} changed meanwhile", kind="chunk", key=receipt.digest)
 
 
-TAKE_DELETED = "--take-deleted"
-"""The option that asks for it."""
+TAKE_DELETED = "--take-deleted"  # the option that asks for it
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +110,7 @@ def to_nobody(_record: ChunkRecord) -> None:
 
 
 def enter_receipt(unit: SqlUnitOfWork, record: ChunkRecord, deleted: DeletedRecordings) -> tuple[ChunkRecord, bool]:
-    """Store the receipt of a recording, and return what stands there now, and whether it had been there before.
-
-    Raises:
-        ConflictError: The recording was deleted, and is not wanted again; or it is of another vehicle.
-    """
+    """Store the receipt of a recording, and return what stands there now, and whether it had been there before."""
     if unit.chunks.put(record):
         return record, False
     found = unit.chunks.get(record.digest)
@@ -133,8 +121,9 @@ def enter_receipt(unit: SqlUnitOfWork, record: ChunkRecord, deleted: DeletedReco
     if found.purged_ns is not None:  # its bytes are there again
         found = replace(found, purged_ns=None)
         unit.chunks.update(found)
-        for from_ns, to_ns in extent(found):  # what changed meanwhile has not reached its windows
-            unit.stale_spans.add(found.vehicle, from_ns, to_ns + 1, f"recording {found.digest[:12]}: received again")
+        add_stale(
+            unit, found, f"recording {found.digest[:12]}: received again"
+        )  # what changed meanwhile is not in them
     return found, True
 
 

@@ -25,9 +25,9 @@ from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import Assembler
 from ingest.catalogue import Catalogue
-from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
-from ingest.exchange.bundle import write_bundle
 from ingest.exchange.intake import check_alone, checked_exchange
+from ingest.exchange.run import SUFFIX as EXCHANGE_SUFFIX
+from ingest.exchange.run import write_bundle
 from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
 from ingest.own_bus.bus import BusChoice
@@ -41,7 +41,6 @@ from ingest.receipts import (
     check_undecided,
     enter_receipt,
     of_another_vehicle,
-    read_or_raise,
     to_nobody,
 )
 from ingest.recordings import Recording, Recordings
@@ -66,7 +65,6 @@ class Receiver:
     """Takes recordings in.
 
     Args:
-        window_length_s: Length of a window; a whole number of sampling intervals.
         deleted_taken_by: Who wants recordings that were deleted to be taken in again; None where they are refused.
     """
 
@@ -161,9 +159,6 @@ class Receiver:
 
         Returns:
             tuple[ChunkRecord, bool]: The receipt, and whether it had been there before.
-
-        Raises:
-            ConflictError: The same recording was received from another vehicle.
         """
         self._check_raw()
         deleted = self._deleted.receipt(hashlib.sha256(content).hexdigest())
@@ -222,7 +217,9 @@ class Receiver:
         """Decode a stored recording that was read, or keep why it could not be; raises as :meth:`receive_file`."""
         changed = 0
         try:
-            record, changed = self._decode(record, read_or_raise(recording))
+            with trace.get_tracer("treadwatch").start_as_current_span("recording") as span:
+                record, changed = self._decode(record, recording)
+                span.set_attributes({"treadwatch.frames": record.frames, "treadwatch.windows_changed": changed})
         except LogFileError as error:
             text = error.reason if error.line is None else f"line {error.line}: {error.reason}"
             rejected = replace(record, state=ChunkState.REJECTED, reason=Reason(ReasonCode.LOG_DAMAGED, text))
@@ -291,13 +288,9 @@ class Receiver:
         self._announce(found)
         return found, known
 
-    def _decode(self, record: ChunkRecord, recording: Recording) -> tuple[ChunkRecord, int]:
-        with trace.get_tracer("treadwatch").start_as_current_span("recording") as span:
-            decoded, changed = self._decode_it(record, recording)
-            span.set_attributes({"treadwatch.frames": decoded.frames, "treadwatch.windows_changed": changed})
-            return decoded, changed
-
-    def _decode_it(self, record: ChunkRecord, recording: Recording) -> tuple[ChunkRecord, int]:
+    def _decode(self, record: ChunkRecord, recording: Recording | Exception) -> tuple[ChunkRecord, int]:
+        if isinstance(recording, Exception):
+            raise recording
         try:
             for _ in range(ATTEMPTS_BESIDE_OTHERS):
                 with self._storage.read() as unit:

@@ -16,9 +16,8 @@ from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.clock import TIME_REACH_NS, AlignedFrames, align_to_clock, check_sync_rate, frames_near
 from ingest.catalogue import Catalogue
-from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
-from ingest.exchange.bundle import read_bundle
-from ingest.exchange.run import aligned_run, exchange_catalogue
+from ingest.exchange.run import SUFFIX as EXCHANGE_SUFFIX
+from ingest.exchange.run import aligned_run, exchange_catalogue, read_bundle
 from ingest.frames import FrameBatch, between, empty_batch, merge
 from ingest.logs.formats import read_content
 from ingest.own_bus.bus import OwnBus
@@ -96,7 +95,6 @@ class Recordings:
         """Return the recording of a receipt.
 
         Raises:
-            LogFileError: Its file is no log that can be read.
             PassingFaultError: Its file is missing, holds something else, or cannot be read now.
         """
         kept = self._kept.get(record.digest)
@@ -107,11 +105,7 @@ class Recordings:
         return self._kept[record.digest]
 
     def load_neighbour(self, record: ChunkRecord) -> Recording:
-        """Return a recording that could be read before.
-
-        Raises:
-            StorageError: It cannot any more: the raw store has lost or damaged it.
-        """
+        """Return a recording that could be read before."""
         try:
             return self.load(record)
         except (LogFileError, PassingFaultError) as error:
@@ -125,11 +119,7 @@ class Recordings:
 
 
 def align_frames(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
-    """Decode a batch and put its frames on the vehicle's clock.
-
-    Args:
-        batch: Frames in merged order (:func:`ingest.frames.merge`).
-    """
+    """Decode a batch and put its frames on the vehicle's clock."""
     return align_own(catalogue, batch) if isinstance(catalogue, OwnBus) else align_to_clock(catalogue, batch)
 
 
@@ -180,15 +170,13 @@ def align_recordings(recordings: Iterable[Recording], span: Span | None = None) 
             else:
                 apart.append(group)
         groups = [*apart, joined]
-    return [group[0].alone if len(group) == 1 else _align_merged(group, span) for group in groups]
-
-
-def _align_merged(group: Sequence[Recording], span: Span | None) -> AlignedFrames:
-    batches: Sequence[FrameBatch] = [recording.batch for recording in group]
-    catalogue = group[0].catalogue
-    if span is not None and not isinstance(catalogue, OwnBus):
-        batches = frames_near(batches, [recording.alone for recording in group], span)
-    return align_frames(catalogue, merge(batches))
+    aligned = []
+    for group in groups:
+        batches, catalogue = [recording.batch for recording in group], group[0].catalogue
+        if len(group) > 1 and span is not None and not isinstance(catalogue, OwnBus):
+            batches = list(frames_near(batches, [recording.alone for recording in group], span))
+        aligned.append(group[0].alone if len(group) == 1 else align_frames(catalogue, merge(batches)))
+    return aligned
 
 
 def _touch(first: Recording, second: Recording) -> bool:
@@ -205,12 +193,9 @@ def _touch(first: Recording, second: Recording) -> bool:
     if offsets is None or others is None or max(a, c) >= min(b, d):
         return True
     agree = offsets[0] <= others[1] + OFFSET_STEP_NS and others[0] <= offsets[1] + OFFSET_STEP_NS
-    return agree or _share_frames(first.batch, second.batch, max(a, c), min(b, d))
-
-
-def _share_frames(first: FrameBatch, second: FrameBatch, from_ns: int, to_ns: int) -> bool:
-    ours, theirs = (
-        part.t_ns * IDENTIFIERS + part.arbitration_id.astype(np.int64)  # wraps around: a fingerprint
-        for part in (between(first, from_ns, to_ns + 1), between(second, from_ns, to_ns + 1))
-    )
+    if agree:
+        return True
+    parts = (between(one.batch, max(a, c), min(b, d) + 1) for one in (first, second))
+    # wraps around: a fingerprint of each frame
+    ours, theirs = (part.t_ns * IDENTIFIERS + part.arbitration_id.astype(np.int64) for part in parts)
     return 2 * len(np.intersect1d(ours, theirs)) >= min(len(ours), len(theirs)) > 0

@@ -12,7 +12,7 @@ from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import InputError
 from estimation.values.fields import MM, JsonValue
 from estimation.values.reasons import utc_text
-from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
+from estimation.values.track import TrackAlignment, TrackSectionRecord
 from estimation.vehicle.vehicle_class import class_document
 from fleet_db.atomic_files import write_atomically
 from fleet_db.storage import SqlUnitOfWork
@@ -66,9 +66,6 @@ def write_export(path: Path, unit: SqlUnitOfWork) -> ExportedRegistry:
     """Write the registry of a store as a file and the folder ``<name>-files`` beside it; return what was written.
 
     The registry itself is written last: where it is, it is whole.
-
-    Args:
-        path: Of the registry file, which must not exist.
     """
     folder = f"{path.stem}-files"
     if path.exists() or (path.parent / folder).exists():
@@ -114,7 +111,9 @@ def _section(unit: SqlUnitOfWork, one: TrackSectionRecord, files: _Files) -> Ent
         entry["alignment"] = _alignment(alignment, files)
     layout = unit.tracks.layout(one.code)
     if layout is not None:
-        entry["layout"] = files.add(f"{one.code}_layout", ".csv", _layout(layout))
+        curvature, cant = (map(MM.write, values.tolist()) for values in (layout.curvature, layout.cant))
+        rows = zip(layout.s.tolist(), curvature, cant, strict=True)
+        entry["layout"] = files.add(f"{one.code}_layout", ".csv", _csv((COLUMNS[0], *LAYOUT_COLUMNS), rows))
     if one.line is not None:
         entry["coordinates"] = files.add(f"{one.code}_coordinates", ".csv", _csv(LINE_COLUMNS, one.line))
     return entry
@@ -131,11 +130,6 @@ def _alignment(one: TrackAlignment, files: _Files) -> Entry:
     content = _csv(COLUMNS, zip(s, map(MM.write, one.alignment.tolist()), gauge, strict=True))
     stds: Entry = {"alignment_std_mm": MM.write(std), "gauge_deviation_std_mm": gauge_std}
     return {**files.add(one.section, ".csv", content), **stds}
-
-
-def _layout(one: TrackLayout) -> str:
-    curvature, cant = (map(MM.write, values.tolist()) for values in (one.curvature, one.cant))
-    return _csv((COLUMNS[0], *LAYOUT_COLUMNS), zip(one.s.tolist(), curvature, cant, strict=True))
 
 
 def _csv(columns: Sequence[str], rows: Iterator[tuple[float, ...]] | Sequence[tuple[float, ...]]) -> str:

@@ -38,13 +38,7 @@ from fleet_db.storage import SqlUnitOfWork
 from ingest.file_value import Inline, read_value, table_of
 from ingest.input_file import InputFile, InputTable, Location, NotNegative, Positive, Text, field_error, read_json
 from ingest.profiles.files import read_wheel_profile
-from ingest.registry_entry.contents import (
-    Entry,
-    LoadedRegistry,
-    Refusal,
-    RegistryContents,
-    RegistryRefusedError,
-)
+from ingest.registry_entry.contents import Entry, LoadedRegistry, Refusal, RegistryContents, RegistryRefusedError
 from ingest.registry_entry.enter import enter
 from ingest.track_file import (
     LAYOUT_COLUMNS,
@@ -54,8 +48,7 @@ from ingest.track_file import (
     read_track_columns,
     uniform_distance,
 )
-from ingest.vehicle_class_file import read_vehicle_class
-from ingest.vehicle_class_schema import VehicleClassEntry
+from ingest.vehicle_class_schema import VehicleClassEntry, read_vehicle_class
 
 FORMAT = "treadwatch-registry-1"
 
@@ -156,16 +149,14 @@ _KEYS = (  # of the entries of each array
 )
 
 
-_FIELD = "vehicle_classes"
-
-
 def read_classes(file: InputFile, count: int) -> tuple[VehicleClass, ...]:
     """Return the classes of a registry file, those in files of their own included."""
     found: list[VehicleClass] = []
     for index in range(count):
-        one = _class(file, (_FIELD, index))
+        location: Location = ("vehicle_classes", index)
+        one = _class(file, location)
         if any(one.code == other.code for other in found):
-            raise file.error(f"there are two classes {one.code!r}", (_FIELD, index))
+            raise file.error(f"there are two classes {one.code!r}", location)
         found.append(one)
     return tuple(found)
 
@@ -175,16 +166,12 @@ def _class(file: InputFile, location: Location) -> VehicleClass:
         name = read_value(file, NamedFile, location).file
         return read_vehicle_class(file.path.parent / name)
     if "recorded" in file.at(location):
-        return _recorded(file, location)
+        document = file.parse(RecordedClassEntry, location).recorded
+        try:
+            return class_of_document(document)
+        except (KeyError, TypeError, ValueError, AttributeError, ParameterError) as error:
+            raise file.error(f"is no vehicle class as an export has it: {error}", (*location, "recorded")) from error
     return file.parse(VehicleClassEntry, location).record()
-
-
-def _recorded(file: InputFile, location: Location) -> VehicleClass:
-    document = file.parse(RecordedClassEntry, location).recorded
-    try:
-        return class_of_document(document)
-    except (KeyError, TypeError, ValueError, AttributeError, ParameterError) as error:
-        raise file.error(f"is no vehicle class as an export has it: {error}", (*location, "recorded")) from error
 
 
 MIN_LAYOUT_SHARE = 0.5  # of a section that its layout must reach
@@ -198,7 +185,6 @@ def load_registry(
 
     Args:
         path: The registry file; the files it names are relative to its folder.
-        unit_of_work: An open transaction; nothing is committed here.
         entry: Who loads it, our time to tell the future by, and what has been confirmed; by default nobody, none and
             nothing.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import Window, WindowKey, WindowRecord
@@ -38,13 +38,7 @@ class SpanChanges:
 
     def __add__(self, other: SpanChanges) -> SpanChanges:
         """Return the sums."""
-        return SpanChanges(
-            self.new + other.new,
-            self.changed + other.changed,
-            self.removed + other.removed,
-            self.healed + other.healed,
-            self.quarantined + other.quarantined,
-        )
+        return SpanChanges(*(own + more for own, more in zip(astuple(self), astuple(other), strict=True)))
 
 
 NO_CHANGES = SpanChanges()

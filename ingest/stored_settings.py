@@ -18,9 +18,7 @@ from ingest.catalogue import Catalogue
 from ingest.own_bus.bus import BusChoice, OwnBus
 
 LENGTH, BUSES = "window_length_ns", "buses"
-OTHERS = ""
-"""Stands for the classes without a bus of their own."""
-
+OTHERS = ""  # stands for the classes without a bus of their own
 SECOND_NS = 1_000_000_000
 CHANGED = "the catalogue of its bus has changed"
 

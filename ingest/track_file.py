@@ -43,15 +43,8 @@ def read_track_columns(path: Path) -> FloatArray:
         InputError: The file cannot be read, a column is missing, a cell is not a finite number, distances do not
             increase, or there are fewer than eight rows; names file, line and column.
     """
-    header, lines = _cells(path)
-    table = _table(path, header, lines, COLUMNS, FEWEST_POINTS)
+    table = _table(path, *_cells(path), COLUMNS, FEWEST_POINTS)
     return np.asarray(table * np.array([1.0, 1e-3, 1e-3]), dtype=np.float64)
-
-
-def read_columns(path: Path, columns: Sequence[str], fewest: int) -> FloatArray:
-    """Return columns of a file (n, k) as they are written; the first is a distance."""
-    header, lines = _cells(path)
-    return _table(path, header, lines, columns, fewest)
 
 
 def read_gauge_columns(path: Path) -> FloatArray | None:
@@ -153,24 +146,21 @@ def _number(path: Path, line: int, cells: list[str], name: str, place: int) -> f
 LINE_COLUMNS = ("s_m", "latitude_deg", "longitude_deg")
 FEWEST_LINE_POINTS = 2
 MOST_LINE_POINTS = 20_000
-MOST_APART_M = 200.0
-"""Between two points: the chord of a radius of 300 m is 17 m from the rail in its middle."""
+MOST_APART_M = 200.0  # between two points: the chord of a radius of 300 m is 17 m from the rail in its middle
 LONGER_SHARE, LONGER_M = 0.02, 20.0
 """By which points may be further apart than their distances along the line say: of a map, and rounded."""
-SHORTER_SHARE = 0.1
-"""By which they may be nearer to each other: 200 m along a radius of 150 m have a chord of 186 m."""
-BEYOND_M = 50.0
-"""By which the points may reach beyond the ends of the section."""
+SHORTER_SHARE = 0.1  # by which they may be nearer to each other: 200 m along a radius of 150 m have a chord of 186 m
+BEYOND_M = 50.0  # by which the points may reach beyond the ends of the section
 
 
 def read_line(path: Path, section: TrackSectionRecord) -> SectionLine:
     """Return the line of a section, checked.
 
     Raises:
-        InputError: As ``read_columns``; or a coordinate is out of range, the points are not on the section, too far
-            apart, or their places contradict their distances (jumps, exchanged columns, another unit).
+        InputError: As ``read_track_columns``; or a coordinate is out of range, the points are not on the section, too
+            far apart, or their places contradict their distances (jumps, exchanged columns, another unit).
     """
-    table = read_columns(path, LINE_COLUMNS, FEWEST_LINE_POINTS)
+    table = _table(path, *_cells(path), LINE_COLUMNS, FEWEST_LINE_POINTS)
     if len(table) > MOST_LINE_POINTS:
         raise InputError(f"{len(table)} points, at most {MOST_LINE_POINTS} may be", file=path)
     for column, most in ((1, 90.0), (2, 180.0)):

@@ -11,8 +11,7 @@ from types import MappingProxyType
 
 from estimation.errors import ParameterError
 
-STANDARD_GRAVITY = 9.80665
-"""m/s2, the unit g of accelerometers (ISO 80000-3)."""
+STANDARD_GRAVITY = 9.80665  # m/s2, the unit g of accelerometers (ISO 80000-3)
 
 
 class Quantity(StrEnum):

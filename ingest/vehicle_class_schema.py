@@ -7,13 +7,16 @@ one, that of its kind holds (``default_relative_std``).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from decimal import Decimal
+from functools import cache
+from importlib import resources
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from estimation.errors import ParameterError
+from estimation.errors import InputError, NotFoundError, ParameterError
 from estimation.values.fields import JsonValue
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.kalker import (
@@ -26,13 +29,8 @@ from estimation.vehicle.kalker import (
     creep_coefficients,
 )
 from estimation.vehicle.plausibility import check_plausible
-from estimation.vehicle.vehicle_class import (
-    Arrangement,
-    BogieParameters,
-    VehicleClass,
-    default_relative_std,
-)
-from ingest.input_file import Code, InputTable, NotNegative, Text, field_error
+from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, VehicleClass, default_relative_std
+from ingest.input_file import Code, InputFile, InputTable, NotNegative, Text, field_error, read_toml
 from ingest.vehicle_sensor_schema import SensorsTable
 
 WHEELS_OF_AN_AXLE = 2
@@ -132,9 +130,7 @@ class CreepTable(InputTable):
     wheel_rolling_radius_mm: PositiveUncertain | None = None  # by default the nominal radius
     shear_modulus_pa: Annotated[float, Field(ge=1e10, le=1e12)] | None = None
     poisson_ratio: Annotated[float, Field(ge=0.0, lt=0.5)] | None = None
-    relative_std: Annotated[float, Field(ge=0.0, le=1.0)] | None = (
-        None  # of all coefficients, beside what radii and load leave open
-    )
+    relative_std: Annotated[float, Field(ge=0.0, le=1.0)] | None = None  # of all, beside what radii and load leave open
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
@@ -202,17 +198,21 @@ class VehicleClassEntry(InputTable):
 
     def record(self) -> VehicleClass:
         """Return the class in SI units, its creep coefficients computed where they are not given."""
-        numbers = {**self._wheelset_numbers(), **self._creep_numbers()}
-        bogie_numbers = self._bogie_numbers()
+        own = {"suspended_mass": self._suspended_mass(), "load": self._axle_load()}
+        of_wheelset = {"wheelset": self.wheelset, "primary_suspension": self.primary_suspension}
+        creep = self._kalker() if self.creep.source == "kalker" else _numbers({"creep": self.creep})
+        numbers = {**own, **_numbers(of_wheelset, but=own), **creep}
+        of_bogie = {"bogie": self.bogie, "secondary_suspension": self.secondary_suspension or SecondaryTable()}
+        bogie_numbers = {} if self.bogie is None else _numbers(of_bogie)
         return VehicleClass(
             code=self.code,
             name=self.name,
             source=self.source,
             arrangement=Arrangement(self.arrangement),
             parameters=VehicleParameters(**{name: value for name, (value, _) in numbers.items()}),
-            bogie=BogieParameters(**{name: value for name, (value, _) in bogie_numbers.items()})
-            if bogie_numbers
-            else None,
+            bogie=None
+            if self.bogie is None
+            else BogieParameters(**{name: v for name, (v, _) in bogie_numbers.items()}),
             sensors=self.sensors.layout(),
             relative_std={
                 name: std for name, (_, std) in (numbers | bogie_numbers).items() if std != default_relative_std(name)
@@ -238,26 +238,12 @@ class VehicleClassEntry(InputTable):
         own, own_std = _number("wheelset_mass", self.wheelset.mass_kg, "mass_kg")
         return (own + suspended) * GRAVITY, math.hypot(own * own_std, suspended * std) / (own + suspended)
 
-    def _wheelset_numbers(self) -> dict[str, tuple[float, float]]:
-        own = {"suspended_mass": self._suspended_mass(), "load": self._axle_load()}
-        return own | {
-            field: _number(field, getattr(getattr(self, table), key), key)
-            for field, (table, key) in _LOCATIONS.items()
-            if table in {"wheelset", "primary_suspension"} and field not in own
-        }
-
-    def _creep_numbers(self) -> dict[str, tuple[float, float]]:
-        creep = self.creep
-        if creep.source == "kalker":
-            radii, radii_std = self._kalker_radii()
-            rail_std = RAIL_CONDITION_STD if creep.relative_std is None else creep.relative_std
-            values, std = creep_coefficients(radii), creep_coefficient_std(radii, radii_std, rail_std)
-            return {field: (getattr(values, name), getattr(std, name)) for field, name in _CREEP_FIELDS.items()}
-        return {
-            field: _number(field, getattr(creep, key) or _zero(), key)
-            for field, (table, key) in _LOCATIONS.items()
-            if table == "creep"
-        }
+    def _kalker(self) -> dict[str, tuple[float, float]]:
+        """Return value and relative std of Kalker's coefficients by field of ``VehicleParameters``."""
+        radii, radii_std = self._kalker_radii()
+        rail_std = RAIL_CONDITION_STD if self.creep.relative_std is None else self.creep.relative_std
+        values, std = creep_coefficients(radii), creep_coefficient_std(radii, radii_std, rail_std)
+        return {field: (getattr(values, name), getattr(std, name)) for field, name in _CREEP_FIELDS.items()}
 
     def _kalker_radii(self) -> tuple[ContactRadii, ContactRadiiStd]:
         creep = self.creep
@@ -284,16 +270,6 @@ class VehicleClassEntry(InputTable):
             wheel_load=load_std,
             wheel_transverse_radius=(across.relative_std or 0.0) if across else 0.0,
         )
-
-    def _bogie_numbers(self) -> dict[str, tuple[float, float]]:
-        if self.bogie is None:
-            return {}
-        tables = {"bogie": self.bogie, "secondary_suspension": self.secondary_suspension or SecondaryTable()}
-        return {
-            field: _number(field, getattr(tables[table], key), key)
-            for field, (table, key) in _LOCATIONS.items()
-            if table in tables
-        }
 
 
 _CREEP_FIELDS: Mapping[str, str] = {
@@ -342,6 +318,15 @@ def class_tables(*values: VehicleParameters | BogieParameters | None) -> dict[st
     return tables
 
 
+def _numbers(tables: Mapping[str, InputTable | None], but: Collection[str] = ()) -> dict[str, tuple[float, float]]:
+    """Return value and relative std by field of the parameters that are in some tables."""
+    return {
+        field: _number(field, getattr(tables[table], key) or _zero(), key)
+        for field, (table, key) in _LOCATIONS.items()
+        if table in tables and field not in but
+    }
+
+
 def _number(field: str, number: UncertainNumber, key: str) -> tuple[float, float]:
     """Return value in SI and relative std of the number at ``key``; ``field`` names the default std."""
     relative = number.relative_std
@@ -352,3 +337,46 @@ def _number(field: str, number: UncertainNumber, key: str) -> tuple[float, float
 def _metres(millimetres: float) -> float:
     """Return the number nearest to the decimal one in m: 745.2 mm is 0.7452 m, not 0.7452000000000001 m."""
     return float(Decimal(repr(millimetres)).scaleb(-3))
+
+
+FORMAT = "treadwatch-vehicle-class-1"
+_SHIPPED = resources.files(__package__) / "vehicle_classes"
+
+
+class VehicleClassFile(VehicleClassEntry):
+    """The whole file."""
+
+    format: Literal["treadwatch-vehicle-class-1"]
+
+
+def read_vehicle_class(path: Path, error_type: type[InputError] = InputError) -> VehicleClass:
+    """Return the class of a file."""
+    return parse_vehicle_class(read_toml(path, error_type))
+
+
+def parse_vehicle_class(file: InputFile) -> VehicleClass:
+    """Return the class of a file that was read."""
+    return file.parse(VehicleClassFile).record()
+
+
+def shipped_classes() -> tuple[str, ...]:
+    """Return the codes of the classes that the package ships, sorted."""
+    return tuple(sorted(item.name.removesuffix(".toml") for item in _SHIPPED.iterdir() if item.name.endswith(".toml")))
+
+
+def shipped_path(code: str) -> Path:
+    """Return the file of a class that the package ships."""
+    if code not in shipped_classes():
+        raise NotFoundError("shipped vehicle class", code)
+    return Path(str(_SHIPPED / f"{code}.toml"))
+
+
+@cache
+def class_of_package(code: str) -> VehicleClass | None:
+    """Return a class that the package ships; None where it ships none of this code."""
+    return shipped_class(code) if code in shipped_classes() else None
+
+
+def shipped_class(code: str) -> VehicleClass:
+    """Return a class that the package ships."""
+    return read_vehicle_class(shipped_path(code))

@@ -15,19 +15,15 @@ from http import HTTPStatus
 from starlette.types import Scope
 
 from api.access.caller import known_caller
-from api.access.gate import READING, address_of
-from api.access.rates import Rate
+from api.access.gate import READING, Rate, address_of
 from api.uploads import is_upload
 from estimation.errors import TreadwatchError
 from fleet_db.access_records import AuditEntry
 from fleet_db.storage import SqlStorage
 
-GATHER_S = 1.0
-"""Refusals and uses are gathered for so long, so that they cost one transaction."""
-WAITING = 10_000
-"""Entries that wait to be written; beyond, they are lost, and the log says so."""
-USED_EVERY_NS = 60_000_000_000
-"""When a key was used last is written at most this often, in nanoseconds."""
+GATHER_S = 1.0  # refusals and uses are gathered for so long, so that they cost one transaction
+WAITING = 10_000  # entries that wait to be written; beyond, they are lost, and the log says so
+USED_EVERY_NS = 60_000_000_000  # when a key was used last is written at most this often, in nanoseconds
 _log = logging.getLogger(__name__)
 
 
@@ -130,8 +126,7 @@ class AccessBook:
 
 
 REFUSALS = frozenset({HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN})
-_OF_ADDRESS = 60.0
-"""Refusals of one address that are recorded in a minute: a stranger must not fill the disk."""
+_OF_ADDRESS = 60.0  # refusals of one address that are recorded in a minute: a stranger must not fill the disk
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,10 @@ from fastapi import Depends, Request
 from fastapi.routing import APIRoute
 from starlette import types
 
-from api.problems import ProblemError, ProblemItem
+from api.problems import ProblemError, invalid
 
 EVERYTHING = frozenset({"read", "act", "ingest", "admin"})
-NOBODY_NAMED = "anyone"
-"""Who makes a key where access is open."""
+NOBODY_NAMED = "anyone"  # who makes a key where access is open
 _PLACE = "treadwatch.caller"
 
 
@@ -43,24 +42,18 @@ class Caller:
         return rest if kind == "key" else None
 
     def acts_as(self, by: str | None, unnamed: str | None = None) -> str:
-        """Return who is recorded as the actor: the owner of the key; where access is open, whom the body names.
-
-        Args:
-            unnamed: Who it is where access is open and the body names nobody; None refuses that.
-        """
+        """Return who is recorded as the actor: the owner of the key; where access is open, ``by`` or ``unnamed``."""
         if self.name is None and (by or unnamed) is not None:
             return by or str(unnamed)
         if self.name is None or by not in {None, self.name}:
             wrong = (
                 "is required where access is open" if self.name is None else f"is not the key's owner, {self.name!r}"
             )
-            item = ProblemItem(part="body", pointer="#/by", detail=wrong)
-            raise ProblemError(422, "invalid-request", f"body #/by: {wrong}", [item])
+            raise invalid("#/by", wrong)
         return self.name
 
 
-ANYONE = Caller(None, EVERYTHING, None)
-"""The caller of a service whose access is open."""
+ANYONE = Caller(None, EVERYTHING, None)  # the caller of a service whose access is open
 
 
 def name_caller(scope: types.Scope, caller: Caller) -> None:
@@ -73,15 +66,14 @@ def known_caller(scope: types.Scope) -> Caller | None:
     return cast("Caller | None", scope.get(_PLACE))
 
 
-async def caller_of(request: Request) -> Caller:
-    """Return who asks."""
+async def _caller_of(request: Request) -> Caller:
     found = known_caller(request.scope)
     if found is None:
         raise LookupError("the request did not pass api.access.gate")
     return found
 
 
-CallerDep = Annotated[Caller, Depends(caller_of)]
+CallerDep = Annotated[Caller, Depends(_caller_of)]
 
 
 class Scope(StrEnum):
@@ -102,7 +94,7 @@ def requires(scope: Scope, *, all_fleets: bool = False) -> Callable[[CallerDep],
     """Return a dependency that refuses callers without a scope."""
 
     def check(caller: CallerDep) -> None:
-        refuse_without(caller, scope)
+        _refuse_without(caller, scope)
         if all_fleets and caller.fleets is not None:
             raise ProblemError(403, "forbidden", "this needs a key of all fleets")
 
@@ -110,8 +102,7 @@ def requires(scope: Scope, *, all_fleets: bool = False) -> Callable[[CallerDep],
     return check
 
 
-def refuse_without(caller: Caller, scope: Scope) -> None:
-    """Refuse a caller without a scope."""
+def _refuse_without(caller: Caller, scope: Scope) -> None:
     if scope not in caller.scopes:
         raise ProblemError(403, "forbidden", f"this needs the scope '{scope}'")
 
@@ -132,4 +123,4 @@ async def authorise(request: Request, caller: CallerDep) -> None:
     scope = scope_of(route)
     if scope is None:
         raise LookupError(f"{route.path_format} declares no scope: dependencies=[Depends(requires(Scope....))]")
-    refuse_without(caller, scope)
+    _refuse_without(caller, scope)

@@ -1,13 +1,16 @@
-"""The gate before every request: the host, the origin, the key or token, and the limits of rate."""
+"""The gate before every request: the host, the origin, the key or token, the limits of rate of one process."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from collections import Counter, OrderedDict
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import partial
 from http import HTTPMethod
-from typing import Literal, Protocol
+from typing import Literal
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
@@ -16,14 +19,75 @@ from starlette.types import Scope
 from api.access.caller import ANYONE, Caller, name_caller
 from api.access.key_ring import KeyRing, prefix_of
 from api.access.oidc import Tokens
-from api.access.rates import Rate
 from api.problems import ProblemError
 from estimation.errors import TreadwatchError
 
+BUCKETS = 10_000  # keys or addresses that are remembered; beyond, the one not seen for longest is forgotten
+
+
+@dataclass(slots=True)
+class _Bucket:
+    tokens: float
+    at_s: float
+
+
+@dataclass(slots=True)
+class Rate:
+    """So many a second on average, and so many at once; for one thread."""
+
+    per_s: float
+    burst: float
+    _buckets: OrderedDict[str, _Bucket] = field(default_factory=OrderedDict)
+
+    def take(self, name: str, now_s: float) -> float | None:
+        """Take one; return None, or after how many seconds there will be one."""
+        bucket = self._filled(name, now_s)
+        if bucket.tokens < 1.0:
+            return math.ceil((1.0 - bucket.tokens) / self.per_s)
+        bucket.tokens -= 1.0
+        return None
+
+    def wait_s(self, name: str, now_s: float) -> float | None:
+        """Return after how many seconds there will be one to take; None where there is one now. Takes none."""
+        tokens = self._filled(name, now_s).tokens
+        return None if tokens >= 1.0 else math.ceil((1.0 - tokens) / self.per_s)
+
+    def _filled(self, name: str, now_s: float) -> _Bucket:
+        bucket = self._buckets.setdefault(name, _Bucket(self.burst, now_s))
+        self._buckets.move_to_end(name)
+        if len(self._buckets) > BUCKETS:
+            self._buckets.popitem(last=False)
+        bucket.tokens = min(self.burst, bucket.tokens + (now_s - bucket.at_s) * self.per_s)
+        bucket.at_s = now_s
+        return bucket
+
+
+@dataclass(slots=True)
+class StreamPlaces:
+    """The places of one process; for one event loop."""
+
+    per_key: int
+    _held: Counter[str] = field(default_factory=Counter)
+
+    @contextmanager
+    def place(self, caller: Caller) -> Iterator[None]:
+        """Hold a place for as long as a stream is open."""
+        name = caller.identity or ""
+        if caller.identity is not None and self._held[name] >= self.per_key:
+            detail = f"limit streams_per_key: at most {self.per_key} streams of a key; close one"
+            raise ProblemError(429, "too-many-requests", detail, headers={"Retry-After": "10"})
+        self._held[name] += 1
+        try:
+            yield
+        finally:
+            self._held[name] -= 1
+            if not self._held[name]:
+                del self._held[name]
+
+
 Door = Literal["key", "open", "off"]
 HEALTH = frozenset({"/healthz", "/readyz"})
-PAGE = frozenset({"/", "/favicon.ico"})
-"""The page itself holds nothing of a fleet: it asks for a key and reads with it."""
+PAGE = frozenset({"/", "/favicon.ico"})  # the page itself holds nothing of a fleet: it asks for a key and reads with it
 PAGE_FILES = "/assets/"
 DOCUMENTS = frozenset({"/openapi.json", "/docs"})
 DOCUMENT_FILES = "/docs/"
@@ -72,14 +136,10 @@ READING = frozenset({HTTPMethod.GET, HTTPMethod.HEAD, HTTPMethod.OPTIONS})
 
 @dataclass(frozen=True, slots=True)
 class Hosts:
-    """The names and origins that are let through.
-
-    Args:
-        origins: Origins of pages, such as ``https://maintenance.example``, beside our own.
-    """
+    """The names and origins that are let through."""
 
     names: frozenset[str] = frozenset()
-    origins: frozenset[str] = frozenset()
+    origins: frozenset[str] = frozenset()  # origins of pages, such as `https://maintenance.example`, beside our own
 
     def check(self, scope: Scope) -> None:
         """Refuse a request under another name, or a change that a page of another origin asks for."""
@@ -118,25 +178,15 @@ STILL_GOOD = "treadwatch.still_good"
 LONGEST_TOKEN = 8192
 
 
-class _Uses(Protocol):
-    def used(self, prefix: str, at_ns: int) -> None:
-        """Note that a key was used."""
-
-
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Decides who asks, and refuses who may not.
-
-    Args:
-        keys: Those of the database; None where access is open.
-        requests, failures: Limits of rate: of each key; of wrong keys, of each address.
-    """
+    """Decides who asks, and refuses who may not; where ``keys`` is None, access is open."""
 
     hosts: Hosts
     doors: Opened
     keys: KeyRing | None
     tokens: Tokens | None
-    uses: _Uses
+    note_use: Callable[[str, int], None]
     requests: Rate
     failures: Rate
     now_ns: Callable[[], int] = time.time_ns
@@ -191,7 +241,7 @@ class Gate:
         key = await keys.find(token, now_ns)
         if key is None:
             return None
-        self.uses.used(key.prefix, now_ns)
+        self.note_use(key.prefix, now_ns)
         return Caller(key.owner, key.scopes, key.fleets, f"key {key.prefix}")
 
 

@@ -11,10 +11,9 @@ from starlette.datastructures import MutableHeaders
 from starlette.middleware.cors import CORSMiddleware
 
 from api.access.book import AccessBook, Recorder, recorder_of
-from api.access.gate import Gate, Hosts, Opened
+from api.access.gate import Gate, Hosts, Opened, Rate, StreamPlaces
 from api.access.key_ring import KeyRing
 from api.access.oidc import Provider, Tokens
-from api.access.rates import Rate, StreamPlaces
 from api.settings import PREFIX, Settings
 from estimation.errors import ParameterError
 from fleet_db.storage import SqlStorage
@@ -66,19 +65,14 @@ class AccessPlan:
             doors=self.doors,
             keys=KeyRing(storage) if self.with_keys else None,
             tokens=None if self.provider is None else Tokens(self.provider),
-            uses=book,
+            note_use=book.used,
             requests=Rate(self.requests_per_s, self.requests_burst),
             failures=Rate(self.failed_keys_per_minute / MINUTE_S, max(1.0, self.failed_keys_per_minute)),
         )
 
 
 def plan_of(settings: Settings) -> AccessPlan:
-    """Return what a deployment has decided.
-
-    Raises:
-        ParameterError: Access is open beyond loopback and nothing says that this is meant; or the settings of the token
-            issuer are not complete.
-    """
+    """Return what a deployment has decided; refuses what is open beyond loopback, and half an issuer of tokens."""
     if settings.access == "open" and not is_loopback(settings.host):
         raise ParameterError(
             f"is open, and {settings.host} is reached from beyond this machine: use keys, or say '{IN_WORDS}'",

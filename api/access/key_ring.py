@@ -26,23 +26,9 @@ _SECRET_BYTES = 32
 _FORM = re.compile(r"tw_(?P<prefix>[a-z2-7]{8})_[A-Za-z0-9_-]{43}", re.ASCII)
 
 
-@dataclass(frozen=True, slots=True)
-class NewToken:
-    """A key that was just made; ``text`` is shown once and never stored."""
-
-    prefix: str
-    text: str
-
-    @property
-    def digest(self) -> str:
-        """What is stored of it."""
-        return digest_of(self.text)
-
-
-def new_token() -> NewToken:
-    """Return a key that nobody has."""
+def _new_token() -> str:
     prefix = "".join(secrets.choice(_ALPHABET) for _ in range(_PREFIX_LENGTH))
-    return NewToken(prefix, f"tw_{prefix}_{secrets.token_urlsafe(_SECRET_BYTES)}")
+    return f"tw_{prefix}_{secrets.token_urlsafe(_SECRET_BYTES)}"
 
 
 def prefix_of(token: str) -> str | None:
@@ -56,12 +42,9 @@ def digest_of(token: str) -> str:
     return hashlib.sha256(token.encode()).hexdigest()
 
 
-AGAIN_S = 2.5
-"""After so long a key is read again, beside the request that asks."""
-AT_MOST_S = 5.0
-"""After so long a request waits for that read: a revoked key is refused after at most this."""
-KEYS = 10_000
-"""Keys that are remembered."""
+AGAIN_S = 2.5  # after so long a key is read again, beside the request that asks
+AT_MOST_S = 5.0  # after so long a request waits for that read: a revoked key is refused after at most this
+KEYS = 10_000  # keys that are remembered
 
 
 @dataclass(slots=True)
@@ -100,7 +83,6 @@ class KeyRing:
         return known.key if known.key.usable(now_ns) else None
 
     def _read_again(self, prefix: str, digest: str) -> asyncio.Task[ApiKey | None]:
-        """Return the one running read of a key."""
         running = self._reading.get(digest)
         if running is None:
             running = self._reading[digest] = asyncio.ensure_future(self._read(prefix, digest))
@@ -134,25 +116,16 @@ class KeyRing:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A key that is to be made.
-
-    Args:
-        fleets: Codes of the fleets that it sees; None for all.
-        expires_ns: When it expires, ns UTC; None for never.
-    """
+    """A key that is to be made."""
 
     owner: str
     scopes: frozenset[str]
-    fleets: frozenset[str] | None
-    expires_ns: int | None
+    fleets: frozenset[str] | None  # codes of the fleets that it sees; None for all
+    expires_ns: int | None  # when it expires, ns UTC; None for never
 
 
-def make_key(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> tuple[ApiKey, NewToken]:
-    """Store a new key and return it with its secret.
-
-    Raises:
-        ParameterError: An unknown scope or none, no owner, or it has expired already; names the field.
-    """
+def make_key(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> tuple[ApiKey, str]:
+    """Store a new key and return it with its secret; a refusal names the field."""
     if not wanted.owner.strip():
         raise ParameterError("names nobody", field="owner")
     if not wanted.scopes or wanted.scopes - EVERYTHING:
@@ -163,9 +136,9 @@ def make_key(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> tuple
         known = {fleet.code for fleet in unit.registry.fleets()}
         for code in sorted(wanted.fleets - known):
             raise NotFoundError("fleet", code)
-    token = new_token()
-    while unit.api_keys.find(token.prefix) is not None:
-        token = new_token()
-    made = ApiKey(token.prefix, token.digest, wanted.owner, wanted.scopes, wanted.fleets, now_ns, by, wanted.expires_ns)
+    token = _new_token()
+    while unit.api_keys.find(prefix := str(prefix_of(token))) is not None:
+        token = _new_token()
+    made = ApiKey(prefix, digest_of(token), wanted.owner, wanted.scopes, wanted.fleets, now_ns, by, wanted.expires_ns)
     unit.api_keys.add(made)
     return made, token

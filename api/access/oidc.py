@@ -18,13 +18,10 @@ from api.access.caller import EVERYTHING, Caller
 
 ALGORITHMS = ("RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512", "EdDSA")
 """Signatures with public keys only: `none` proves nothing, and an HS key could be the public key itself."""
-REFRESH_S = 60.0
-"""The published keys are fetched again at most this often."""
-OLD_S = 3600.0
-"""After so long they are fetched again in any case: one may have been withdrawn."""
+REFRESH_S = 60.0  # the published keys are fetched again at most this often
+OLD_S = 3600.0  # after so long they are fetched again in any case: one may have been withdrawn
 TIMEOUT_S = 5.0
-LARGEST = 1 << 20
-"""Bytes of published keys, at most."""
+LARGEST = 1 << 20  # bytes of published keys, at most
 ALL_FLEETS = "*"
 _log = logging.getLogger(__name__)
 

@@ -102,11 +102,11 @@ def restore(
 
 def compile() -> None:  # noqa: A001 - the name of the command
     """Compile every kernel into TREADWATCH_COMPILED_DIR, or load what is already there."""
-    from api.kernel_runs import results
+    from api.compiled_code import compile_kernels
     from estimation.compiled import COUNTS, directories
 
     started = time.process_time()
-    results()
+    compile_kernels()
     if COUNTS.not_kept:
         raise StorageError(f"{directories()[0]}: {COUNTS.not_kept} compiled functions could not be written")
     typer.echo(

@@ -61,7 +61,7 @@ def schedule(
     from api.factory import job_context, process_name, scheduled_jobs, upkeep_jobs
     from api.settings import load_settings
     from api.terminal.store import begun, store_once_it_answers
-    from api.workers.choice import executor_of
+    from api.workers.on_dask import executor_of
     from estimation.jobs.scheduler import serve_jobs
 
     settings = load_settings(workers=workers, dask_scheduler=dask_scheduler)
@@ -82,7 +82,7 @@ def worker(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -> 
     from api import logs
     from api.settings import load_settings
     from api.terminal.store import store_once_it_answers
-    from api.workers.dask_worker import serve_dask
+    from api.workers.on_dask import serve_dask
     from estimation.jobs.stop_signals import stop_on_signals
 
     settings = load_settings(workers=workers, dask_scheduler=dask_scheduler)
@@ -108,8 +108,7 @@ def estimate(
 ) -> None:
     """Run every job once, now, in the order in which one hands its results to the next; say what has no estimate."""
     from api.settings import load_settings
-    from api.terminal.estimate import run_jobs_once
-    from api.terminal.reasons import print_each
+    from api.terminal.estimate import print_each, run_jobs_once
 
     if reasons:
         if job is not None:

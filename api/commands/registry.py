@@ -31,7 +31,6 @@ _Confirmed = Annotated[
 
 
 def _doubts(confirmed: list[Rule] | None) -> list[Rule]:
-    """Refuse rules that nobody can confirm away."""
     impossible = [one for one in confirmed or () if one not in CONFIRMABLE]
     if impossible:
         raise ParameterError(f"{impossible[0]} cannot be confirmed; what can: {_DOUBTS}", field="--confirm")
@@ -106,7 +105,7 @@ def list_classes() -> None:
 @vehicle.command("show")
 def show_class(name: _Name) -> None:
     """Print the file of a shipped class, to copy from."""
-    from ingest.vehicle_class_file import shipped_path
+    from ingest.vehicle_class_schema import shipped_path
 
     typer.echo(shipped_path(name).read_text(encoding="utf-8"), nl=False)
 

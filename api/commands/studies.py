@@ -92,7 +92,6 @@ def compare(
 ) -> None:
     """Simulate a fleet, ingest it, run the jobs and every estimator, and compare them with the truth."""
     from api.comparison import report, study
-    from api.plots.compare import save_comparison
     from ingest.simulator.drawn_fleet import with_seed
     from ingest.simulator.scenario import VehicleErrors
     from ingest.simulator.scenario_file import load_scenario
@@ -113,7 +112,7 @@ def compare(
     text = orjson.dumps(numbers, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE).decode()
     (out / "comparison.json").write_text(text, encoding="utf-8")
     (out / "comparison.md").write_text(report.markdown(studies), encoding="utf-8")
-    save_comparison(studies, out / "comparison.png")
+    report.save_comparison(studies, out / "comparison.png")
     if as_json:
         typer.echo(text, nl=False)
         return
@@ -130,30 +129,30 @@ def reproduce(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the track.")] = 1,
 ) -> None:
     """Run the paper's two simulations, estimate all four combinations, draw and write what came out."""
-    from api.reproduction import figures, report, study
+    from api import reproduction
 
     console = Console()
     _make_folder(out)
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
         step = progress.add_task("constant gauge: simulate, estimate", total=4)
-        constant = study.run(0.0, seconds, seed)
+        constant = reproduction.run(0.0, seconds, seed)
         progress.update(step, advance=1, description="gauge varying by 2 mm: simulate, estimate")
-        varying = study.run(study.STANDARD_DEVIATION, seconds, seed)
+        varying = reproduction.run(reproduction.STANDARD_DEVIATION, seconds, seed)
         progress.update(step, advance=1, description="draw")
         pictures = {
-            "figure_3.png": figures.figure_3(constant.table),
-            "figure_4.png": figures.figure_4(varying),
-            "figure_6.png": figures.figure_estimates(constant, "Fig. 6: estimation, no gauge variation"),
-            "figure_7.png": figures.figure_estimates(varying, "Fig. 7: estimation, gauge varying by 2 mm (1 std)"),
+            "figure_3.png": reproduction.figure_3(constant.table),
+            "figure_4.png": reproduction.figure_4(varying),
+            "figure_6.png": reproduction.figure_estimates(constant, "Fig. 6: estimation, no gauge variation"),
+            "figure_7.png": reproduction.figure_estimates(varying, "Fig. 7: estimation, gauge varying by 2 mm (1 std)"),
         }
         for name, picture in pictures.items():
             picture.savefig(out / name, dpi=110)
         progress.update(step, advance=1, description="write numbers")
-        values = report.numbers(constant.table, {"figure_6": constant, "figure_7": varying}, seed)
+        values = reproduction.numbers(constant.table, {"figure_6": constant, "figure_7": varying}, seed)
         (out / "numbers.json").write_text(json.dumps(values, indent=1, allow_nan=False), encoding="utf-8")
-        (out / "figure_6.md").write_text(report.page("Figure 6, constant gauge", constant), encoding="utf-8")
-        (out / "figure_7.md").write_text(report.page("Figure 7, gauge varying", varying), encoding="utf-8")
+        (out / "figure_6.md").write_text(reproduction.page("Figure 6, constant gauge", constant), encoding="utf-8")
+        (out / "figure_7.md").write_text(reproduction.page("Figure 7, gauge varying", varying), encoding="utf-8")
         progress.update(step, advance=1, description="done")
     console.print(f"wrote {', '.join([*pictures, 'numbers.json', 'figure_6.md', 'figure_7.md'])} to {out}")
 

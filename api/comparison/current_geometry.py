@@ -8,8 +8,7 @@ from typing import Any
 
 from estimation.errors import PurgedError
 from estimation.estimators.catalogue import SHIPPED, estimator_named
-from estimation.estimators.interface import Estimator, EstimatorParameters
-from estimation.estimators.wheelset_geometry import PublishedBins, geometry_from_motion
+from estimation.estimators.interface import Estimator, EstimatorParameters, PublishedBins, geometry_from_motion
 from estimation.geometry.estimate import contradictions
 from estimation.jobs.job import JobContext
 from estimation.jobs.refresh_geometry import geometries_of
@@ -24,7 +23,7 @@ from estimation.values.geometry import WheelsetGeometry
 from estimation.values.reasons import Reason
 from estimation.values.roll_up import Member
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import Motion, WindowPosition, WindowRecord
+from estimation.values.windows import Motion
 
 
 def replayed(
@@ -34,12 +33,6 @@ def replayed(
 
     A window is left out whose position or content has changed since, so that it is refused today, and one whose
     samples have been purged.
-
-    Args:
-        parameters: Class of the vehicle, filters and gates; the same for all windows.
-
-    Raises:
-        DamagedError: The samples of a window are damaged; names the file.
     """
 
     @lru_cache
@@ -52,7 +45,9 @@ def replayed(
 
     for member in members:
         record, section = member.window.record, member.window.record.track_section
-        position = _position(unit, record)
+        position = unit.tracks.position(record.wheelset, record.start_ns)
+        if position is not None and position.content_digest != record.content_digest:
+            position = None  # found from other content
         mounting = unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
         try:
             window = load_window(unit, record, parameters.vehicle_class)
@@ -73,18 +68,8 @@ def replayed(
             yield member, moved
 
 
-def _position(unit: UnitOfWork, record: WindowRecord) -> WindowPosition | None:
-    """Return where the window was, unless that was found from other content."""
-    position = unit.tracks.position(record.wheelset, record.start_ns)
-    return position if position is not None and position.content_digest == record.content_digest else None
-
-
 def geometry_by(storage: Storage, context: JobContext, serial: str, estimator: str) -> WheelsetGeometry | None:
-    """Return the current geometry of a wheelset as an estimator finds it; nothing is stored.
-
-    Args:
-        estimator: Name in the catalogue; the shipped one gives the geometry of the job.
-    """
+    """Return the current geometry of a wheelset as an estimator finds it; nothing is stored."""
     with storage.read() as unit:
         found = geometries_of(unit, [serial], context)[serial]
         if estimator != SHIPPED:
@@ -108,11 +93,7 @@ def _by_rival(unit: UnitOfWork, found: RolledGeometries, rival: Estimator[Any]) 
 
 
 def parameters_of(used: EstimatedWith) -> EstimatorParameters:
-    """Return what all estimators share, as the job has it.
-
-    Args:
-        used: What a geometry of the job is estimated with.
-    """
+    """Return what all estimators share, as the job has it."""
     settings = used.settings
     return EstimatorParameters(
         used.assumed.windows.vehicle,

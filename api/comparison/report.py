@@ -1,13 +1,19 @@
-"""The comparison as a table, as sentences computed from it, and as JSON."""
+"""The comparison as a table, as sentences computed from it, as JSON and as a picture."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from rich.table import Table
 
 from api.comparison.study import PairStudy, Score, TrackInformation
+from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import SHIPPED, estimators
 from estimation.values.fields import JsonValue
 
@@ -35,19 +41,8 @@ def table(studies: Sequence[PairStudy]) -> Table:
         title_justify="left",
     )  # fmt: skip
     for study in studies:
-        won = nearest(study)
-        for score in study.scores:
-            shown.add_row(
-                score.pair,
-                TRACKS[score.track],
-                score.estimator,
-                _figure(score.median),
-                _figure(score.p95),
-                str(won[score.track, score.estimator]),
-                _share(score.coverage),
-                _share(score.estimated / score.amplitudes if score.amplitudes else math.nan),
-                f"{score.seconds:.1f}",
-            )
+        for score, cells in _rows(study):
+            shown.add_row(score.pair, TRACKS[score.track], score.estimator, *cells)
         shown.add_section()
     return shown
 
@@ -60,17 +55,18 @@ def markdown(studies: Sequence[PairStudy]) -> str:
     )  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * 3 + " ---: |" * (len(head) - 3)]
     named = titles()
-    for study in studies:
-        won = nearest(study)
-        for score in study.scores:
-            estimated = score.estimated / score.amplitudes if score.amplitudes else math.nan
-            cells = (
-                score.pair, TRACKS[score.track], named[score.estimator], _figure(score.median), _figure(score.p95),
-                str(won[score.track, score.estimator]), _share(score.coverage), _share(estimated),
-                f"{score.seconds:.1f}",
-            )  # fmt: skip
-            lines.append("| " + " | ".join(cells) + " |")
+    for score, cells in (row for study in studies for row in _rows(study)):
+        lines.append("| " + " | ".join([score.pair, TRACKS[score.track], named[score.estimator], *cells]) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _rows(study: PairStudy) -> Iterator[tuple[Score, list[str]]]:
+    won = nearest(study)
+    for score in study.scores:
+        given = score.estimated / score.amplitudes if score.amplitudes else math.nan
+        errors = [f"{value:.4f}" if math.isfinite(value) else "-" for value in (score.median, score.p95)]
+        shares = [f"{value:.0%}" if math.isfinite(value) else "-" for value in (score.coverage, given)]
+        yield score, [*errors, str(won[score.track, score.estimator]), *shares, f"{score.seconds:.1f}"]
 
 
 def nearest(study: PairStudy) -> dict[tuple[TrackInformation, str], int]:
@@ -87,16 +83,14 @@ def nearest(study: PairStudy) -> dict[tuple[TrackInformation, str], int]:
 
 def sentences_of(studies: Sequence[PairStudy]) -> list[str]:
     """Return one sentence for each pair and information on the track: the most accurate estimator, by how much."""
-    sentences = []
-    for study in studies:
-        for track in TrackInformation:
-            if track in study.unestimated:
-                sentences.append(
-                    f"{study.pair}, track {TRACKS[track]}: nothing is estimated: {study.unestimated[track]}."
-                )
-                continue
-            sentences.append(_winner(study, track))
-    return sentences
+    nothing = "nothing is estimated"
+    return [
+        f"{study.pair}, track {TRACKS[track]}: {nothing}: {study.unestimated[track]}."
+        if track in study.unestimated
+        else _winner(study, track)
+        for study in studies
+        for track in TrackInformation
+    ]
 
 
 def as_json(studies: Sequence[PairStudy], scenario: str) -> dict[str, JsonValue]:
@@ -113,7 +107,7 @@ def as_json(studies: Sequence[PairStudy], scenario: str) -> dict[str, JsonValue]
             }
             for study in studies
         ],
-        "sentences": list(sentences_of(studies)),
+        "sentences": [*sentences_of(studies)],
     }
 
 
@@ -162,9 +156,93 @@ def _number(value: float) -> float | None:
     return round(value, 6) if math.isfinite(value) else None
 
 
-def _figure(value: float) -> str:
-    return f"{value:.4f}" if math.isfinite(value) else "-"
+_STYLES = (  # colour and marker, in the order of the catalogue
+    ("#1f5fa8", "o"),
+    ("#c2571a", "s"),
+    ("#3a8a4d", "^"),
+    ("#8a4fa3", "D"),
+    ("#b03060", "v"),
+    ("#6b6b00", "P"),
+    ("#12908e", "X"),
+    ("#4d4d4d", "<"),
+)
+_WIDTH = 0.84  # of the estimators of one track, between ticks 1 apart
+_MM = 1e3
+_AMPLITUDES = np.linspace(0.5e-3, 6e-3, 111)
 
 
-def _share(value: float) -> str:
-    return f"{value:.0%}" if math.isfinite(value) else "-"
+def save_comparison(studies: Sequence[PairStudy], path: Path) -> None:
+    """Draw one column a pair and write it to ``path`` as PNG."""
+    figure = Figure(figsize=(6.2 * len(studies), 8.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(2, len(studies), squeeze=False)
+    for column, study in enumerate(studies):
+        _conicity(grid[0, column], study)
+        draw_errors(grid[1, column], study)
+    top = max(axes.get_ylim()[1] for axes in grid[0])
+    ends = [axes.get_ylim() for axes in grid[1]]
+    for above, below in grid.T:
+        above.set_ylim(0.0, top)
+        below.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
+    handles, names = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=3, frameon=False)
+    figure.savefig(path, dpi=110)
+
+
+def _conicity(axes: Axes, study: PairStudy) -> None:
+    """Conicity by amplitude of the example, on the alignment of the fleet, or on known track without one."""
+    track = TrackInformation.KNOWN if TrackInformation.FLEET in study.unestimated else TrackInformation.FLEET
+    truth = study.example.truth
+    true = equivalent_conicity(truth.displacement, truth.difference, _AMPLITUDES)
+    axes.plot(_MM * _AMPLITUDES, true, color="black", linewidth=2.2, label="truth", zorder=5)
+    for order, (name, title) in enumerate(titles().items()):
+        found = study.example.geometries.get((track, name))
+        if found is None:
+            continue
+        colour, marker = _style(order)
+        rows = [(np.nan,) * 3 if one.value is None else (one.value, one.low, one.high) for one in found.conicity]
+        value, low, high = np.array(rows, dtype=np.float64).T
+        if name == SHIPPED:
+            axes.fill_between(
+                _MM * found.amplitude, low, high, color=colour, alpha=0.2, linewidth=0,
+                label=f"{title}: 95 % interval",
+            )  # fmt: skip
+        axes.plot(
+            _MM * found.amplitude, value, color=colour, marker=marker, markersize=4, linewidth=1.2,
+            label=title,
+        )  # fmt: skip
+    axes.set_title(f"{study.pair}: wheelset {truth.serial}, track {TRACKS[track]}")
+    axes.set_xlabel("amplitude (mm)")
+    axes.set_ylabel("equivalent conicity")
+    axes.grid(alpha=0.3)
+
+
+def _style(order: int) -> tuple[str, str]:
+    return _STYLES[order % len(_STYLES)]
+
+
+def draw_errors(axes: Axes, study: PairStudy) -> None:
+    """Draw every wheelset's error as a dot and the median as a bar, by information on the track; logarithmic."""
+    tracks = [track for track in TrackInformation if track not in study.unestimated]
+    names = list(titles())
+    rng, step = np.random.default_rng(0), _WIDTH / len(names)
+    for place, track in enumerate(tracks):
+        for order, name in enumerate(names):
+            score = next(item for item in study.scores if item.track is track and item.estimator == name)
+            colour, marker = _style(order)
+            x = place + step * (order - 0.5 * (len(names) - 1))
+            beside = x + rng.uniform(-0.25, 0.25, len(score.errors)) * step
+            axes.plot(beside, score.errors, marker, color=colour, markersize=3.5, alpha=0.55)
+            if score.errors:
+                axes.hlines(score.median, x - 0.4 * step, x + 0.4 * step, color=colour, linewidth=2.5)
+        if not any(item.errors for item in study.scores if item.track is track):
+            at = axes.get_xaxis_transform()
+            axes.text(place, 0.5, "nothing estimated", transform=at, ha="center", color="dimgrey", fontsize=9)
+    axes.set_xlim(-0.5, len(tracks) - 0.5)
+    axes.set_xticks(range(len(tracks)), [f"track\n{TRACKS[track]}" for track in tracks])
+    axes.set_yscale("log")
+    ticks = [1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.2, 0.5]
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.minorticks_off()
+    axes.set_ylabel("mean error over 1-3 mm (bar: median)")
+    axes.grid(axis="y", alpha=0.3)

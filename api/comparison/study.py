@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from api.comparison.current_geometry import geometry_by
 from api.comparison.trial import (
     ESTIMATION,
     Progress,
-    Recorded,
     copied,
     deploy,
     no_progress,
@@ -27,66 +26,47 @@ from api.comparison.trial import (
     register,
     run_jobs,
 )
-from api.settings import Settings
 from estimation.errors import NotFoundError
 from estimation.estimators.catalogue import estimators
 from estimation.jobs.job import JobContext
 from estimation.storage import Storage
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.geometry import WheelsetGeometry
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.section import SurveyPlan
 
 AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1.0 to 3.0 mm
-_CURVES = ("displacement", "difference", "radius_sum", "angle_sum", "angle_difference")
 
 
 @dataclass(frozen=True, slots=True)
-class TrueWheelset:
+class TrueWheelset(FrozenArrays):
     """The true geometry of a wheelset at nominal gauge, and where it runs."""
 
     serial: str
     vehicle: str
     axle: int  # from 1
-    displacement: FloatArray  # (n,) m, y - d
-    difference: FloatArray  # (n,) m, rL - rR
-    radius_sum: FloatArray  # (n,) m
-    angle_sum: FloatArray  # (n,) rad
-    angle_difference: FloatArray  # (n,) rad
-    amplitude: FloatArray  # (k,) m: ``AMPLITUDES``
-    conicity: FloatArray  # (k,); NaN where it has none
+    displacement: Annotated[FloatArray, "n"]  # m, y - d
+    difference: Annotated[FloatArray, "n"]  # m, rL - rR
+    radius_sum: Annotated[FloatArray, "n"]  # m
+    angle_sum: Annotated[FloatArray, "n"]  # rad
+    angle_difference: Annotated[FloatArray, "n"]  # rad
+    amplitude: Annotated[FloatArray, "k"]  # m: ``AMPLITUDES``
+    conicity: Annotated[FloatArray, "k"]  # NaN where it has none
     nonlinearity: float  # 1/mm
     zero_crossing: float  # m
 
-    def __post_init__(self) -> None:
-        n, k = len(self.displacement), len(self.amplitude)
-        for name in _CURVES:
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        for name in ("amplitude", "conicity"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
-
 
 def read_truth(path: Path, campaign: int = 1) -> tuple[TrueWheelset, ...]:
-    """Return what is true of every wheelset, in the order of their serials.
-
-    Args:
-        path: The ``truth.json`` of a simulation.
-        campaign: From 1.
-
-    Raises:
-        NotFoundError: There is no such campaign.
-    """
+    """Return what is true of every wheelset by the ``truth.json`` of a simulation, in the order of their serials."""
     wheelsets = json.loads(path.read_text(encoding="utf-8"))["wheelsets"]
-    found = [_wheelset(item, _campaign(item, campaign)) for item in wheelsets]
+    found = [_wheelset(item, one) for item in wheelsets for one in item["campaigns"] if one["campaign"] == campaign]
+    if len(found) < len(wheelsets):
+        raise NotFoundError("campaign", str(campaign))
     return tuple(sorted(found, key=lambda item: item.serial))
 
 
 def conicity_errors(found: WheelsetGeometry, truth: TrueWheelset) -> list[tuple[float, bool] | None]:
-    """Return error and whether the 95 % interval holds the truth at each amplitude of the truth; None: no estimate.
-
-    Args:
-        truth: Of the same wheelset.
-    """
+    """Return error and whether the 95 % interval holds the truth at each amplitude of the truth; None: no estimate."""
     compared: list[tuple[float, bool] | None] = []
     for amplitude, true in zip(truth.amplitude, truth.conicity, strict=True):
         at = int(np.argmin(np.abs(found.amplitude - amplitude)))
@@ -97,13 +77,6 @@ def conicity_errors(found: WheelsetGeometry, truth: TrueWheelset) -> list[tuple[
         else:
             compared.append((float(estimate.value - true), bool(estimate.low <= true <= estimate.high)))
     return compared
-
-
-def _campaign(wheelset: dict[str, Any], campaign: int) -> dict[str, Any]:
-    for item in wheelset["campaigns"]:
-        if item["campaign"] == campaign:
-            return dict(item)
-    raise NotFoundError("campaign", str(campaign))
 
 
 def _wheelset(wheelset: dict[str, Any], facts: dict[str, Any]) -> TrueWheelset:
@@ -193,25 +166,11 @@ class PairStudy:
     example: Example
 
 
-@dataclass(slots=True)
-class _Collected:
-    """What the variants of the track have given so far."""
-
-    scores: list[Score] = field(default_factory=list)
-    unestimated: dict[TrackInformation, str] = field(default_factory=dict)
-    geometries: dict[tuple[TrackInformation, str], WheelsetGeometry] = field(default_factory=dict)
-    track_seconds: float = 0.0
-
-
 def study(scenario: Scenario, cache: Path, progress: Progress = no_progress, workers: int | None = None) -> PairStudy:
     """Compare the estimators on one seed of a scenario.
 
     The recordings are received once. Alignment, windows and geometries are those of the scheduled jobs; each estimator
     of the catalogue gets the same stored windows and versions of the alignment.
-
-    Args:
-        progress: Called with what is being done, and how far it is.
-        workers: Processes of the simulation; None for as many as cores.
     """
 
     def show(what: str, done: int, of: int) -> None:
@@ -220,9 +179,13 @@ def study(scenario: Scenario, cache: Path, progress: Progress = no_progress, wor
     recorded = record(scenario, cache, workers=workers, progress=show)
     truths = read_truth(recorded.truth)
     shown = truths[3 * len(truths) // 4]
-    collected = _Collected()
+    scores: list[Score] = []
+    unestimated: dict[TrackInformation, str] = {}
+    geometries: dict[tuple[TrackInformation, str], WheelsetGeometry] = {}
+    track_seconds = 0.0
     with tempfile.TemporaryDirectory(prefix="treadwatch-compare-") as temporary:
-        received = _received(scenario, recorded, Path(temporary) / "received", show)
+        received = deploy(on_file(scenario, TrackInformation.FLEET), Path(temporary) / "received")
+        receive(recorded, received, show)
         for track in TrackInformation:
             folder = Path(temporary) / track.value
             settings = copied(received, folder)
@@ -232,12 +195,16 @@ def study(scenario: Scenario, cache: Path, progress: Progress = no_progress, wor
                 jobs = ESTIMATION[1:] if track is TrackInformation.NONE else ESTIMATION
                 run_jobs(context, jobs[:1], show)
                 if track is TrackInformation.FLEET:
-                    collected.track_seconds = time.perf_counter() - began
+                    track_seconds = time.perf_counter() - began
                 run_jobs(context, jobs[1:], show)
-                _score_all(storage, context, scenario.pair, track, truths, shown, collected, show)
-    example = Example(shown, collected.geometries)
-    scores, seconds = tuple(collected.scores), collected.track_seconds
-    return PairStudy(scenario.pair, scenario.seed, scores, collected.unestimated, seconds, example)
+                for score, found in _scored(storage, context, scenario.pair, track, truths, show):
+                    scores.append(score)
+                    if (geometry := found[shown.serial]) is not None:
+                        geometries[track, score.estimator] = geometry
+                if sum(score.track is track for score in scores) < len(estimators()):
+                    unestimated[track] = _why(storage, truths)
+    example = Example(shown, geometries)
+    return PairStudy(scenario.pair, scenario.seed, tuple(scores), unestimated, track_seconds, example)
 
 
 def on_file(scenario: Scenario, track: TrackInformation) -> Scenario:
@@ -254,22 +221,15 @@ def on_file(scenario: Scenario, track: TrackInformation) -> Scenario:
     return replace(scenario, section=surveyed)
 
 
-def _received(scenario: Scenario, recorded: Recorded, folder: Path, progress: Progress) -> Settings:
-    settings = deploy(on_file(scenario, TrackInformation.FLEET), folder)
-    receive(recorded, settings, progress)
-    return settings
-
-
-def _score_all(
+def _scored(
     storage: Storage,
     context: JobContext,
     pair: str,
     track: TrackInformation,
     truths: Sequence[TrueWheelset],
-    shown: TrueWheelset,
-    collected: _Collected,
     progress: Progress,
-) -> None:
+) -> Iterator[tuple[Score, Mapping[str, WheelsetGeometry | None]]]:
+    """Yield the score of each estimator with its geometries, until one finds none at all."""
     every = estimators()
     for done, item in enumerate(every):
         progress(f"track {track}: {item.title}", done, len(every))
@@ -277,36 +237,21 @@ def _score_all(
         found = {truth.serial: geometry_by(storage, context, truth.serial, item.name) for truth in truths}
         seconds = time.perf_counter() - began
         if not any(found.values()):
-            collected.unestimated[track] = _why(storage, truths)
             return
-        example = found[shown.serial]
-        if example is not None:
-            collected.geometries[track, item.name] = example
-        collected.scores.append(_score(pair, track, item.name, seconds, [(found[t.serial], t) for t in truths]))
-
-
-def _score(
-    pair: str,
-    track: TrackInformation,
-    estimator: str,
-    seconds: float,
-    found: Sequence[tuple[WheelsetGeometry | None, TrueWheelset]],
-) -> Score:
-    compared = [
-        [] if geometry is None else [item for item in conicity_errors(geometry, truth) if item is not None]
-        for geometry, truth in found
-    ]
-    return Score(
-        pair=pair,
-        track=track,
-        estimator=estimator,
-        by_wheelset=tuple(float(np.mean([abs(e) for e, _ in one])) if one else float("nan") for one in compared),
-        wheelsets=len(found),
-        amplitudes=sum(len(truth.amplitude) for _, truth in found),
-        estimated=sum(len(one) for one in compared),
-        covered=sum(inside for one in compared for _, inside in one),
-        seconds=seconds,
-    )
+        pairs = [(found[truth.serial], truth) for truth in truths]
+        compared = [[] if one is None else [e for e in conicity_errors(one, truth) if e] for one, truth in pairs]
+        score = Score(
+            pair=pair,
+            track=track,
+            estimator=item.name,
+            by_wheelset=tuple(float(np.mean([abs(e) for e, _ in one])) if one else float("nan") for one in compared),
+            wheelsets=len(truths),
+            amplitudes=sum(len(truth.amplitude) for truth in truths),
+            estimated=sum(len(one) for one in compared),
+            covered=sum(inside for one in compared for _, inside in one),
+            seconds=seconds,
+        )
+        yield score, found
 
 
 def _why(storage: Storage, truths: Sequence[TrueWheelset]) -> str:

@@ -55,16 +55,7 @@ def recording_key(scenario: Scenario) -> str:
 def record(
     scenario: Scenario, cache: Path, *, workers: int | None = None, progress: Progress = no_progress
 ) -> Recorded:
-    """Return the recordings of a scenario, simulated where ``cache`` does not hold them.
-
-    Args:
-        cache: Folder of all recordings.
-        workers: Processes; None for as many as cores.
-        progress: Called with what is being done, and how far it is.
-
-    Raises:
-        ScenarioError: The scenario cannot be run.
-    """
+    """Return the recordings of a scenario, simulated where ``cache`` does not hold them."""
     folder = cache / recording_key(scenario)
     if not (folder / TRUTH_FILE).exists():  # written last
 
@@ -78,11 +69,7 @@ def record(
 
 
 def deploy(scenario: Scenario, folder: Path) -> Settings:
-    """Return the settings of a new data folder whose store knows the registry of ``scenario``.
-
-    Args:
-        scenario: Its registry and the track that is on file are written beside the data and loaded.
-    """
+    """Return the settings of a new data folder whose store knows the registry of ``scenario``."""
     settings = Settings(  # type: ignore[call-arg] # of pydantic-settings
         data_dir=folder / "data", database_url=None, raw_store=None, _env_file=None
     )
@@ -99,11 +86,7 @@ def register(scenario: Scenario, settings: Settings, folder: Path) -> None:
 
 
 def receive(recorded: Recorded, settings: Settings, progress: Progress = no_progress) -> None:
-    """Receive every recording, in the order of time, as ``treadwatch ingest`` does.
-
-    Args:
-        progress: Called with what is being done, and how far it is.
-    """
+    """Receive every recording, in the order of time, as ``treadwatch ingest`` does."""
     with closing(open_store(settings)) as storage:
         catalogue = default_catalogue()
         receiver = Receiver(storage, raw_store(settings), catalogue, SystemClock(), settings.window_length_s)
@@ -126,16 +109,7 @@ def opened(settings: Settings) -> Iterator[tuple[SqlStorage, JobContext]]:
 
 
 def run_jobs(context: JobContext, jobs: Sequence[Job] = ESTIMATION, progress: Progress = no_progress) -> None:
-    """Run jobs one after the other.
-
-    Args:
-        context: What they may touch.
-        jobs: In their order.
-        progress: Called with what is being done, and how far it is.
-
-    Raises:
-        TreadwatchError: A job failed; with its message.
-    """
+    """Run jobs one after the other; the first that fails ends it."""
     for job in jobs:
 
         def show(done: int, total: int, job: Job = job) -> None:

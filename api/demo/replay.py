@@ -62,16 +62,7 @@ def ending_now(scenario: Scenario, now_ns: int) -> Scenario:
 
 
 def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) -> Table:
-    """Receive and estimate the whole history; return what was done, as a table.
-
-    Args:
-        settings: Of the demo's deployment.
-        fleets: What was simulated; the campaigns of the first fleet are replayed first.
-
-    Raises:
-        TreadwatchError: A recording was rejected.
-        StorageError: A job failed.
-    """
+    """Receive and estimate the whole history, campaigns of the first fleet first; return what was done, as a table."""
     clock = ReplayClock(min(fleet.scenario.sessions.start_ns for fleet in fleets) - DAY_NS)
     shown = bar(console, "receiving and estimating, campaign by campaign", "{task.fields[what]}")
     with closing(open_store(settings)) as storage, shown as progress:
@@ -79,7 +70,8 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
         for one in contents:
             _register(storage, one, clock.now_ns())
         context = replace(job_context(settings, storage), clock=clock)
-        receiver = _receiver(settings, storage, clock)
+        length_s = settings.window_length_s
+        receiver = Receiver(storage, raw_store(settings), default_catalogue(), clock, window_length_s=length_s)
         receiver.reassembler.work_off()  # the registry is new, and there is no recording yet
         campaigns = [(end, received) for fleet in fleets for end, received in _by_campaign(fleet)]
         task = progress.add_task("", total=len(campaigns), what="")
@@ -99,8 +91,6 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
 
 
 class _Tally:
-    """What was done, added up."""
-
     def __init__(self) -> None:
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self.counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
@@ -142,10 +132,6 @@ class _Tally:
 SHOWN = ("frames", "samples_lost", "invalid_values", "emergencies")
 
 
-def _receiver(settings: Settings, storage: SqlStorage, clock: ReplayClock) -> Receiver:
-    return Receiver(storage, raw_store(settings), default_catalogue(), clock, window_length_s=settings.window_length_s)
-
-
 def _register(storage: SqlStorage, contents: RegistryContents, known_since_ns: int) -> None:
     """Store what was known from the beginning."""
     with storage.write() as unit:
@@ -176,14 +162,11 @@ def _reprofile(storage: SqlStorage, contents: RegistryContents, until_ns: int) -
 
 
 def _by_campaign(fleet: Simulated) -> list[tuple[int, list[Recording]]]:
-    """Return when each campaign has come in, and its recordings, in order."""
     campaigns: defaultdict[int, list[Recording]] = defaultdict(list)
     for recording in fleet.report.recordings:
         campaigns[recording.campaign].append(recording)
-    return [(_end_of_day(fleet.scenario, campaign), campaigns[campaign]) for campaign in sorted(campaigns)]
-
-
-def _end_of_day(scenario: Scenario, campaign: int) -> int:
-    """Return the time at which a campaign (from 1) of every vehicle has come in."""
-    last = max(scenario.start_ns(vehicle, campaign - 1) for vehicle in scenario.vehicles)
-    return last + round(scenario.sessions.duration * 1e9) + HOUR_NS
+    scenario, found = fleet.scenario, []
+    for campaign in sorted(campaigns):  # from 1
+        last_ns = max(scenario.start_ns(vehicle, campaign - 1) for vehicle in scenario.vehicles)
+        found.append((last_ns + round(scenario.sessions.duration * 1e9) + HOUR_NS, campaigns[campaign]))
+    return found

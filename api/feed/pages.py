@@ -21,7 +21,7 @@ from fastapi import Depends, Query
 
 from api import cursors
 from api.answers import RepresentationCache, payload_of
-from api.parameters import CODE
+from api.asking import CODE
 from api.problems import GoOn, ProblemError
 from api.schemas import alerts
 from api.schemas.alerts import KnownKind
@@ -36,17 +36,12 @@ FleetCode = Annotated[str, Query(pattern=CODE)]
 
 @dataclass(frozen=True, slots=True)
 class FeedFilter:
-    """Which events are listed; an empty set is no filter.
-
-    Args:
-        severities: An alert is followed to its end once it has had one of them.
-        visible: Codes of the fleets that the client may see; None for all.
-    """
+    """Which events are listed; an empty set is no filter."""
 
     fleets: frozenset[str] = frozenset()
     kinds: frozenset[str] = frozenset()
-    severities: frozenset[str] = frozenset()
-    visible: frozenset[str] | None = None
+    severities: frozenset[str] = frozenset()  # an alert is followed to its end once it has had one of them
+    visible: frozenset[str] | None = None  # codes of the fleets that the client may see; None for all
 
     @property
     def bound(self) -> Mapping[str, object]:
@@ -56,7 +51,7 @@ class FeedFilter:
         return found if self.visible is None else found | {"visible": sorted(self.visible)}
 
 
-async def feed_filter(
+async def _feed_filter(
     services: ServicesDep,
     fleet: Annotated[
         list[FleetCode] | None, Query(max_length=MOST_VALUES, description="Only of these fleets; may be repeated.")
@@ -72,7 +67,6 @@ async def feed_filter(
         ),
     ] = None,
 ) -> FeedFilter:
-    """Return the filter of a request."""
     return FeedFilter(_set(fleet), _set(kind), _set(severity), services.storage.visible_fleets)
 
 
@@ -80,7 +74,7 @@ def _set(values: Sequence[str] | None) -> frozenset[str]:
     return frozenset(str(value) for value in values or ())
 
 
-FeedFilterDep = Annotated[FeedFilter, Depends(feed_filter)]
+FeedFilterDep = Annotated[FeedFilter, Depends(_feed_filter)]
 
 
 _FORM = re.compile(r"(?P<sequence>\d{1,19})\.(?P<identity>[0-9a-f]{32})\.(?P<check>[0-9a-f]{8})", re.ASCII)
@@ -122,17 +116,12 @@ def cursor_of(narrowed: FeedFilter, cursor: str | None) -> FeedCursor | None:
         return None
     form = _FORM.fullmatch(key) if isinstance(key, str) else None
     if form is None or int(form["sequence"]) >= cursors.INT64:
-        raise cursors.refused("this is no cursor of this list")
+        raise cursors.refused()
     return FeedCursor(int(form["sequence"]), form["identity"], form["check"])
 
 
 def event_of(unit: SqlUnitOfWork, narrowed: FeedFilter, path: str, cursor: FeedCursor | None) -> AlertEvent | None:
-    """Return the event behind which the next poll begins; None at the beginning.
-
-    Raises:
-        ProblemError: 409: the cursor is of another database, or of this one before it was restored; with where to go
-            on.
-    """
+    """Return the event behind which the next poll begins; None at the beginning; 409: of another history."""
     if cursor is None:
         return None
     branches = unit.feed_branches.all()
@@ -158,35 +147,24 @@ def _of_another(path: str, detail: str, begin: str | None) -> ProblemError:
 
 
 PageT = TypeVar("PageT")
-LATEST = "latest"
-"""What a client sends as its cursor to begin behind the newest event."""
+LATEST = "latest"  # what a client sends as its cursor to begin behind the newest event
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A place in the feed.
+    """A place in the feed."""
 
-    Args:
-        sequence: What matches up to this number has been handed over.
-    """
-
-    sequence: int
+    sequence: int  # what matches up to this number has been handed over
     cursor: str
 
 
 @dataclass(frozen=True, slots=True)
 class FeedPage:
-    """Events, and where they end.
+    """Events, and where they end."""
 
-    Args:
-        events: Each with the cursor behind it, in commit order.
-        end: Behind the last event, or behind all that there was where that were fewer than asked for.
-        newest: Behind all that there was.
-    """
-
-    events: Sequence[tuple[AlertEvent, str]]
-    end: Place
-    newest: Place
+    events: Sequence[tuple[AlertEvent, str]]  # each with the cursor behind it, in commit order
+    end: Place  # behind the last event, or behind all that there was where that were fewer than asked for
+    newest: Place  # behind all that there was
 
 
 def opened(
@@ -201,7 +179,7 @@ def opened(
     with storage.read() as unit:
         if after == LATEST:
             return read(unit, narrowed, unit.feed_branches.newest_sequence())
-        last = event_of(unit, narrowed, with_filter(path, narrowed), given)
+        last = event_of(unit, narrowed, _with_filter(path, narrowed), given)
         return read(unit, narrowed, 0 if last is None else last.sequence)
 
 
@@ -217,8 +195,7 @@ def read_page(unit: SqlUnitOfWork, narrowed: FeedFilter, after_sequence: int, li
     return FeedPage(events, end, newest)
 
 
-def with_filter(path: str, narrowed: FeedFilter) -> str:
-    """Return a path with the filter as its query."""
+def _with_filter(path: str, narrowed: FeedFilter) -> str:
     named = (("fleet", narrowed.fleets), ("kind", narrowed.kinds), ("severity", narrowed.severities))
     given = [(name, value) for name, values in named for value in sorted(values)]
     return quote(path) + (f"?{urlencode(given)}" if given else "")

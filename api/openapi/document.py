@@ -13,8 +13,8 @@ from pydantic.json_schema import models_json_schema
 
 from api.access.caller import Scope, scope_of
 from api.access.gate import HEALTH
+from api.answers import columns_of, item_of
 from api.contract import CSV
-from api.csv_tables import columns_of, item_of
 from api.openapi.words import describe_properties
 from api.problems import PROBLEM_MEDIA_TYPE, TYPES, Problem
 from api.schemas.common import Uncertain
@@ -51,7 +51,7 @@ _PAGED = "next_cursor"
 IF_MATCH = "If-Match"
 
 
-def describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[str, Any]) -> None:
+def _describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[str, Any]) -> None:
     """Add to an operation the headers of its answers, and that ``If-Match`` is required where it is taken.
 
     The service answers a request without it with 428 rather than with 422, so the route itself cannot require it.
@@ -73,8 +73,7 @@ def describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[st
             described.setdefault(name, {"$ref": f"#/components/headers/{name}"})
 
 
-def header_components() -> dict[str, Any]:
-    """Return the headers as components of the document."""
+def _header_components() -> dict[str, Any]:
     return {name: {"description": text, "schema": {"type": "string"}} for name, text in RESPONSE_HEADERS.items()}
 
 
@@ -83,8 +82,7 @@ def _is_page(response: Mapping[str, Any], schemas: Mapping[str, Any]) -> bool:
     return _PAGED in schemas.get(reference.rsplit("/", maxsplit=1)[-1], {}).get("properties", {})
 
 
-def describe_tables(app: FastAPI, document: dict[str, Any]) -> None:
-    """Add the table of every list to its success."""
+def _describe_tables(app: FastAPI, document: dict[str, Any]) -> None:
     for context in iter_route_contexts(app.routes):
         route = context.original_route
         item = item_of(route.response_model) if isinstance(route, APIRoute) and route.include_in_schema else None
@@ -123,8 +121,7 @@ def scopes_of(routers: Iterable[APIRouter]) -> dict[str, Scope]:
     return found
 
 
-def describe_access(document: dict[str, Any], scopes: Mapping[str, Scope]) -> None:
-    """Add the key to the document, and the scope to every operation; `/healthz` and `/readyz` need none."""
+def _describe_access(document: dict[str, Any], scopes: Mapping[str, Scope]) -> None:
     document["components"]["securitySchemes"] = {KEY: SCHEME}
     for path, operations in document["paths"].items():
         for operation in operations.values():
@@ -132,31 +129,6 @@ def describe_access(document: dict[str, Any], scopes: Mapping[str, Scope]) -> No
             operation["security"] = [] if path in HEALTH else [{KEY: [scope.value]}]
 
 
-DETAILS: Mapping[str, str] = {
-    "not-found": "no wheelset 'WS-9999'",
-    "invalid-request": "query #/limit: Input should be less than or equal to 1000",
-    "invalid-cursor": "this cursor belongs to another list or another filter; start again without it",
-    "cursor-of-another-database": "the cursor is of another database: read what is open now, then follow `next`",
-    "conflict": "alert 7 is closed",
-    "precondition-required": "send the ETag of the resource as If-Match",
-    "precondition-failed": "the resource has changed; read it again",
-    "idempotency-key-reused": "this Idempotency-Key was used for another request; use a new one",
-    "history-purged": "replaced results are kept from 2026-01-01T00:00:00Z on, see the retention",
-    "not-acceptable": "offered: application/json",
-    "unsupported-media-type": "send application/json",
-    "digest-mismatch": "the body has another sha256 than its path",
-    "content-too-large": "at most 1048576 bytes",
-    "headers-too-large": "request line and headers: at most 16384 bytes",
-    "request-timeout": "the body did not arrive within 30 s",
-    "unauthenticated": "send a valid key or token: Authorization: Bearer ...",
-    "forbidden": "this needs the scope 'act'",
-    "foreign-origin": "pages of https://elsewhere.example may not change anything here",
-    "unknown-host": "name the host in TREADWATCH_HOSTS",
-    "too-many-requests": "limit requests_per_s: at most 50 requests a second of a key; try again",
-    "overloaded": "100 requests are being answered; try again",
-    "not-ready": "the database does not answer",
-    "internal-error": "the failure has been logged",
-}
 _OF_STATUS: Mapping[str, str] = {
     "400": "invalid-cursor",
     "401": "unauthenticated",
@@ -180,8 +152,7 @@ _FEED = ("poll_alert_feed", "stream_alert_feed")
 _POINTED = [{"in": "query", "pointer": "#/limit", "detail": "Input should be less than or equal to 1000"}]
 
 
-def describe_problems(path: str, operation: dict[str, Any]) -> None:
-    """Give every problem of an operation an example."""
+def _describe_problems(path: str, operation: dict[str, Any]) -> None:
     for status, response in operation["responses"].items():
         content = response.get("content", {}).get(PROBLEM_MEDIA_TYPE)
         if content is not None:
@@ -192,12 +163,12 @@ def _example(path: str, status: str, name: str) -> dict[str, Any]:
     kind = "cursor-of-another-database" if name in _FEED and status == "409" else _OF_STATUS.get(status)
     example: dict[str, Any] = {
         "type": "about:blank" if kind is None else f"urn:treadwatch:problem:{kind}",
-        "title": HTTPStatus(int(status)).phrase if kind is None else TYPES[kind],
+        "title": HTTPStatus(int(status)).phrase if kind is None else TYPES[kind][0],
         "status": int(status),
         "instance": path.replace("{", "").replace("}", ""),
     }
     if kind is not None:
-        example["detail"] = DETAILS[kind]
+        example["detail"] = TYPES[kind][1]
     if kind == "invalid-request":
         example["errors"] = _POINTED
     return example
@@ -224,7 +195,7 @@ def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
         tags=app.openapi_tags,
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
     )
-    describe_tables(app, found)
+    _describe_tables(app, found)
     template = "#/components/schemas/{model}"
     _, definitions = models_json_schema([(Problem, "serialization")], ref_template=template)
     schemas = found.setdefault("components", {}).setdefault("schemas", {})
@@ -235,14 +206,14 @@ def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
     found["components"]["schemas"] = dict(sorted(schemas.items()))
-    found["components"]["headers"] = header_components()
+    found["components"]["headers"] = _header_components()
     describe_properties(found["components"]["schemas"])
-    describe_access(found, scopes)
+    _describe_access(found, scopes)
     for path, operations in found["paths"].items():
         for method, operation in operations.items():
             _describe_unchanged(operation)
-            describe_headers(method, operation, found["components"]["schemas"])
-            describe_problems(path, operation)
+            _describe_headers(method, operation, found["components"]["schemas"])
+            _describe_problems(path, operation)
             _leave_streams_open(operation)
     return found
 
@@ -256,14 +227,12 @@ def _leave_streams_open(operation: dict[str, Any]) -> None:
 
 
 def _described(codes: type[ReasonCode | CloseReason | Urgency]) -> str:
-    """Return what every code of an enumeration means, one line each."""
     meant = (code.sentence if isinstance(code, CloseReason) else code.meaning for code in codes)
     lines = (f"- `{code.value}`: {meaning}" for code, meaning in zip(codes, meant, strict=True))
     return "\n".join(("Stable codes; their sentences may be reworded.", "", *lines))
 
 
 def _describe_unchanged(operation: dict[str, Any]) -> None:
-    """Add 304 to the responses of an operation that takes ``If-None-Match``."""
     if any(entry["name"] == "If-None-Match" for entry in operation.get("parameters", ())):
         operation["responses"]["304"] = {"description": "The client holds it as it is."}
     operation["responses"] = dict(sorted(operation["responses"].items()))

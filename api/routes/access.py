@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from http import HTTPStatus
 from typing import Annotated, Any
 
@@ -11,8 +12,7 @@ from pydantic import Field, Strict, StringConstraints
 from api.access.caller import NOBODY_NAMED, CallerDep, Scope, requires
 from api.access.key_ring import Wanted, make_key
 from api.answers import answer
-from api.asking import AskedDep, AskedListDep
-from api.parameters import CODE, require_order
+from api.asking import CODE, AskedDep, AskedListDep, require_order
 from api.problems import described
 from api.schemas.common import Body, Links, Page
 from api.schemas.derived import Derived
@@ -60,14 +60,8 @@ class AuditRecord(
     """One change, or one request that was refused for want of a right."""
 
 
-def shown_key(record: ApiKey) -> Key:
-    """Return a key as it is shown."""
+def _shown(record: ApiKey) -> Key:
     return Key.made(record, **_own(record))
-
-
-def key_with_secret(record: ApiKey, secret: str) -> KeyWithSecret:
-    """Return a key that was just made, with its secret."""
-    return KeyWithSecret.made(record, **_own(record), key=secret)
 
 
 def _own(record: ApiKey) -> dict[str, Any]:
@@ -87,7 +81,7 @@ def list_keys(asked: AskedListDep) -> Response:
     after = asked.after_text({})
     with asked.read() as unit:
         rows = unit.api_keys.page(after, asked.limit + 1)
-    return asked.page({}, rows, lambda record: record.prefix, shown_key)
+    return asked.page({}, rows, lambda record: record.prefix, _shown)
 
 
 @router.get("/keys/{prefix}", response_model=Key, responses=described(404))
@@ -95,7 +89,7 @@ def get_key(asked: AskedDep, prefix: Prefix) -> Response:
     """Return one key, without its secret."""
     with asked.read() as unit:
         found = unit.api_keys.get(prefix)
-    return asked.answer(shown_key(found))
+    return asked.answer(_shown(found))
 
 
 @router.post(
@@ -111,22 +105,19 @@ def create_key(request: Request, services: ServicesDep, caller: CallerDep, body:
     wanted = Wanted(body.owner, frozenset(body.scopes), fleets, body.expires_at)
     with services.storage.write() as unit:
         made, token = make_key(unit, wanted, caller.name or NOBODY_NAMED, services.clock.now_ns())
-    shown = key_with_secret(made, token.text)
+    shown = KeyWithSecret.made(made, **_own(made), key=token)
     headers = {"Location": f"/v1/keys/{made.prefix}", "Cache-Control": "no-store"}
     return answer(request, shown, status=HTTPStatus.CREATED, headers=headers)
 
 
 @router.post(
-    "/keys/{prefix}/revoke",
-    response_model=Key,
-    responses=described(404, 409, 415),
-    dependencies=[Depends(writer_slot)],
+    "/keys/{prefix}/revoke", response_model=Key, responses=described(404, 409, 415), dependencies=[Depends(writer_slot)]
 )
 def revoke_key(request: Request, services: ServicesDep, prefix: Prefix) -> Response:
     """Revoke a key for ever; it is refused after at most 5 s."""
     with services.storage.write() as unit:
         revoked = unit.api_keys.revoke(prefix, services.clock.now_ns())
-    return answer(request, shown_key(revoked))
+    return answer(request, _shown(revoked))
 
 
 OfOwner = Annotated[str | None, Query(max_length=100, description="Only of this owner of a key or token.")]
@@ -149,16 +140,10 @@ def list_audit_entries(
 ) -> Response:
     """List changes and refusals, newest first."""
     require_order(recorded_from, recorded_to)
-    filters = {
-        "owner": owner,
-        "key_prefix": key_prefix,
-        "status": status,
-        "method": method,
-        "from": recorded_from,
-        "to": recorded_to,
-    }
-    before = asked.after_number(filters)
     chosen = AuditFilter(owner, key_prefix, status, method, recorded_from, recorded_to)
+    filters = asdict(chosen) | {"from": recorded_from, "to": recorded_to}
+    del filters["from_ns"], filters["to_ns"]
+    before = asked.after_number(filters)
     with asked.read() as unit:
         rows = unit.audit.page(chosen, before, asked.limit + 1)
     return asked.page(filters, rows, lambda entry: entry.entry_id, AuditRecord.made)

@@ -10,14 +10,13 @@ import numpy as np
 from fastapi import APIRouter, Path, Query, Response
 from pydantic import Field
 
-from api.accuracy.placed import Placed, placed_comparisons
+from api.accuracy import Placed, placed_comparisons
 from api.answers import answer_payload, table_payload
-from api.asking import AskedDep
+from api.asking import AskedDep, FleetFilter, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.contract import TABLE, Accepted
-from api.parameters import FleetFilter, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.problems import described
 from api.routes.design_contact import ProfileContact, comparison_reader, profile_contact
-from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
+from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain, why
 from api.schemas.derived import Derived
 from api.schemas.geometry import MM, Bins, bin_table
 from api.schemas.registry import segment
@@ -41,7 +40,7 @@ from estimation.errors import NotFoundError, ProfileError
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Status
-from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.stores.wheelset_events import newest_measurements
 
 NOT_OBSERVABLE = Reason(
@@ -132,8 +131,7 @@ class ProfileComparison(Representation):
     links: Links
 
 
-def profile_comparison(found: Comparison) -> ProfileComparison:
-    """Return the representation of a measurement beside the estimate of its date."""
+def _profile_comparison(found: Comparison) -> ProfileComparison:
     one, record = found.measurement, found.estimate.record
     own = f"/v1/wheelsets/{segment(one.wheelset)}"
     return ProfileComparison(
@@ -147,13 +145,12 @@ def profile_comparison(found: Comparison) -> ProfileComparison:
         ),
         measured=profile_contact(found.contact),
         estimate=None if record is None else _estimate(found, record),
-        reason=text_of(found.reason),
-        reason_code=code_of(found.reason),
+        **why(found.reason),
         independent=found.independent,
         measured_at_bins=_at_bins(found),
-        conicity_by_amplitude=[conicity_compared(pair) for pair in found.conicity],
+        conicity_by_amplitude=[_conicity_compared(pair) for pair in found.conicity],
         links={
-            "self": comparison_path(one.wheelset, one.at_ns),
+            "self": _comparison_path(one.wheelset, one.at_ns),
             "wheelset": own,
             "measured_profiles": f"{own}/measured-profiles",
             "accuracy": "/v1/accuracy",
@@ -161,32 +158,29 @@ def profile_comparison(found: Comparison) -> ProfileComparison:
     )
 
 
-def comparison_path(serial: str, at_ns: int) -> str:
-    """Return the path of a comparison."""
+def _comparison_path(serial: str, at_ns: int) -> str:
     return f"/v1/wheelsets/{segment(serial)}/measured-profiles/{segment(to_rfc3339(at_ns))}/comparison"
 
 
-def conicity_compared(pair: ConicityPair) -> ConicityCompared:
-    """Return the representation of the conicity at one amplitude, measured and estimated."""
+def _conicity_compared(pair: ConicityPair) -> ConicityCompared:
     return ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3))
 
 
 def _measures(wheel: Profile) -> WheelMeasures:
-    why, found = None, WearMeasures(*[np.nan] * 4)
+    cause, found = None, WearMeasures(*[np.nan] * 4)
     try:
         found = wear_measures(wheel)
     except ProfileError as error:
-        why = Reason(ReasonCode.PROFILE_INCOMPLETE, str(error))
-    return WheelMeasures.made(found, profile=wheel.name, reason=text_of(why), reason_code=code_of(why))
+        cause = Reason(ReasonCode.PROFILE_INCOMPLETE, str(error))
+    return WheelMeasures.made(found, profile=wheel.name, **why(cause))
 
 
 def _estimate(found: Comparison, record: GeometryRecord) -> EstimateOfDate:
-    why = found.estimate.reason or record.geometry.reason
+    cause = found.estimate.reason or record.geometry.reason
     apart = record.mileage_km - found.measurement.mileage_km
     return EstimateOfDate(
         status=record.geometry.status,
-        reason=text_of(why),
-        reason_code=code_of(why),
+        **why(cause),
         baseline=record.baseline,
         mileage_km=finite(record.mileage_km),
         mileage_apart_km=finite(apart),
@@ -301,8 +295,7 @@ class Accuracy(Representation):
     links: Links
 
 
-def accuracy(found: FleetAccuracy, placed: Placed, on_file: int, links: Mapping[str, str]) -> Accuracy:
-    """Return the representation of what the comparisons of a fleet add up to."""
+def _accuracy(found: FleetAccuracy, placed: Placed, on_file: int, links: Mapping[str, str]) -> Accuracy:
     return Accuracy(
         amplitude_mm=LIMIT_AMPLITUDE * MM,
         on_file=on_file,
@@ -352,11 +345,10 @@ def _row(row: PlacedComparison) -> MeasurementRow:
         independent=found.independent,
         measured_1=uncertain(found.at_limit.measured),
         estimated_1=uncertain(found.at_limit.estimated),
-        reason=text_of(found.reason),
-        reason_code=code_of(found.reason),
+        **why(found.reason),
         links={
             "wheelset": f"/v1/wheelsets/{segment(one.wheelset)}",
-            "comparison": comparison_path(one.wheelset, one.at_ns),
+            "comparison": _comparison_path(one.wheelset, one.at_ns),
         },
     )
 
@@ -379,7 +371,7 @@ def get_profile_comparison(asked: AskedDep, serial: Serial, measured_at: Measure
         found = comparison_reader(asked.services, unit).of_wheelset(wheelset, wanted)
     if not found:
         raise NotFoundError("measured profiles", f"{serial} at {to_rfc3339(measured_at)}")
-    return asked.answer(profile_comparison(found[0]))
+    return asked.answer(_profile_comparison(found[0]))
 
 
 @router.get("/accuracy", response_model=Accuracy, responses={**described(404), **TABLE})
@@ -398,5 +390,5 @@ def get_accuracy(
         on_file, keys = newest_measurements(unit.connection, fleet, measured_from, measured_to, limit)
         placed = placed_comparisons(unit, comparison_reader(asked.services, unit), keys)
     query = f"?{urlencode(asked.request.query_params.multi_items())}" if asked.request.query_params else ""
-    body = accuracy(fleet_accuracy(placed.rows), placed, on_file, {"self": f"/v1/accuracy{query}"})
+    body = _accuracy(fleet_accuracy(placed.rows), placed, on_file, {"self": f"/v1/accuracy{query}"})
     return answer_payload(asked.request, table_payload(body, accepted, table(body.measurements)), accepted)

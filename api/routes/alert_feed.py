@@ -5,18 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, cast
+from typing import Annotated
 
-import orjson
 from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.access.caller import CallerDep
 from api.access.gate import require_still_good, still_good
-from api.answers import DEFAULT_LIMIT, Limit, answer, answer_bytes, next_path, wants_table
+from api.answers import DEFAULT_LIMIT, Limit, answer, answer_items, link, next_path, wants_table
 from api.feed.pages import FeedFilter, FeedFilterDep, FeedPage, PageT, opened, read_kept, read_page
-from api.feed.streams import CATCH_UP, EVENT_STREAM, EventStream, FeedStream, WaitingPlaces, Waits
-from api.feed.watch import FeedWatch
+from api.feed.watch import CATCH_UP, EVENT_STREAM, EventStream, FeedStream, FeedWatch, WaitingPlaces, Waits
 from api.middleware import turn_of
 from api.problems import described
 from api.schemas import alerts
@@ -79,18 +77,16 @@ async def poll_alert_feed(
         places: WaitingPlaces = request.app.state.waiting_places
         with places.held(Waits.LONG_POLL, caller), turn_of(request.scope).given_back():
             empty = await run_in_threadpool(where, page.end.cursor, partial(read_page, limit=1))
-            await _news(_watch(request), services, narrowed, empty, wait_s)
+            await _news(request.app.state.feed_watch, services, narrowed, empty, wait_s)
         await require_still_good(request.scope)
         after = page.end.cursor
         page = await run_in_threadpool(where, after, kept)
     path = next_path(request, "after", page.end.cursor)
-    headers = {"Link": f'<{path}>; rel="next"'}
     if wants_table(request):
         events = (await run_in_threadpool(where, after, partial(read_page, limit=len(page.items)))).events
         shown = [alerts.event(event) for event, _ in events]
-        return answer(request, alerts.Feed(items=shown, next_cursor=page.end.cursor, next=path), headers=headers)
-    rest = orjson.dumps({"next_cursor": page.end.cursor, "next": path})
-    return answer_bytes(request, b'{"items":[' + b",".join(page.items) + b"]," + rest[1:], headers=headers)
+        return answer(request, alerts.Feed(items=shown, next_cursor=page.end.cursor, next=path), headers=link(path))
+    return answer_items(request, page.items, page.end.cursor, path)
 
 
 @router.get(
@@ -117,14 +113,10 @@ async def stream_alert_feed(
     page = await run_in_threadpool(_behind, services, narrowed, path, begin, partial(read_page, limit=CATCH_UP))
     if not page.events:
         await run_in_threadpool(_require_fleets, services, narrowed)
-    stream = FeedStream(_watch(request), narrowed, services.storage, partial(still_good, request.scope))
+    stream = FeedStream(request.app.state.feed_watch, narrowed, services.storage, partial(still_good, request.scope))
     places: WaitingPlaces = request.app.state.waiting_places
     held = (places.held(Waits.STREAM, caller), turn_of(request.scope).given_back())
     return EventStream(stream.parts(page), STREAM_HEADERS, held)
-
-
-def _watch(request: Request) -> FeedWatch:
-    return cast("FeedWatch", request.app.state.feed_watch)
 
 
 def _behind(
@@ -146,7 +138,6 @@ def _require_fleets(services: Services, narrowed: FeedFilter) -> None:
 
 
 async def _news(watch: FeedWatch, services: Services, narrowed: FeedFilter, page: FeedPage, wait_s: float) -> None:
-    """Wait until there is something behind a page, or for a time."""
     until, histories = time.monotonic() + wait_s, watch.histories
     async with watch.following(narrowed, services.storage, page) as channel:
         while (left_s := until - time.monotonic()) > 0 and not watch.ended and histories == watch.histories:

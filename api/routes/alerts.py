@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from http import HTTPStatus
+from dataclasses import asdict, replace
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from api import cursors
 from api.access.caller import Scope, requires
-from api.answers import answer, answer_payloads, payload_of, require_match, wants_table
-from api.asking import AskedChange, AskedDep, AskedListDep, ChangeDep
-from api.idempotency import idempotent_post
-from api.parameters import FleetFilter, Number, WheelsetFilter
+from api.answers import answer, payload_of, require_match, wants_table
+from api.asking import AskedChange, AskedDep, AskedListDep, ChangeDep, FleetFilter, Number, WheelsetFilter
 from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Body, Page
 from api.services import ServicesDep, writer_slot
 from api.visible_objects import require_known
-from estimation.alerts.actions import acknowledge, link, shelve, unshelve
+from estimation.alerts.life_cycle import acknowledge, link, shelve, unshelve
 from estimation.values.alerts import Alert, AlertScope, Condition, Severity, Transition
+from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.alert_queries import AlertChoice, AlertOutline
 from fleet_db.stores.alerts import AlertStore
 
@@ -56,22 +54,13 @@ def list_alerts(
     sort: Sort = alerts.AlertSort.OLDEST,
 ) -> Response:
     """List the alerts with where their wheelsets ran, by `sort`; fleet alerts and their members both."""
-    filters = {
-        "fleet": fleet,
-        "wheelset": wheelset,
-        "kind": kind,
-        "condition": condition,
-        "severity": severity,
-        "scope": scope,
-        "fleet_alert": fleet_alert,
-        "open": open_only,
-        "sort": None if sort is alerts.AlertSort.OLDEST else sort,
-    }
-    after = asked.after(filters)
     choice = AlertChoice(fleet, wheelset, kind, condition, severity, scope, fleet_alert, open_only=open_only)
+    ordered = None if sort is alerts.AlertSort.OLDEST else sort
+    filters = asdict(choice) | {"fleet_alert": fleet_alert, "open": open_only, "sort": ordered}
+    del filters["fleet_alert_id"], filters["open_only"]
     now_ns = asked.services.clock.now_ns()
     with asked.read() as unit:
-        found = _found(unit.alerts, choice, sort, after, asked.limit + 1)
+        found = _found(unit.alerts, choice, sort, asked.after(filters), asked.limit + 1)
         if not found:
             require_known(unit, fleet=fleet, wheelset=wheelset, fleet_alert=fleet_alert)
         places = {one.alert_id: (one.vehicle, one.axle) for one in found}
@@ -86,13 +75,10 @@ def list_alerts(
         keys = {one.alert_id: _key(one, now_ns) for one in found[: asked.limit]}
         rows = made(list(keys)) if wants_table(asked.request) else {}
         texts = {} if rows else asked.services.cache.get_or_make_all(keys, payloads)
-    by_severity = sort is alerts.AlertSort.WORST
-    return answer_payloads(
-        asked.request,
+    return asked.payloads(
         filters,
-        asked.limit,
         found,
-        lambda one: [one.severity.value, one.alert_id] if by_severity else one.alert_id,
+        lambda one: [one.severity.value, one.alert_id] if sort is alerts.AlertSort.WORST else one.alert_id,
         lambda one: texts[one.alert_id],
         lambda one: rows[one.alert_id],
     )
@@ -122,13 +108,12 @@ def _found(
 
 
 def _place(after: object) -> tuple[Severity, int | None]:
-    """Return severity and number of the last alert of the page before; the worst, and none, at the beginning."""
     if after is None:
         return list(Severity)[-1], None
     match after:
         case [str() as severity, int() as number] if severity in list(Severity) and cursors.is_number(number):
             return Severity(severity), number
-    raise cursors.refused("this is no cursor of this list")
+    raise cursors.refused()
 
 
 @router.get("/{alert_id}", response_model=alerts.Alert, responses=described(404))
@@ -151,67 +136,51 @@ def list_alert_events(request: Request, services: ServicesDep, alert_id: Number)
 actions_router = APIRouter(
     prefix="/v1/alerts", tags=["alerts"], dependencies=[Depends(requires(Scope.ACT)), Depends(writer_slot)]
 )
-MAINTENANCE_SYSTEM = "maintenance system"
-"""Who links to work of its own where access is open and nobody is named."""
+MAINTENANCE_SYSTEM = "maintenance system"  # who links to work of its own where access is open and nobody is named
 _REFUSALS = described(404, 409, 412, 413, 415, 428)
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
-    """What is to be done to an alert: by whom, why, and the transition."""
+def _change(
+    asked: AskedChange, alert_id: int, body: Body, actor: str, note: str, act: Callable[[Alert, int], Transition | None]
+) -> Response:
+    """Apply what somebody does to an alert under If-Match and Idempotency-Key, in one transaction."""
 
-    actor: str
-    note: str
-    apply: Callable[[Alert], Transition | None]
-
-
-def _change(asked: AskedChange, alert_id: int, body: Body, change: Change) -> Response:
-    """Apply a change under If-Match and Idempotency-Key, in one transaction."""
-    post = idempotent_post(asked.request, asked.key, body)
-    now_ns = asked.services.clock.now_ns()
-    with asked.services.storage.write() as unit:
-        earlier = post.earlier(asked.request, unit)
-        if earlier is not None:
-            return earlier
+    def apply(unit: SqlUnitOfWork, now_ns: int) -> alerts.Alert:
         current = unit.alerts.get(alert_id)
         require_match(asked.if_match, alerts.alert(current, now_ns))
-        transition = change.apply(current)
+        transition = act(current, now_ns)
         if transition is not None:
-            current = unit.alerts.save(transition.alert, transition.events, now_ns, change.actor, change.note)
-        changed = alerts.alert(current, now_ns)
-        post.remember(unit, HTTPStatus.OK, changed, now_ns)
-    return asked.answer(changed)
+            current = unit.alerts.save(transition.alert, transition.events, now_ns, actor, note)
+        return alerts.alert(current, now_ns)
+
+    return asked.once(body, apply)
 
 
 @actions_router.post("/{alert_id}/acknowledge", response_model=alerts.Alert, responses=_REFUSALS)
 def acknowledge_alert(asked: ChangeDep, alert_id: Number, body: alerts.Acknowledgement) -> Response:
     """Acknowledge the alert; the acknowledgement ends when the alert clears or becomes more severe."""
-    now_ns = asked.services.clock.now_ns()
     actor = asked.caller.acts_as(body.by)
-    change = Change(actor, body.note, lambda alert: acknowledge(alert, actor, now_ns))
-    return _change(asked, alert_id, body, change)
+    return _change(asked, alert_id, body, actor, body.note, lambda alert, now_ns: acknowledge(alert, actor, now_ns))
 
 
 @actions_router.post("/{alert_id}/shelve", response_model=alerts.Alert, responses=_REFUSALS)
 def shelve_alert(asked: ChangeDep, alert_id: Number, body: alerts.Shelving) -> Response:
     """Put the alert out of sight until a time; it comes back by itself."""
-    now_ns = asked.services.clock.now_ns()
-    change = Change(
-        asked.caller.acts_as(body.by), body.reason, lambda alert: shelve(alert, body.until, body.reason, now_ns)
-    )
-    return _change(asked, alert_id, body, change)
+
+    def act(alert: Alert, now_ns: int) -> Transition | None:
+        return shelve(alert, body.until, body.reason, now_ns)
+
+    return _change(asked, alert_id, body, asked.caller.acts_as(body.by), body.reason, act)
 
 
 @actions_router.post("/{alert_id}/unshelve", response_model=alerts.Alert, responses=_REFUSALS)
 def unshelve_alert(asked: ChangeDep, alert_id: Number, body: alerts.Unshelving) -> Response:
     """Bring a shelved alert back before its time; one that is not shelved is refused (409)."""
-    now_ns = asked.services.clock.now_ns()
-    change = Change(asked.caller.acts_as(body.by), body.note, lambda alert: unshelve(alert, now_ns))
-    return _change(asked, alert_id, body, change)
+    return _change(asked, alert_id, body, asked.caller.acts_as(body.by), body.note, unshelve)
 
 
 @actions_router.post("/{alert_id}/external-refs", response_model=alerts.Alert, responses=_REFUSALS)
 def add_external_ref(asked: ChangeDep, alert_id: Number, body: alerts.ExternalReference) -> Response:
     """Write back the identity that a maintenance system gave to its work on the alert."""
-    change = Change(asked.caller.acts_as(body.by, MAINTENANCE_SYSTEM), body.ref, lambda alert: link(alert, body.ref))
-    return _change(asked, alert_id, body, change)
+    actor = asked.caller.acts_as(body.by, MAINTENANCE_SYSTEM)
+    return _change(asked, alert_id, body, actor, body.ref, lambda alert, _: link(alert, body.ref))

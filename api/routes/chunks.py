@@ -12,9 +12,8 @@ from starlette.concurrency import run_in_threadpool
 
 from api.access.caller import Caller, CallerDep, Scope, requires
 from api.answers import answer
-from api.asking import AskedDep
+from api.asking import CODE, AskedDep
 from api.middleware import turn_of
-from api.parameters import CODE
 from api.problems import ProblemError, described
 from api.routes.recordings import why_in_state
 from api.schemas.common import Links, Representation
@@ -113,10 +112,7 @@ FileName = Annotated[
     "/{sha256}",
     status_code=HTTPStatus.CREATED,
     response_model=Chunk,
-    responses={
-        200: {"model": Chunk, "description": "It is stored already."},
-        **described(404, 408, 409, 413, 415),
-    },
+    responses={200: {"model": Chunk, "description": "It is stored already."}, **described(404, 408, 409, 413, 415)},
     openapi_extra={"requestBody": BODY},
     dependencies=[Depends(requires(Scope.INGEST))],
 )

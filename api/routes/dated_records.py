@@ -10,18 +10,9 @@ from fastapi import APIRouter, Depends, Response
 from pydantic import Field
 
 from api.access.caller import Scope, requires
-from api.asking import AskedListDep, ChangeDep
-from api.parameters import Code, Serial
-from api.problems import ProblemError, ProblemItem, described, pointer
-from api.registry_changes import (
-    MOST_TEXT,
-    BodySource,
-    Key,
-    Kilometres,
-    Note,
-    RegistryChange,
-    RegistryRequest,
-)
+from api.asking import AskedListDep, ChangeDep, Code, Serial
+from api.problems import described, invalid, pointer
+from api.registry_changes import MOST_TEXT, BodySource, Key, Kilometres, Note, RegistryChange, RegistryRequest
 from api.schemas import registry
 from api.schemas.common import Body, Page, Representation
 from api.schemas.derived import Derived
@@ -68,8 +59,8 @@ class Exchange(RegistryChange):
 class ExchangeRecord(Representation):
     """The mounting that has ended, and the one that has begun."""
 
-    removed: MountingPeriod
-    fitted: MountingPeriod
+    removed: MountingPeriod = Field(description="The wheelset that was removed, and until when it ran there.")
+    fitted: MountingPeriod = Field(description="The wheelset that was fitted, and since when.")
 
 
 class NewReprofiling(RegistryChange):
@@ -101,7 +92,7 @@ class NewMeasuredProfiles(RegistryChange):
     measured_at: Moment = Field(examples=["2026-03-01T06:00:00Z"])
     mileage_km: Kilometres = Field(description="Of the wheelset since new.", examples=[151200.0])
     left: ProfileFile = Field(description="Of the wheelset's own left wheel, also where it runs reversed.")
-    right: ProfileFile
+    right: ProfileFile = Field(description="The wheelset's own right wheel.")
     std_mm: float = Field(
         default=0.1,
         gt=0.0,
@@ -204,7 +195,6 @@ def exchange_wheelset(asked: ChangeDep, serial: Serial, body: Exchange) -> Respo
 
 
 def _ended(unit: SqlUnitOfWork, serial: str, at_ns: int) -> Mounting:
-    """Return the mounting that lasts, as it ends at a time."""
     lasting = unit.registry.wheelset(serial).mounting
     if lasting is None:
         raise _conflict(serial, "is mounted nowhere")
@@ -280,8 +270,7 @@ def _wheel(file: ProfileFile, side: Literal["left", "right"]) -> Profile:
     try:
         return wheel_profile_of(file.text, Path(file.file_name))
     except ProfileError as error:
-        item = ProblemItem(part="body", pointer=pointer([side, "text"]), detail=str(error))
-        raise ProblemError(422, "invalid-request", f"{side}: {error}", [item]) from error
+        raise invalid(pointer([side, "text"]), str(error), f"{side}: {error}") from error
 
 
 vehicles_router = APIRouter(prefix="/v1/vehicles", tags=["vehicles"])

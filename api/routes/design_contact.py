@@ -9,9 +9,8 @@ from fastapi import APIRouter, Response
 from pydantic import Field
 
 from api.answers import answer_payload, table_payload
-from api.asking import AskedDep
+from api.asking import AskedDep, Serial
 from api.contract import TABLE, Accepted
-from api.parameters import Serial
 from api.problems import described
 from api.schemas.common import Links, Representation, finite, finite_list, uncertain
 from api.schemas.derived import Derived
@@ -22,7 +21,7 @@ from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
 from estimation.contact.profiles import wheel_profile
 from estimation.errors import ProfileError
 from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.compared_measurements import ComparisonReader
+from estimation.jobs.steps.measured_wheelsets import ComparisonReader
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
@@ -101,8 +100,7 @@ def profile_contact(found: WheelContact | Reason) -> ProfileContact:
     )
 
 
-def design_contact(wheelset: WheelsetRecord, found: WheelContact | Reason) -> DesignContact:
-    """Return the representation of the contact geometry of a wheelset's design."""
+def _design_contact(wheelset: WheelsetRecord, found: WheelContact | Reason) -> DesignContact:
     own = f"/v1/wheelsets/{segment(wheelset.serial)}"
     return DesignContact(
         wheelset=wheelset.serial,
@@ -145,7 +143,7 @@ def get_design_contact(asked: AskedDep, accepted: Accepted, serial: Serial) -> R
         wheelset = unit.registry.wheelset(serial)
         rails = comparison_reader(asked.services, unit).rails(serial, unit.geometries.current(serial))
         found = _design(asked.services, wheelset, rails)
-    body = design_contact(wheelset, found)
+    body = _design_contact(wheelset, found)
     return answer_payload(asked.request, table_payload(body, accepted, table(body.contact)), accepted)
 
 

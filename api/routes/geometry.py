@@ -7,9 +7,18 @@ from functools import partial
 from fastapi import APIRouter, Response
 
 from api.answers import answer_payload, table_payload
-from api.asking import AskedDep, AskedListDep
+from api.asking import (
+    AskedDep,
+    AskedListDep,
+    AsOf,
+    MeasuredFrom,
+    MeasuredTo,
+    Serial,
+    not_in_the_future,
+    not_purged,
+    require_order,
+)
 from api.contract import TABLE, Accepted
-from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_future, not_purged, require_order
 from api.problems import described
 from api.schemas import geometry, trend, windows
 from api.schemas.common import Page
@@ -27,8 +36,7 @@ from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.window_counts import window_counts
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
-NOT_KEPT = b""
-"""Stands among the kept representations for one that is made each time."""
+NOT_KEPT = b""  # stands among the kept representations for one that is made each time
 
 
 @router.get("/{serial}/geometry", response_model=geometry.Geometry, responses={**described(404, 410), **TABLE})
@@ -152,9 +160,7 @@ def list_windows(
     """List the wheelset's windows that begin in `[from, to)`, oldest first, with their quality and state."""
     require_order(measured_from, measured_to)
     filters = {"wheelset": serial, "from": measured_from, "to": measured_to}
-    after = asked.after_number(filters)
-    if after is None and measured_from is not None:
-        after = measured_from - 1
+    after = asked.after_time(filters, measured_from)
     with asked.read() as unit:
         unit.registry.wheelset(serial)
         found = unit.windows.page(serial, after, asked.limit + 1)

@@ -6,6 +6,7 @@ from typing import Literal
 
 from fastapi import APIRouter, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
+from pydantic import Field
 from starlette.responses import PlainTextResponse
 
 from api.problems import described
@@ -18,7 +19,7 @@ router = APIRouter(tags=["health"])
 class Health(Representation):
     """The service answers."""
 
-    status: Literal["ok"]
+    status: Literal["ok"] = Field(description="The service answers.")
 
 
 @router.get("/healthz", response_model=Health)

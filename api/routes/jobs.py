@@ -12,9 +12,7 @@ from pydantic import Field
 from api import cursors
 from api.access.caller import Caller, CallerDep, Scope, requires
 from api.answers import IdempotencyKey, answer
-from api.asking import AskedDep, AskedListDep
-from api.idempotency import idempotent_post
-from api.parameters import CODE, Code, Number
+from api.asking import CODE, AskedDep, AskedListDep, Code, Number, idempotent_post
 from api.problems import described
 from api.schemas.common import Links, Page, Representation, without_folders
 from api.schemas.derived import Derived
@@ -41,34 +39,11 @@ class Job(Representation):
     """A scheduled job with its last run; `next_due_at` is when the schedule is due; it needs a running scheduler."""
 
     name: str = Field(examples=["estimate_windows"])
-    description: str
-    every_s: float
-    last_run: JobRun | None
+    description: str = Field(description="What it does.")
+    every_s: float = Field(description="Interval of its schedule.")
+    last_run: JobRun | None = Field(description="Its last run; null where it has never run.")
     next_due_at: Timestamp | None = Field(description="Null before the first run.")
     links: Links
-
-
-def shown_run(record: JobRunValue) -> JobRun:
-    """Return the representation of a run."""
-    finished = record.finished_ns
-    return JobRun.made(
-        record,
-        duration_s=None if finished is None else max(0, finished - record.started_ns) / 1e9,
-        links={"self": f"/v1/job-runs/{record.run_id}", "job_runs": f"/v1/jobs/{segment(record.job)}/runs"},
-    )
-
-
-def shown_job(name: str, description: str, every_s: float, last: JobRunValue | None) -> Job:
-    """Return the representation of a job."""
-    due = None if last is None else to_rfc3339(last.started_ns + int(every_s * 1e9))
-    return Job(
-        name=name,
-        description=description,
-        every_s=every_s,
-        last_run=None if last is None else shown_run(last),
-        next_due_at=due,
-        links={"self": f"/v1/jobs/{segment(name)}", "runs": f"/v1/jobs/{segment(name)}/runs"},
-    )
 
 
 _RESOURCES = {
@@ -92,8 +67,7 @@ class QuarantinedItem(
     links: Links
 
 
-def quarantined(item: Quarantined) -> QuarantinedItem:
-    """Return the representation of what is kept of a failure; its message without the folders of the machine."""
+def _quarantined(item: Quarantined) -> QuarantinedItem:
     resource = _RESOURCES.get(item.kind)
     return QuarantinedItem.made(
         item,
@@ -104,23 +78,33 @@ def quarantined(item: Quarantined) -> QuarantinedItem:
 
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
-
-
 FOR_ALL_FLEETS = "the message is shown to keys of all fleets"
 
 
-def _seen(run: JobRunValue, caller: Caller) -> JobRunValue:
+def _run(record: JobRunValue, caller: Caller) -> JobRun:
     """Return a run; without its counts and its message, which are of all fleets, for a caller who is bound to some."""
-    if caller.fleets is None:
-        return run
-    return replace(run, counts={}, error=None if run.error is None else FOR_ALL_FLEETS)
+    if caller.fleets is not None:
+        record = replace(record, counts={}, error=None if record.error is None else FOR_ALL_FLEETS)
+    finished = record.finished_ns
+    return JobRun.made(
+        record,
+        duration_s=None if finished is None else max(0, finished - record.started_ns) / 1e9,
+        links={"self": f"/v1/job-runs/{record.run_id}", "job_runs": f"/v1/jobs/{segment(record.job)}/runs"},
+    )
 
 
 def _job(services: Services, caller: Caller, name: str) -> Job:
-    found = services.job(name)
+    job, own = services.job(name), f"/v1/jobs/{segment(name)}"
     with services.storage.read() as unit:
         last = next(iter(unit.jobs.page(name, None, 1)), None)
-    return shown_job(found.name, found.description, found.every_s, None if last is None else _seen(last, caller))
+    return Job(
+        name=job.name,
+        description=job.description,
+        every_s=job.every_s,
+        last_run=None if last is None else _run(last, caller),
+        next_due_at=None if last is None else to_rfc3339(last.started_ns + int(job.every_s * 1e9)),
+        links={"self": own, "runs": f"{own}/runs"},
+    )
 
 
 @router.get("/jobs", response_model=Page[Job], responses=described(400))
@@ -142,7 +126,7 @@ def list_job_runs(asked: AskedListDep, caller: CallerDep, name: Code) -> Respons
     before = asked.after_number(filters)
     with asked.read() as unit:
         rows = unit.jobs.page(name, before, asked.limit + 1)
-    return asked.page(filters, rows, lambda record: record.run_id, lambda record: shown_run(_seen(record, caller)))
+    return asked.page(filters, rows, lambda record: record.run_id, lambda record: _run(record, caller))
 
 
 @router.post(
@@ -162,7 +146,7 @@ def run_job_now(
         earlier = post.earlier(request, unit)
     if earlier is not None:
         return earlier
-    body = shown_run(_seen(services.runner.start(job), caller))
+    body = _run(services.runner.start(job), caller)
     with services.storage.write() as unit:
         post.remember(unit, HTTPStatus.ACCEPTED, body, services.clock.now_ns())
     return answer(request, body, status=HTTPStatus.ACCEPTED, headers={"Location": body.links["self"]})
@@ -173,7 +157,7 @@ def get_job_run(asked: AskedDep, caller: CallerDep, run_id: Number) -> Response:
     """Return one run of a job."""
     with asked.read() as unit:
         found = unit.jobs.get(run_id)
-    return asked.answer(shown_run(_seen(found, caller)))
+    return asked.answer(_run(found, caller))
 
 
 quarantine_router = APIRouter(prefix="/v1/quarantine", tags=["quarantine"])
@@ -199,7 +183,7 @@ def list_quarantine(
         )
         if not rows:
             require_known(unit, vehicle=vehicle)
-    return asked.page(filters, rows, _key, quarantined)
+    return asked.page(filters, rows, _key, _quarantined)
 
 
 def _key(item: Quarantined) -> str:
@@ -212,6 +196,6 @@ def _place(key: str | None) -> Place | None:
         return None
     parts = key.split("/", PARTS - 1)
     if len(parts) != PARTS:
-        raise cursors.refused("this is no cursor of this list")
+        raise cursors.refused()
     kind, stage, subject = parts
     return kind, subject, stage

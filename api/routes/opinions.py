@@ -9,8 +9,7 @@ from typing import Annotated, Any, Literal, Self
 from fastapi import APIRouter, Query, Response
 from pydantic import Field
 
-from api.asking import AskedDep, AskedListDep
-from api.parameters import Code, MeasuredFrom, MeasuredTo, Serial, require_order
+from api.asking import AskedDep, AskedListDep, Code, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.problems import described
 from api.schemas.common import Links, Page, Representation, Uncertain, uncertain
 from api.schemas.derived import Derived, provenance
@@ -20,18 +19,20 @@ from api.times import Moment, Timestamp
 from estimation.errors import NotFoundError
 from estimation.signatures.answer import most_likely
 from estimation.values.geometry import GeometryRecord
-from estimation.values.opinions import CellFriction, LeftOut, WindowAdhesion
-from estimation.values.opinions import SectionAdhesion as FrictionValue
-from estimation.values.quantities import Estimate, Status
-from estimation.values.rails import (
+from estimation.values.opinions import (
     SECTION_RAILS,
     WHEELSET_RAILS,
+    CellFriction,
+    LeftOut,
     RailPart,
     RailsFinding,
     RailTrend,
     WheelPart,
     WheelsFinding,
+    WindowAdhesion,
 )
+from estimation.values.opinions import SectionAdhesion as FrictionValue
+from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.results import Result
 from estimation.values.signatures import ANSWERS, METHOD, Disagreement, SignatureFinding, StateProbability
@@ -178,7 +179,6 @@ def _period(part: RailPart, amplitude: Sequence[float]) -> RailsPeriod:
 
 
 def _at(geometry: GeometryRecord | None, amplitude: float) -> Estimate:
-    """Return the conicity of a geometry at an amplitude."""
     if geometry is not None:
         for at, one in zip(geometry.geometry.amplitude, geometry.geometry.conicity, strict=True):
             if abs(float(at) - amplitude) < SAME_AMPLITUDE:
@@ -302,9 +302,7 @@ def list_creep_forces(
     """List the creep forces of the wheelset's windows that begin in `[from, to)`, oldest first."""
     require_order(measured_from, measured_to)
     filters = {"wheelset": serial, "from": measured_from, "to": measured_to}
-    after = asked.after_number(filters)
-    if after is None and measured_from is not None:
-        after = measured_from - 1
+    after = asked.after_time(filters, measured_from)
     with asked.read() as unit:
         unit.registry.wheelset(serial)
         found = unit.adhesion.of_wheelset(serial, after, asked.limit + 1)
@@ -313,10 +311,7 @@ def list_creep_forces(
 
 
 @router.get(
-    "/wheelsets/{serial}/signature",
-    tags=["wheelsets"],
-    response_model=SignatureAnswer,
-    responses=described(404),
+    "/wheelsets/{serial}/signature", tags=["wheelsets"], response_model=SignatureAnswer, responses=described(404)
 )
 def get_signature(asked: AskedDep, serial: Serial) -> Response:
     """Return what a library of the other wheelsets' raw signals says of the wheelset, beside its geometry."""
@@ -330,10 +325,7 @@ def get_signature(asked: AskedDep, serial: Serial) -> Response:
 
 
 @router.get(
-    "/track-sections/{code}/adhesion",
-    tags=["track sections"],
-    response_model=SectionAdhesion,
-    responses=described(404),
+    "/track-sections/{code}/adhesion", tags=["track sections"], response_model=SectionAdhesion, responses=described(404)
 )
 def get_adhesion(
     asked: AskedDep,

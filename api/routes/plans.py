@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
 from api.answers import answer
-from api.parameters import FleetFilter, VehicleFilter
+from api.asking import FleetFilter, VehicleFilter
 from api.problems import described
 from api.schemas.common import Links, Representation, finite
 from api.schemas.derived import Derived
@@ -17,9 +17,9 @@ from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, dis
 from api.services import ServicesDep
 from api.times import Timestamp, to_rfc3339
 from api.visible_objects import require_known
-from estimation.plans.reprofiling import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
 from estimation.values.alerts import Urgency, WorklistRow, WorklistState
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.worklist.turning_plan import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
 from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistFilter
 
@@ -59,9 +59,9 @@ class TurningPlan(Representation):
     """Visits to the lathe, the earliest first; wheelsets of which nothing is known come last."""
 
     made_at: Timestamp = Field(description="Our time that the plan counts from.")
-    horizon_days: float
-    together_days: float
-    limits: TurningLimits
+    horizon_days: float = Field(description="How far ahead was planned.")
+    together_days: float = Field(description="What becomes due so soon after a visit is turned in it.")
+    limits: TurningLimits = Field(description="The limits of the operator.")
     items: list[TurningPlanLine]
     links: Links
 
@@ -95,8 +95,7 @@ def _unknown(state: WorklistState) -> Reason | None:
     return state.reasons[0] if state.urgency is Urgency.UNKNOWN else None
 
 
-def turning_plan_line(line: PlanLine, row: WorklistRow) -> TurningPlanLine:
-    """Return the representation of a line of the plan, with the forecast of its wheelset."""
+def _turning_plan_line(line: PlanLine, row: WorklistRow) -> TurningPlanLine:
     one, state = line.candidate, row.state
     return TurningPlanLine(
         vehicle=one.vehicle,
@@ -116,8 +115,7 @@ def turning_plan_line(line: PlanLine, row: WorklistRow) -> TurningPlanLine:
     )
 
 
-def plan_links(fleet: str | None, vehicle: str | None) -> dict[str, str]:
-    """Return the paths of what the plan was made from."""
+def _plan_links(fleet: str | None, vehicle: str | None) -> dict[str, str]:
     chosen = [
         f"{name}={segment(value)}" for name, value in (("fleet", fleet), ("vehicle", vehicle)) if value is not None
     ]
@@ -184,7 +182,7 @@ def plan_reprofiling(
         horizon_days=horizon_days,
         together_days=together_days,
         limits=TurningLimits.made(limits),
-        items=[turning_plan_line(line, rows[line.candidate.serial]) for line in lines],
-        links=plan_links(fleet, vehicle),
+        items=[_turning_plan_line(line, rows[line.candidate.serial]) for line in lines],
+        links=_plan_links(fleet, vehicle),
     )
     return answer(request, body)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from http import HTTPStatus
 from typing import Annotated, Any
 
@@ -12,9 +13,18 @@ from pydantic import Field
 from api import cursors
 from api.access.caller import Caller, CallerDep, Scope, requires
 from api.answers import answer
-from api.asking import AskedChange, AskedDep, AskedListDep, NewDep
-from api.idempotency import idempotent_post
-from api.parameters import CODE, FleetFilter, MeasuredFrom, MeasuredTo, require_order
+from api.asking import (
+    CODE,
+    AskedChange,
+    AskedDep,
+    AskedListDep,
+    FleetFilter,
+    MeasuredFrom,
+    MeasuredTo,
+    NewDep,
+    idempotent_post,
+    require_order,
+)
 from api.problems import described
 from api.schemas.common import Body, Links, Page, Representation, without_folders
 from api.schemas.derived import Derived
@@ -128,10 +138,9 @@ def recording(record: ChunkRecord) -> Recording:
     return Recording.made(record, **_fields(record))
 
 
-def recording_with_history(
+def _recording_with_history(
     record: ChunkRecord, windows: Mapping[WindowState, int], changes: Sequence[Change]
 ) -> RecordingWithHistory:
-    """Return the representation of a receipt with its windows and changes."""
     by_state = {state.value: windows.get(state, 0) for state in WindowState}
     return RecordingWithHistory.made(
         record,
@@ -190,7 +199,7 @@ def list_recordings(
     require_order(from_, to)
     require_order(received_from, received_to, "received_from", "received_to")
     chosen = ChosenChunks(state, vehicle, fleet, reason_code, received_from, received_to, from_, to)
-    filters = {name: getattr(chosen, name) for name in ChosenChunks.__dataclass_fields__}
+    filters = asdict(chosen)
     before = _place(asked.after_text(filters))
     with asked.read() as unit:
         rows = unit.chunks.page(chosen, asked.limit + 1, before)
@@ -205,17 +214,16 @@ def list_recordings(
 def get_recording(asked: AskedDep, digest: Digest) -> Response:
     """Return one recording, with its windows and what was done to it by hand."""
     with asked.read() as unit:
-        found = with_history(unit, digest)
+        found = _with_history(unit, digest)
     return asked.answer(found)
 
 
-def with_history(unit: SqlUnitOfWork, digest: str) -> RecordingWithHistory:
-    """Return the representation of one recording."""
+def _with_history(unit: SqlUnitOfWork, digest: str) -> RecordingWithHistory:
     record = unit.chunks.get(digest)
     if record is None:
         raise NotFoundError("recording", digest)
     windows, changes = unit.chunks.window_counts(record), unit.recording_changes.list(digest)
-    return recording_with_history(record, windows, changes)
+    return _recording_with_history(record, windows, changes)
 
 
 def _key(record: ChunkRecord) -> str:
@@ -231,7 +239,7 @@ def _place(key: str | None) -> tuple[int, str] | None:
         or not received.removeprefix("-").isdecimal()
         or not -cursors.INT64 <= int(received) < cursors.INT64
     ):
-        raise cursors.refused("this is no cursor of this list")
+        raise cursors.refused()
     return int(received), digest
 
 
@@ -239,8 +247,7 @@ corrections_router = APIRouter(
     prefix="/v1/recordings", tags=["recordings"], dependencies=[Depends(requires(Scope.INGEST)), Depends(writer_slot)]
 )
 Why = Annotated[
-    str,
-    Query(min_length=1, max_length=2000, pattern=WORDS, description="Why.", examples=["Of a test bench"]),
+    str, Query(min_length=1, max_length=2000, pattern=WORDS, description="Why.", examples=["Of a test bench"])
 ]
 By = Annotated[str | None, Query(min_length=1, max_length=200, pattern=WORDS, description="Who, where no key says it.")]
 NOBODY = "unknown"
@@ -273,13 +280,12 @@ def delete_recording(
     author = Author(caller.name or by or NOBODY, why)
     _made(services).delete(digest, author, services.raw)
     with services.storage.read() as unit:
-        return answer(request, with_history(unit, digest))
+        return answer(request, _with_history(unit, digest))
 
 
 def _correct(
     asked: AskedChange, digest: str, body: Correction, apply: Callable[[RecordingCorrections], ChunkRecord]
 ) -> Response:
-    """Correct a recording once, however often the same request comes under one key."""
     post = idempotent_post(asked.request, asked.key, body)
     with asked.read() as unit:
         earlier = post.earlier(asked.request, unit)
@@ -287,7 +293,7 @@ def _correct(
         return earlier
     apply(_made(asked.services))
     with asked.read() as unit:
-        found = with_history(unit, digest)
+        found = _with_history(unit, digest)
     with asked.services.storage.write() as unit:
         post.remember(unit, HTTPStatus.OK, found, asked.services.clock.now_ns())
     return asked.answer(found)

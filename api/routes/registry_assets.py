@@ -6,38 +6,27 @@ from collections.abc import Callable
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Response
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from api.access.caller import Scope, requires
-from api.asking import NewDep, PutDep
-from api.parameters import Code, Serial
-from api.problems import ProblemError, ProblemItem, described
-from api.registry_changes import (
-    MOST_TEXT,
-    TEXT,
-    BodySource,
-    Key,
-    RegistryChange,
-    RegistryRequest,
-)
+from api.asking import AskedChange, Code, NewDep, PutDep, Serial
+from api.problems import ProblemError, described, invalid
+from api.registry_changes import MOST_TEXT, TEXT, BodySource, Key, RegistryChange, RegistryRequest
 from api.routes import vehicles
 from api.schemas import registry
 from api.services import writer_slot
+from api.visible_objects import require_known
 from estimation.errors import ConflictError, InputError, NotFoundError
-from estimation.values.registry import (
-    SPEED_IN_FILES,
-    VehicleRecord,
-    WheelsetRecord,
-)
+from estimation.values.registry import SPEED_IN_FILES, VehicleRecord, WheelsetRecord
 from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.input_file import parse_toml
 from ingest.registry_entry.contents import RegistryContents
-from ingest.vehicle_class_file import parse_vehicle_class
+from ingest.vehicle_class_schema import parse_vehicle_class
 
 
 class VehicleChange(RegistryChange):
@@ -98,14 +87,7 @@ _VEHICLE_FIELDS = {"max_speed_km_h": "max_speed_m_s"}
 @_post("/vehicles", tags=["vehicles"], dependencies=_ADMIN, response_model=registry.Vehicle)
 def add_vehicle(asked: NewDep, body: NewVehicle) -> Response:
     """Enter a vehicle; recordings that came under its name before are decoded."""
-    change = RegistryRequest(asked, body)
-    change.visible(lambda unit: _fleet(unit, body.fleet))
-
-    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Vehicle:
-        _refuse_known(unit.registry.vehicle, "vehicle", body.code)
-        return _entered_vehicle(change, unit, decision, _vehicle(body.code, body))
-
-    return change.change(None, apply)
+    return _entered(asked, body, lambda: _vehicle(body.code, body), _shown_vehicle(body.code), ("vehicle", body.code))
 
 
 @_put("/vehicles/{code}", tags=["vehicles"], response_model=registry.Vehicle)
@@ -114,26 +96,14 @@ def change_vehicle(asked: PutDep, code: Code, body: VehicleChange) -> Response:
 
     `If-Match` carries its ETag.
     """
-    change = RegistryRequest(asked, body)
-    change.visible(lambda unit: _fleet(unit, body.fleet))
-
-    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Vehicle:
-        return _entered_vehicle(change, unit, decision, _vehicle(code, body))
-
-    return change.change(lambda unit: registry.vehicle(unit.registry.vehicle(code)), apply, HTTPStatus.OK)
+    return _entered(asked, body, lambda: _vehicle(code, body), _shown_vehicle(code))
 
 
 @_post("/wheelsets", tags=["wheelsets"], dependencies=_ADMIN, response_model=registry.Wheelset)
 def add_wheelset(asked: NewDep, body: NewWheelset) -> Response:
     """Enter a wheelset, which is mounted nowhere yet."""
-    change = RegistryRequest(asked, body)
-    change.visible(lambda unit: _fleet(unit, body.fleet))
-
-    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Wheelset:
-        _refuse_known(unit.registry.wheelset, "wheelset", body.serial)
-        return _entered_wheelset(change, unit, decision, _wheelset(body.serial, body))
-
-    return change.change(None, apply)
+    serial = body.serial
+    return _entered(asked, body, lambda: _wheelset(serial, body), _shown_wheelset(serial), ("wheelset", serial))
 
 
 @_put("/wheelsets/{serial}", tags=["wheelsets"], response_model=registry.Wheelset)
@@ -142,13 +112,7 @@ def change_wheelset(asked: PutDep, serial: Serial, body: WheelsetChange) -> Resp
 
     `If-Match` carries its ETag.
     """
-    change = RegistryRequest(asked, body)
-    change.visible(lambda unit: _fleet(unit, body.fleet))
-
-    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Wheelset:
-        return _entered_wheelset(change, unit, decision, _wheelset(serial, body))
-
-    return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply, HTTPStatus.OK)
+    return _entered(asked, body, lambda: _wheelset(serial, body), _shown_wheelset(serial))
 
 
 @_post(
@@ -174,55 +138,68 @@ def add_vehicle_class(asked: NewDep, body: VehicleClassFile) -> Response:
     return change.change(None, apply)
 
 
-def _entered_vehicle(
-    change: RegistryRequest, unit: SqlUnitOfWork, decision: Decision, record: VehicleRecord
-) -> registry.Vehicle:
-    change.enter(unit, decision, RegistryContents(vehicles=(record,)), BodySource(_VEHICLE_FIELDS))
-    return registry.vehicle(unit.registry.vehicle(record.code))
+Show = Callable[[SqlUnitOfWork], BaseModel]
 
 
-def _entered_wheelset(
-    change: RegistryRequest, unit: SqlUnitOfWork, decision: Decision, record: WheelsetRecord
-) -> registry.Wheelset:
-    change.enter(unit, decision, RegistryContents(wheelsets=(record,)), BodySource())
-    return registry.wheelset(unit.registry.wheelset(record.serial))
+def _entered(
+    asked: AskedChange,
+    body: VehicleChange | WheelsetChange,
+    contents: Callable[[], RegistryContents],
+    show: Show,
+    new: tuple[str, str] | None = None,
+) -> Response:
+    """Enter what is new, of a kind and under a key, or change what is on file."""
+    change = RegistryRequest(asked, body)
+    change.visible(lambda unit: require_known(unit, fleet=body.fleet))
+
+    def apply(unit: SqlUnitOfWork, decision: Decision) -> BaseModel:
+        if new is not None:
+            _refuse_known(lambda: show(unit), *new)
+        change.enter(unit, decision, contents(), BodySource(_VEHICLE_FIELDS))
+        return show(unit)
+
+    return change.change(show, apply, HTTPStatus.OK) if new is None else change.change(None, apply)
 
 
-def _vehicle(code: str, body: VehicleChange) -> VehicleRecord:
+def _shown_vehicle(code: str) -> Show:
+    return lambda unit: registry.vehicle(unit.registry.vehicle(code))
+
+
+def _shown_wheelset(serial: str) -> Show:
+    return lambda unit: registry.wheelset(unit.registry.wheelset(serial))
+
+
+def _vehicle(code: str, body: VehicleChange) -> RegistryContents:
     """Return the vehicle; its speed is one that a registry file can give, in km/h, to the last bit."""
     if len(body.axle_offsets_m) != body.axles:
-        _wrong("axle_offsets_m", f"{len(body.axle_offsets_m)} offsets for {body.axles} axles")
+        raise _wrong("axle_offsets_m", f"{len(body.axle_offsets_m)} offsets for {body.axles} axles")
     if len(set(body.axle_offsets_m)) < body.axles:
-        _wrong("axle_offsets_m", "two axles are at one place")
+        raise _wrong("axle_offsets_m", "two axles are at one place")
     speed = SPEED_IN_FILES.read(SPEED_IN_FILES.write(body.max_speed_m_s))
-    return VehicleRecord(code, body.fleet, body.vehicle_class, body.axles, speed, tuple(body.axle_offsets_m))
+    offsets = tuple(body.axle_offsets_m)
+    return RegistryContents(vehicles=(VehicleRecord(code, body.fleet, body.vehicle_class, body.axles, speed, offsets),))
 
 
-def _wheelset(serial: str, body: WheelsetChange) -> WheelsetRecord:
-    return WheelsetRecord(serial, body.fleet, body.wheel_profile, 1e-3 * body.nominal_radius_mm, None)
+def _wheelset(serial: str, body: WheelsetChange) -> RegistryContents:
+    record = WheelsetRecord(serial, body.fleet, body.wheel_profile, 1e-3 * body.nominal_radius_mm, None)
+    return RegistryContents(wheelsets=(record,))
 
 
 def _class(text: str) -> VehicleClass:
     try:
         return parse_vehicle_class(parse_toml(text, Path("text")))
     except InputError as error:
-        _wrong("text", str(error))
+        raise _wrong("text", str(error)) from None
 
 
-def _wrong(field: str, detail: str) -> NoReturn:
-    item = ProblemItem(part="body", pointer=f"#/{field}", detail=detail)
-    raise ProblemError(422, "invalid-request", f"{field}: {detail}", [item])
-
-
-def _fleet(unit: SqlUnitOfWork, code: str) -> None:
-    if all(one.code != code for one in unit.registry.fleets()):
-        raise NotFoundError("fleet", code)
-
-
-def _refuse_known(look_up: Callable[[str], object], kind: str, key: str) -> None:
+def _refuse_known(look_up: Callable[[], object], kind: str, key: str) -> None:
     """Refuse to enter what is on file: it is changed under its ETag."""
     try:
-        look_up(key)
+        look_up()
     except NotFoundError:
         return
     raise ConflictError(f"{kind} {key!r} is on file, or was and is voided", kind=kind, key=key)
+
+
+def _wrong(field: str, detail: str) -> ProblemError:
+    return invalid(f"#/{field}", detail, f"{field}: {detail}")

@@ -12,11 +12,9 @@ from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, Field
 
 from api.access.caller import Scope, requires
-from api.answers import answer, require_match
-from api.asking import AskedChange, AskedListDep, ChangeDep
-from api.idempotency import idempotent_post
-from api.parameters import CODE
-from api.problems import ProblemError, ProblemItem, described
+from api.answers import require_match
+from api.asking import CODE, AskedChange, AskedListDep, ChangeDep
+from api.problems import ProblemError, described, invalid
 from api.registry_changes import TEXT, UNNAMED, Key
 from api.routes import tracks, vehicles
 from api.routes.dated_records import SensorChangeRecord
@@ -83,7 +81,7 @@ class RegistryDecision(Representation):
     kind: RecordKind
     key: str = Field(description="Serial or code.", examples=["WS-0001"])
     at: Timestamp | None = Field(description="Time of a dated record.")
-    action: RecordAction
+    action: RecordAction = Field(description="What was decided.")
     by: str = Field(description="Who; empty where a registry file was loaded with recordings.", examples=["j.smith"])
     reason: str = Field(examples=["of another wheelset"])
     recorded_at: Timestamp | None = Field(description="Our time; null where it is not known.")
@@ -91,8 +89,7 @@ class RegistryDecision(Representation):
     after: Record | None = Field(description="The record since; null where it was voided, or is not known.")
 
 
-def shown_decision(event: RegistryEvent) -> RegistryDecision:
-    """Return the representation of a decision."""
+def _shown_decision(event: RegistryEvent) -> RegistryDecision:
     restored = event.action is RecordAction.RESTORED
     return RegistryDecision(
         id=event.id,
@@ -161,7 +158,7 @@ def list_registry_history(asked: AskedListDep, kind: KindFilter = None, of: KeyF
     after = asked.after_number(filters)
     with asked.read() as unit:
         rows = unit.registry_history.list(of, after, asked.limit + 1, kind)
-    return asked.page(filters, rows, lambda event: event.id, shown_decision)
+    return asked.page(filters, rows, lambda event: event.id, _shown_decision)
 
 
 @_post("/void", response_model=RegistryDecision)
@@ -183,19 +180,15 @@ def restore_record(asked: ChangeDep, body: RecordDecision) -> Response:
 
 
 def _decide(asked: AskedChange, body: RecordDecision, action: RecordAction) -> Response:
-    """Void or restore a record under If-Match and Idempotency-Key, in one transaction."""
     key = _key(body)
     if key.kind in _SHARED and asked.caller.fleets is not None:
         raise ProblemError(403, "forbidden", "this needs a key of all fleets")
     with asked.read() as unit:
         _asset(unit, key)
-    post = idempotent_post(asked.request, asked.key, body)
-    now_ns = asked.services.clock.now_ns()
-    decision = Decision(asked.caller.acts_as(body.by, UNNAMED), body.reason, now_ns)
-    with asked.services.storage.write() as unit:
-        earlier = post.earlier(asked.request, unit)
-        if earlier is not None:
-            return earlier
+    actor = asked.caller.acts_as(body.by, UNNAMED)
+
+    def decide(unit: SqlUnitOfWork, now_ns: int) -> RegistryDecision:
+        decision = Decision(actor, body.reason, now_ns)
         require_match(asked.if_match, _asset(unit, key))
         if action is RecordAction.VOIDED:
             unit.corrections.void(key, decision)
@@ -204,22 +197,20 @@ def _decide(asked: AskedChange, body: RecordDecision, action: RecordAction) -> R
             refuse_contradicted(unit, key, now_ns)
         event = unit.registry_history.latest(key, action)
         assert event is not None
-        done = shown_decision(event)
-        post.remember(unit, HTTPStatus.CREATED, done, now_ns)
-    return answer(asked.request, done, status=HTTPStatus.CREATED)
+        return _shown_decision(event)
+
+    return asked.once(body, decide, HTTPStatus.CREATED)
 
 
 def _key(body: RecordDecision) -> RecordKey:
     kind = RecordKind(body.kind)
     if kind.dated != (body.at is not None):
         detail = f"is needed: a {kind} is one of a time" if kind.dated else f"is no part of a {kind}"
-        item = ProblemItem(part="body", pointer="#/at", detail=detail)
-        raise ProblemError(422, "invalid-request", f"at: {detail}", [item])
+        raise invalid("#/at", detail, f"at: {detail}")
     return RecordKey(kind, body.key, body.at)
 
 
 def _asset(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:
-    """Return the representation of what a record is of."""
     if key.kind in _OF_VEHICLE:
         return registry.vehicle(unit.registry.vehicle(key.subject))
     if key.kind not in _SHARED:
@@ -232,4 +223,4 @@ def _asset(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:
     voided = unit.registry_history.latest(key, RecordAction.VOIDED)
     if voided is None:
         raise NotFoundError(key.kind.value, key.subject)
-    return shown_decision(voided)  # there is no other representation of it: send If-Match: *
+    return _shown_decision(voided)  # there is no other representation of it: send If-Match: *

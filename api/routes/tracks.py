@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
 from pydantic import Field, JsonValue
 
-from api.asking import AskedDep, AskedListDep
-from api.parameters import Code
+from api.asking import AskedDep, AskedListDep, Code
 from api.problems import described
 from api.schemas.common import Links, Page, Representation, finite, finite_list
 from api.schemas.derived import Derived
@@ -27,9 +25,9 @@ MM = 1000.0
 class LinePoint(Representation):
     """A point of a section's line."""
 
-    distance_m: float
-    latitude_deg: float
-    longitude_deg: float
+    distance_m: float = Field(description="Distance along the section.")
+    latitude_deg: float = Field(description="Latitude (WGS84).")
+    longitude_deg: float = Field(description="Longitude (WGS84).")
 
 
 class TrackSection(
@@ -54,11 +52,11 @@ class Journey(Representation):
     vehicle: str
     measured_from: Timestamp
     passes: int
-    offset_m: float | None
-    scale_1: float | None
+    offset_m: float | None = Field(description="Correction of its positions; null where there is none.")
+    scale_1: float | None = Field(description="Relative correction of its distances; null where there is none.")
     middle_m: float | None
     residual_rms_mm: float | None
-    used: bool
+    used: bool = Field(description="Whether the alignment was estimated with it.")
     reason: str | None
     reason_code: ReasonCode | None
 
@@ -66,8 +64,8 @@ class Journey(Representation):
 class Convergence(Representation):
     """How the iteration of one quantity ended."""
 
-    of: Iterated
-    converged: bool
+    of: Iterated = Field(description="The quantity that was iterated.")
+    converged: bool = Field(description="Whether the iteration stopped changing.")
     rounds: int
     change_m: float | None = Field(description="By the last round, of positions and gauge.")
     change_1: float | None = Field(description="By the last round, of stiffness ratios.")
@@ -106,7 +104,7 @@ class AlignmentVersion(Derived, of=AlignmentRecord, without=("alignment_std_m", 
 class Alignment(AlignmentVersion):
     """Lateral alignment and gauge deviation along a section, column by column; null where not known."""
 
-    position_m: list[float]
+    position_m: list[float] = Field(description="Position along the section, of each value.")
     alignment_mm: list[float | None] = Field(description="Positive to the left.")
     alignment_std_mm: list[float | None]
     gauge_deviation_mm: list[float | None] = Field(
@@ -129,16 +127,14 @@ class AlignmentSummary(
     links: Links
 
 
-def _point(distance_m: float, latitude_deg: float, longitude_deg: float) -> LinePoint:
-    return LinePoint(distance_m=distance_m, latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-
-
 def section(record: TrackSectionRecord) -> TrackSection:
     """Return the representation of a track section."""
     own = f"/v1/track-sections/{segment(record.code)}"
     return TrackSection.made(
         record,
-        coordinates=None if record.line is None else [_point(*point) for point in record.line],
+        coordinates=None
+        if record.line is None
+        else [LinePoint(**dict(zip(LinePoint.model_fields, point, strict=True))) for point in record.line],
         links={
             "self": own,
             "alignment": f"{own}/alignment",
@@ -164,8 +160,7 @@ def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackRepo
     )
 
 
-def alignment_summary(record: AlignmentRecord) -> AlignmentSummary:
-    """Return the representation of a version without its columns."""
+def _alignment_summary(record: AlignmentRecord) -> AlignmentSummary:
     return AlignmentSummary.made(record, links=_links(record))
 
 
@@ -184,7 +179,7 @@ def report(record: TrackReport) -> AlignmentReport:
         convergence=[_convergence(item) for item in _listed(report.get("convergence"))],
         journeys=[_journey(item) for item in _listed(report.get("journeys"))],
         links={"self": f"{own}/alignment-report", "section": own, **in_force},
-        **_as_stored(report),
+        **{name: report.get(name, missing) for name, missing in _AS_STORED.items()},
     )
 
 
@@ -203,32 +198,20 @@ _AS_STORED: dict[str, Any] = {
 }
 
 
-def _as_stored(report: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: report.get(name, missing) for name, missing in _AS_STORED.items()}
-
-
 def _convergence(stored: dict[str, Any]) -> Convergence:
     of = Iterated(stored["of"])
     relative = of is Iterated.STIFFNESS_RATIOS
-    return Convergence(
-        of=of,
-        converged=stored["converged"],
-        rounds=stored["rounds"],
-        change_m=None if relative else stored["change"],
-        change_1=stored["change"] if relative else None,
-    )
+    changes = (None, stored["change"]) if relative else (stored["change"], None)
+    same = {name: stored[name] for name in ("converged", "rounds")}
+    return Convergence(of=of, **same, change_m=changes[0], change_1=changes[1])
 
 
 def _journey(report: dict[str, Any]) -> Journey:
+    same = ("vehicle", "passes", "offset_m", "scale_1", "middle_m", "used")
     return Journey(
-        vehicle=report["vehicle"],
+        **{name: report[name] for name in same},
         measured_from=to_rfc3339(report["from_ns"]),
-        passes=report["passes"],
-        offset_m=report["offset_m"],
-        scale_1=report["scale_1"],
-        middle_m=report["middle_m"],
         residual_rms_mm=_scaled(report["residual_rms_m"], MM),
-        used=report["used"],
         reason=report["reason"] or None,
         reason_code=report.get("reason_code"),
     )
@@ -306,7 +289,7 @@ def list_alignments(asked: AskedListDep, code: Code) -> Response:
     with asked.read() as unit:
         unit.tracks.section(code)
         found = unit.tracks.versions(code, after, asked.limit + 1)
-    return asked.page(filters, found, lambda record: record.version, alignment_summary)
+    return asked.page(filters, found, lambda record: record.version, _alignment_summary)
 
 
 @router.get("/{code}/alignment-report", response_model=AlignmentReport, responses=described(404))

@@ -9,8 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 from pydantic import Field
 
-from api.asking import AskedDep, AskedListDep
-from api.parameters import Code, FleetFilter
+from api.asking import AskedDep, AskedListDep, Code, FleetFilter
 from api.problems import described
 from api.schemas import registry
 from api.schemas.common import Links, Page, Representation, finite
@@ -31,7 +30,7 @@ from estimation.vehicle.vehicle_class import (
     SensorLayout,
     VehicleClass,
 )
-from ingest.vehicle_class_file import shipped_class, shipped_classes
+from ingest.vehicle_class_schema import shipped_class, shipped_classes
 
 _UNITS: Mapping[str, str] = {
     "longitudinal_creep_coefficient": "N",
@@ -56,9 +55,9 @@ class Parameter(Representation):
     """A parameter of the class; `std` is what is not known of it."""
 
     name: str = Field(examples=["yaw_stiffness"])
-    value: float = Field(examples=[2.5e6])
-    std: float = Field(examples=[125e3])
-    unit: str = Field(examples=["N m/rad"])
+    value: float = Field(description="Value, in `unit`.", examples=[2.5e6])
+    std: float = Field(description="Standard deviation: how well the value is known.", examples=[125e3])
+    unit: str = Field(description="Unit of the values beside it.", examples=["N m/rad"])
 
 
 class Sensor(Representation):
@@ -66,17 +65,17 @@ class Sensor(Representation):
 
     name: str = Field(examples=["lateral"])
     unit: str = Field(description="Of `limit`; of `noise_density` per root hertz.", examples=["m/s2"])
-    noise_density: float = Field(examples=[0.001])
+    noise_density: float = Field(description="Noise density, in `unit` per root hertz.", examples=[0.001])
     scale_std_1: float = Field(description="Relative std of its scale.", examples=[0.01])
-    limit: float | None = Field(examples=[50.0])
+    limit: float | None = Field(description="Range in which it measures; null is none.", examples=[50.0])
 
 
 class Sensors(Representation):
     """The sensors of each node."""
 
-    rate_hz: float = Field(examples=[250.0])
+    rate_hz: float = Field(description="Samples per second.", examples=[250.0])
     measures_gravity: bool = Field(description="A lateral accelerometer that rolls measures part of gravity.")
-    channels: list[Sensor]
+    channels: list[Sensor] = Field(description="The sensors, one by one.")
 
 
 class VehicleClassRepresentation(Representation):
@@ -85,7 +84,7 @@ class VehicleClassRepresentation(Representation):
     code: str = Field(examples=["coach"])
     name: str = Field(examples=["Passenger coach"])
     source: str = Field(description="Where the numbers come from.", examples=["Manchester benchmarks, vehicle 1"])
-    arrangement: Arrangement
+    arrangement: Arrangement = Field(description="How the axles are arranged: as single wheelsets or in bogies.")
     version: int | None = Field(description="As registered, from 1; null for a class of the package.", examples=[1])
     recorded_at: Timestamp | None = Field(description="When this version was registered.")
     digest: str = Field(description="Of the whole value; estimates name it.", examples=["0" * 64])
@@ -128,7 +127,6 @@ def _parameters(of_class: VehicleClass, values: VehicleParameters | BogieParamet
 
 
 def _unit(name: str) -> str:
-    """Return the SI unit of a parameter by the name of its field."""
     return next(unit for end, unit in _UNITS.items() if name.endswith(end))
 
 
@@ -164,8 +162,7 @@ class Dampers(Representation):
     links: Links
 
 
-def dampers(vehicle: str, found: Sequence[GearDamper]) -> Dampers:
-    """Return the representation of the dampers of a vehicle."""
+def _dampers(vehicle: str, found: Sequence[GearDamper]) -> Dampers:
     own = f"/v1/vehicles/{segment(vehicle)}"
     links = {"self": f"{own}/dampers", "vehicle": own}
     return Dampers(vehicle=vehicle, dampers=[DamperState.made(one) for one in found], links=links)
@@ -190,13 +187,12 @@ class Suspension(Representation):
     """All findings of a vehicle, oldest first, and the change; null while too little is known."""
 
     vehicle: str
-    findings: list[SuspensionResult]
+    findings: list[SuspensionResult] = Field(description="What was found, oldest first.")
     change: SuspensionShift | None
     links: Links
 
 
-def suspension(vehicle: str, findings: Sequence[SuspensionFinding], change: SuspensionChange | None) -> Suspension:
-    """Return the representation of the findings of a vehicle."""
+def _suspension(vehicle: str, findings: Sequence[SuspensionFinding], change: SuspensionChange | None) -> Suspension:
     own = f"/v1/vehicles/{segment(vehicle)}"
     return Suspension(
         vehicle=vehicle,
@@ -221,10 +217,9 @@ def list_fleets(asked: AskedListDep) -> Response:
 def get_fleet(asked: AskedDep, code: Code) -> Response:
     """Return one fleet."""
     with asked.read() as unit:
-        found = [record for record in unit.registry.fleets() if record.code == code]
-    if not found:
-        raise NotFoundError("fleet", code)
-    return asked.answer(registry.fleet(found[0]))
+        require_known(unit, fleet=code)
+        (found,) = (record for record in unit.registry.fleets() if record.code == code)
+    return asked.answer(registry.fleet(found))
 
 
 router = APIRouter(prefix="/v1", tags=["vehicles"])
@@ -259,7 +254,7 @@ def get_suspension(asked: AskedDep, code: Code) -> Response:
         findings = unit.suspensions.list(code)
         newest = unit.suspensions.newest(usual.recent + usual.most_past)
     change = suspension_changes(newest, usual).get(code)
-    return asked.answer(suspension(code, findings, change))
+    return asked.answer(_suspension(code, findings, change))
 
 
 @router.get("/vehicles/{code}/dampers", response_model=Dampers, responses=described(404))
@@ -268,7 +263,7 @@ def get_dampers(asked: AskedDep, code: Code) -> Response:
     with asked.read() as unit:
         unit.registry.vehicle(code)
         found = unit.dampers.of_vehicle(code)
-    return asked.answer(dampers(code, found))
+    return asked.answer(_dampers(code, found))
 
 
 Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]

@@ -14,11 +14,10 @@ from starlette.concurrency import run_in_threadpool
 from api import cursors
 from api.access.caller import NOBODY_NAMED, Caller, CallerDep, Scope, requires
 from api.answers import IfMatch, answer, require_match
-from api.asking import AskedDep, AskedListDep
-from api.feed.streams import TRY_AGAIN
+from api.asking import CODE, AskedDep, AskedListDep
+from api.feed.watch import TRY_AGAIN
 from api.middleware import turn_of
-from api.parameters import CODE
-from api.problems import ProblemError, ProblemItem, described
+from api.problems import ProblemError, described, invalid
 from api.schemas.alerts import KnownKind
 from api.schemas.common import Body, Links, Page, Representation
 from api.schemas.derived import Derived
@@ -27,7 +26,7 @@ from api.times import Moment, Timestamp, to_rfc3339
 from api.visible_objects import require_known
 from api.webhooks.cloud_events import new_secret, trial_of
 from api.webhooks.making import Wanted, handled_up_to, in_state, make_webhook, place_of
-from api.webhooks.sending import TRIALS, Outcome, Sender
+from api.webhooks.sending import TRIALS, Sender
 from api.webhooks.targets import MOST_CHARACTERS, RefusedTargetError, parsed
 from estimation.errors import ParameterError
 from estimation.values.alerts import AlertEventKind, Severity
@@ -163,53 +162,19 @@ class WebhookTrial(Representation):
     took_s: float = Field(description="How long it took.", examples=[0.2])
 
 
-def shown_webhook(record: WebhookRecord) -> Webhook:
-    """Return a webhook as it is shown."""
+def _shown(record: WebhookRecord) -> Webhook:
     return Webhook.made(record, **_fields(record))
-
-
-def webhook_with_secret(record: WebhookRecord, secret: str) -> WebhookWithSecret:
-    """Return a webhook that was just made, with its secret."""
-    return WebhookWithSecret.made(record, **_fields(record), secret=secret)
-
-
-def rotated(webhook_id: int, secret: str, until_ns: int) -> RotatedSecret:
-    """Return a new secret as it is shown once."""
-    links = {"webhook": f"/v1/webhooks/{webhook_id}"}
-    return RotatedSecret(secret=secret, former_signs_until=to_rfc3339(until_ns), links=links)
-
-
-def shown_delivery(record: Delivery) -> WebhookDelivery:
-    """Return a delivery as it is shown."""
-    return WebhookDelivery.made(
-        record,
-        event=AlertEventKind(record.event_kind),
-        links={"webhook": f"/v1/webhooks/{record.webhook_id}", "alert": f"/v1/alerts/{record.alert_id}"},
-    )
-
-
-def shown_trial(identity: str, outcome: Outcome) -> WebhookTrial:
-    """Return what came back of a trial as it is shown."""
-    return WebhookTrial(
-        event_id=identity,
-        delivered=outcome.failure is None,
-        status_code=outcome.status_code,
-        reason_code=outcome.failure,
-        reason=outcome.detail,
-        took_s=round(outcome.took_s, 3),
-    )
 
 
 def _fields(record: WebhookRecord) -> dict[str, Any]:
     own = f"/v1/webhooks/{record.webhook_id}"
-    return {
-        "url": record.url,
-        "description": record.description,
-        "fleets": sorted(record.fleets),
-        "kinds": sorted(record.kinds),
-        "severities": [one for one in Severity if one.value in record.severities],
-        "links": {"self": own, "deliveries": f"{own}/deliveries"},
-    }
+    severities = [one for one in Severity if one.value in record.severities]
+    return {"severities": severities, "links": {"self": own, "deliveries": f"{own}/deliveries"}}
+
+
+def _delivery(record: Delivery) -> WebhookDelivery:
+    links = {"webhook": f"/v1/webhooks/{record.webhook_id}", "alert": f"/v1/alerts/{record.alert_id}"}
+    return WebhookDelivery.made(record, event=AlertEventKind(record.event_kind), links=links)
 
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"], dependencies=[Depends(requires(Scope.ADMIN))])
@@ -223,7 +188,7 @@ def list_webhooks(asked: AskedListDep) -> Response:
     after = asked.after_number({})
     with asked.read() as unit:
         rows = unit.webhooks.page(after, asked.limit + 1)
-    return asked.page({}, rows, lambda record: record.webhook_id, shown_webhook)
+    return asked.page({}, rows, lambda record: record.webhook_id, _shown)
 
 
 @router.get("/{webhook_id}", response_model=Webhook, responses=described(404))
@@ -231,7 +196,7 @@ def get_webhook(asked: AskedDep, webhook_id: WebhookId) -> Response:
     """Return one webhook, without its secret; its ETag is what changes to it ask for."""
     with asked.read() as unit:
         found = unit.webhooks.get(webhook_id)
-    return asked.answer(shown_webhook(found))
+    return asked.answer(_shown(found))
 
 
 @router.get("/{webhook_id}/deliveries", response_model=Page[WebhookDelivery], responses=described(400, 404))
@@ -242,15 +207,10 @@ def list_webhook_deliveries(asked: AskedListDep, webhook_id: WebhookId, state: O
     with asked.read() as unit:
         unit.webhooks.get(webhook_id)
         rows = unit.webhooks.deliveries(webhook_id, before, asked.limit + 1, state)
-    return asked.page(filters, rows, lambda record: record.delivery_id, shown_delivery)
+    return asked.page(filters, rows, lambda record: record.delivery_id, _delivery)
 
 
-@router.post(
-    "",
-    status_code=HTTPStatus.CREATED,
-    response_model=WebhookWithSecret,
-    responses=described(404, 409, 413, 415),
-)
+@router.post("", status_code=201, response_model=WebhookWithSecret, responses=described(404, 409, 413, 415))
 async def create_webhook(request: Request, services: ServicesDep, caller: CallerDep, body: NewWebhook) -> Response:
     """Make a webhook; its secret is in this answer alone. There is no `Idempotency-Key`: its answer would be stored.
 
@@ -263,16 +223,13 @@ async def create_webhook(request: Request, services: ServicesDep, caller: Caller
     async with services.writers.slot():
         made, secret = await run_in_threadpool(_made, services, caller, body)
     headers = {"Location": f"/v1/webhooks/{made.webhook_id}", "Cache-Control": "no-store"}
-    return answer(request, webhook_with_secret(made, secret), status=HTTPStatus.CREATED, headers=headers)
+    shown = WebhookWithSecret.made(made, **_fields(made), secret=secret)
+    return answer(request, shown, status=HTTPStatus.CREATED, headers=headers)
 
 
 @router.patch("/{webhook_id}", response_model=Webhook, responses=described(404, 409, 412, 413, 415, 428))
 async def change_webhook(
-    request: Request,
-    services: ServicesDep,
-    webhook_id: WebhookId,
-    body: WebhookChange,
-    if_match: IfMatch = None,
+    request: Request, services: ServicesDep, webhook_id: WebhookId, body: WebhookChange, if_match: IfMatch = None
 ) -> Response:
     """Change a webhook; `If-Match` carries its ETag. What it was not sent yet is sent as it is now asked for.
 
@@ -285,7 +242,7 @@ async def change_webhook(
         await _require_target(request, body.url)
     async with services.writers.slot():
         changed = await run_in_threadpool(_changed, services, webhook_id, body, if_match)
-    return answer(request, shown_webhook(changed))
+    return answer(request, _shown(changed))
 
 
 @router.delete("/{webhook_id}", response_model=Webhook, responses=described(404))
@@ -294,14 +251,13 @@ def delete_webhook(request: Request, services: ServicesDep, webhook_id: WebhookI
     with services.storage.write() as unit:
         found = unit.webhooks.get(webhook_id)
         unit.webhooks.delete(webhook_id)
-    return answer(request, shown_webhook(found))
+    return answer(request, _shown(found))
 
 
 def _made(services: Services, caller: Caller, body: NewWebhook) -> tuple[WebhookRecord, str]:
     severities = frozenset(one.value for one in body.severities)
-    wanted = Wanted(
-        body.url, body.description, frozenset(body.fleets), frozenset(body.kinds), severities, caller.fleets
-    )
+    filters = frozenset(body.fleets), frozenset(body.kinds), severities
+    wanted = Wanted(body.url, body.description, *filters, caller.fleets)
     with services.storage.write() as unit:
         return make_webhook(unit, wanted, caller.name or NOBODY_NAMED, services.clock.now_ns())
 
@@ -309,7 +265,7 @@ def _made(services: Services, caller: Caller, body: NewWebhook) -> tuple[Webhook
 def _changed(services: Services, webhook_id: int, body: WebhookChange, if_match: str | None) -> WebhookRecord:
     with services.storage.write() as unit:
         known = unit.webhooks.locked(webhook_id)
-        require_match(if_match, shown_webhook(known))
+        require_match(if_match, _shown(known))
         wanted = _as_asked(known, body, services.clock.now_ns())
         if (wanted.fleets, wanted.kinds, wanted.severities) != (known.fleets, known.kinds, known.severities):
             wanted = replace(wanted, position=handled_up_to(unit, known))
@@ -317,7 +273,6 @@ def _changed(services: Services, webhook_id: int, body: WebhookChange, if_match:
 
 
 def _as_asked(known: WebhookRecord, body: WebhookChange, now_ns: int) -> WebhookRecord:
-    """Return a webhook with what a change names; one that becomes active again is no longer disabled."""
     given = body.model_dump(mode="json", exclude_none=True, exclude={"state"})
     changes: dict[str, Any] = {
         name: frozenset(value) if isinstance(value, list) else value for name, value in given.items()
@@ -344,8 +299,7 @@ async def _require_target(request: Request, url: str) -> None:
     try:
         await sender.look_up(url)
     except RefusedTargetError as error:
-        item = ProblemItem(part="body", pointer="#/url", detail=error.detail)
-        raise ProblemError(422, "invalid-request", f"body #/url: {error.detail}", [item]) from None
+        raise invalid("#/url", error.detail) from None
 
 
 _WRITING = [Depends(writer_slot)]
@@ -366,33 +320,34 @@ async def try_webhook(request: Request, services: ServicesDep, webhook_id: Webho
     async with places:
         with turn_of(request.scope).given_back():
             outcome = await sender.send(trial.url, trial.headers, trial.body)
-    return answer(request, shown_trial(trial.identity, outcome))
+    shown = WebhookTrial(
+        event_id=trial.identity,
+        delivered=outcome.failure is None,
+        status_code=outcome.status_code,
+        reason_code=outcome.failure,
+        reason=outcome.detail,
+        took_s=round(outcome.took_s, 3),
+    )
+    return answer(request, shown)
 
 
 @router.post(
-    "/{webhook_id}/replay",
-    dependencies=_WRITING,
-    response_model=Webhook,
-    responses=described(400, 404, 409, 413, 415),
+    "/{webhook_id}/replay", dependencies=_WRITING, response_model=Webhook, responses=described(400, 404, 409, 413, 415)
 )
 def replay_webhook(request: Request, services: ServicesDep, webhook_id: WebhookId, body: Replay) -> Response:
     """Let a webhook go on from another place of the feed; what was sent already is sent again, under the same ids."""
     if (body.after is None) == (body.from_time is None):
-        item = ProblemItem(part="body", pointer="#/after", detail="give either `after` or `from`")
-        raise ProblemError(422, "invalid-request", "body #/after: give either `after` or `from`", [item])
+        raise invalid("#/after", "give either `after` or `from`")
     with services.storage.read() as unit:
         known = unit.webhooks.get(webhook_id)
         place = place_of(unit, known, body.after, body.from_time, request.scope["path"])
     with services.storage.write() as unit:
         moved = unit.webhooks.change(replace(unit.webhooks.locked(webhook_id), position=place))
-    return answer(request, shown_webhook(moved))
+    return answer(request, _shown(moved))
 
 
 @router.post(
-    "/{webhook_id}/secret",
-    dependencies=_WRITING,
-    response_model=RotatedSecret,
-    responses=described(404, 413, 415),
+    "/{webhook_id}/secret", dependencies=_WRITING, response_model=RotatedSecret, responses=described(404, 413, 415)
 )
 def rotate_webhook_secret(request: Request, services: ServicesDep, webhook_id: WebhookId, body: Rotation) -> Response:
     """Let another secret sign; it is in this answer alone. Those before it sign beside it for a while."""
@@ -401,5 +356,6 @@ def rotate_webhook_secret(request: Request, services: ServicesDep, webhook_id: W
     with services.storage.write() as unit:
         unit.webhooks.locked(webhook_id)
         unit.webhooks.rotate(webhook_id, secret, now_ns, until_ns)
-    headers = {"Cache-Control": "no-store"}
-    return answer(request, rotated(webhook_id, secret, until_ns), status=HTTPStatus.OK, headers=headers)
+    links = {"webhook": f"/v1/webhooks/{webhook_id}"}
+    shown = RotatedSecret(secret=secret, former_signs_until=to_rfc3339(until_ns), links=links)
+    return answer(request, shown, headers={"Cache-Control": "no-store"})

@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from enum import StrEnum
 from functools import lru_cache
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Query, Response
 from pydantic import Field
 
 from api import cursors
-from api.answers import DEFAULT_LIMIT, Cursor, Limit, answer_payloads, operation, payload_of
-from api.asking import AskedDep
-from api.parameters import CODE, FleetFilter, Serial, VehicleFilter
+from api.answers import payload_of
+from api.asking import CODE, AskedDep, AskedListDep, FleetFilter, Serial, VehicleFilter
 from api.problems import described
 from api.schemas import registry
 from api.schemas.alerts import AlertKind, KnownKind
 from api.schemas.common import Page, Representation, Uncertain
 from api.schemas.derived import Derived
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
-from api.services import ServicesDep
 from api.times import Timestamp, to_rfc3339
 from api.visible_objects import require_known
 from estimation.values.alerts import AxlePosition, OpenAlert, Severity, Urgency, WorklistRow, WorklistState
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from fleet_db.packed_values import from_document
-from fleet_db.stores.worklist import WorklistEntry, WorklistFilter, WorklistOrder, WorklistPlace
+from fleet_db.stores.worklist import WorklistFilter, WorklistOrder, WorklistPlace
 
 WorklistSort = StrEnum(  # type: ignore[misc] # mypy wants the members written out; they are those of the order, twice
     "WorklistSort",
@@ -88,8 +87,7 @@ class WheelsetRow(registry.Wheelset):
     state: WheelsetState
 
 
-def wheelset_row(row: WorklistRow) -> WheelsetRow:
-    """Return the representation of a row of the worklist."""
+def _wheelset_row(row: WorklistRow) -> WheelsetRow:
     mounting = row.wheelset.mounting
     return WheelsetRow(
         **dict(registry.wheelset(row.wheelset)),
@@ -103,7 +101,7 @@ def wheelset_row(row: WorklistRow) -> WheelsetRow:
 
 def row_of_document(document: str) -> WheelsetRow:
     """Return the representation of a stored row."""
-    return wheelset_row(from_document(document))
+    return _wheelset_row(from_document(document))
 
 
 def _state(state: WorklistState) -> WheelsetState:
@@ -119,8 +117,7 @@ def _state(state: WorklistState) -> WheelsetState:
     )
 
 
-REMEMBERED = 8192
-"""Rows whose JSON text is kept, by their content: it never gets out of date."""
+REMEMBERED = 8192  # rows whose JSON text is kept, by their content: it never gets out of date
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 ClassFilter = Annotated[str | None, Query(pattern=CODE, description="Only what runs under vehicles of this class now.")]
@@ -139,8 +136,7 @@ Sort = Annotated[
 
 @router.get("", response_model=Page[WheelsetRow], responses=described(400, 404))
 def list_wheelsets(
-    request: Request,
-    services: ServicesDep,
+    asked: AskedListDep,
     fleet: FleetFilter = None,
     vehicle: VehicleFilter = None,
     vehicle_class: ClassFilter = None,
@@ -149,28 +145,23 @@ def list_wheelsets(
     alert_kind: AlertKindFilter = None,
     alert_severity: SeverityFilter = None,
     sort: Sort = WorklistSort("serial"),  # noqa: B008 - a constant
-    cursor: Cursor = None,
-    limit: Limit = DEFAULT_LIMIT,
 ) -> Response:
     """List the wheelsets with where they run, how they are and how urgent that is; by serial, or by `sort`."""
     chosen = WorklistFilter(fleet, vehicle, vehicle_class, status, urgency, alert_kind, alert_severity)
-    filters = {
-        "fleet": fleet,
-        "vehicle": vehicle,
-        "vehicle_class": vehicle_class,
-        "status": status,
-        "urgency": urgency,
-        "alert_kind": alert_kind,
-        "alert_severity": alert_severity,
-        "sort": sort,
-    }
-    after = _place(cursors.decode(operation(request), filters, cursor))
+    filters = asdict(chosen) | {"sort": sort}
+    after = _place(asked.after(filters))
     order = WorklistOrder(sort.value.removeprefix("-"))
-    with services.storage.read() as unit:
-        rows = unit.worklist.page(chosen, order, after, limit + 1, descending=sort.value.startswith("-"))
+    with asked.read() as unit:
+        rows = unit.worklist.page(chosen, order, after, asked.limit + 1, descending=sort.value.startswith("-"))
         if not rows:
             require_known(unit, fleet=fleet, vehicle=vehicle, vehicle_class=vehicle_class)
-    return answer_payloads(request, filters, limit, rows, _key, _payload, _row)
+    return asked.payloads(
+        filters,
+        rows,
+        lambda entry: [entry.place.key, entry.place.serial],
+        lambda entry: _payload(entry.document),
+        lambda entry: row_of_document(entry.document),
+    )
 
 
 @router.get("/{serial}/state", response_model=WheelsetRow, responses=described(404))
@@ -181,25 +172,12 @@ def get_wheelset_state(asked: AskedDep, serial: Serial) -> Response:
     return asked.answer(row_of_document(found))
 
 
-def _key(entry: WorklistEntry) -> list[float | int | str | None]:
-    return [entry.place.key, entry.place.serial]
-
-
-def _payload(entry: WorklistEntry) -> bytes:
-    return _payload_of_document(entry.document)
-
-
 @lru_cache(REMEMBERED)
-def _payload_of_document(document: str) -> bytes:
+def _payload(document: str) -> bytes:
     return payload_of(row_of_document(document))
 
 
-def _row(entry: WorklistEntry) -> WheelsetRow:
-    return row_of_document(entry.document)
-
-
 def _place(key: object) -> WorklistPlace | None:
-    """Return the place in a cursor; None at the beginning."""
     if key is None:
         return None
     match key:
@@ -207,7 +185,7 @@ def _place(key: object) -> WorklistPlace | None:
             number is None or cursors.is_number(number)
         ) and "\0" not in serial:
             return WorklistPlace(number, serial)
-    raise cursors.refused("this is no cursor of this list")
+    raise cursors.refused()
 
 
 @router.get("/{serial}", response_model=registry.Wheelset, responses=described(404))

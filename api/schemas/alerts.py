@@ -76,7 +76,7 @@ class Feed(Representation):
 
     items: list[Event]
     next_cursor: str = Field(description="Keep it, and hand it back as `after`.")
-    next: str
+    next: str = Field(description="The path with which to go on.")
 
 
 class Events(Representation):
@@ -108,7 +108,7 @@ class Shelving(Body):
     """Shelve the alert until then."""
 
     by: By = None
-    until: Moment = Field(examples=["2027-01-31T00:00:00Z"])
+    until: Moment = Field(description="When it comes back by itself.", examples=["2027-01-31T00:00:00Z"])
     reason: str = Field(min_length=1, max_length=2000, pattern=_WORDS, examples=["Reprofiling ordered"])
 
 

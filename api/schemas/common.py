@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import Annotated, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -43,9 +43,9 @@ class Page(Representation, Generic[ItemT]):
 class Uncertain(Representation):
     """A number with its uncertainty; null means unknown, and `reason` and `reason_code` explain why."""
 
-    value: float | None
-    std: float | None
-    interval_95: tuple[float, float] | None
+    value: float | None = Field(description="The value; null means unknown.")
+    std: float | None = Field(description="Standard deviation; null where the value is unknown.")
+    interval_95: tuple[float, float] | None = Field(description="95 % interval; null where the value is unknown.")
     n_windows: float = Field(description="Effective number of windows behind the value.")
     status: Status
     reason: str | None
@@ -86,33 +86,23 @@ def finite_list(values: Sequence[float] | FloatArray, scale: float = 1.0) -> lis
     return found
 
 
+def why(reason: Reason | None) -> dict[str, Any]:
+    """Return a reason as two fields, its sentence and its code; both null without one."""
+    return {"reason": text_of(reason), "reason_code": code_of(reason)}
+
+
 def uncertain(estimate: Estimate, scale: float = 1.0) -> Uncertain:
     """Return an estimate in the unit that ``scale`` turns it into; unknown where a part of it is no finite number."""
     value, std = finite(estimate.value, scale), finite(estimate.std, scale)
     low, high = finite(estimate.low, scale), finite(estimate.high, scale)
-    count = finite(estimate.count) or 0.0
+    status, reason, interval = estimate.status, estimate.reason, None
     if value is None or std is None or low is None or high is None:
-        status = Status.INVALID if estimate.status is Status.ESTIMATED else estimate.status
-        reason = estimate.reason or NOT_FINITE
-        return Uncertain(
-            value=None,
-            std=None,
-            interval_95=None,
-            n_windows=count,
-            status=status,
-            reason=reason.text,
-            reason_code=reason.code,
-        )
-    interval = (min(low, high), max(low, high))
-    return Uncertain(
-        value=value,
-        std=std,
-        interval_95=interval,
-        n_windows=count,
-        status=estimate.status,
-        reason=text_of(estimate.reason),
-        reason_code=code_of(estimate.reason),
-    )
+        value, std, reason = None, None, reason or NOT_FINITE
+        status = Status.INVALID if status is Status.ESTIMATED else status
+    else:
+        interval = (min(low, high), max(low, high))
+    count = finite(estimate.count) or 0.0
+    return Uncertain(value=value, std=std, interval_95=interval, n_windows=count, status=status, **why(reason))
 
 
 _FOLDERS = re.compile(r"(?<![\w:/.])/(?:[^\s/:'\"]+/)+")

@@ -1,8 +1,8 @@
 """Models derived from frozen values: the class of a value says how its fields are served, see ``Served``.
 
 ``class Row(Derived, of=Value)`` has a field for each of ``Value``, under the name and in the unit that its metadata
-say, and ``Row.made(value)`` fills them in. Fields that the body of ``Row`` describes
-itself are its own; a bare annotation there tells type checkers of a derived one.
+say, and ``Row.made(value)`` fills them in. Fields that the body of ``Row`` describes itself keep these words; a bare
+annotation there tells type checkers of a derived one.
 """
 
 from __future__ import annotations
@@ -58,11 +58,10 @@ class FieldOf:
 def fields_of(kind: type) -> tuple[FieldOf, ...]:
     """Return the fields of a dataclass, in their order."""
     hints = get_type_hints(kind, include_extras=True)
-    return tuple(field_of(field.name, hints[field.name]) for field in fields(cast("Any", kind)))
+    return tuple(_field_of(field.name, hints[field.name]) for field in fields(cast("Any", kind)))
 
 
-def field_of(key: str, hint: Any) -> FieldOf:  # noqa: ANN401 - a type
-    """Return what a type with its metadata says of a field."""
+def _field_of(key: str, hint: Any) -> FieldOf:  # noqa: ANN401 - a type
     served, nullable = PLAIN, False
     while get_origin(hint) in {Annotated, Union, types.UnionType}:
         if get_origin(hint) is Annotated:
@@ -88,7 +87,7 @@ def served_type(field: FieldOf) -> tuple[Any, Convert]:
     if origin is frozenset:
         return list[parts[0]], sorted  # type: ignore[valid-type]  # as the value declares it
     if origin is tuple:
-        kind, convert = served_type(field_of("", parts[0]))
+        kind, convert = served_type(_field_of("", parts[0]))
         return list[kind], list if convert is None else lambda items: [convert(item) for item in items]  # type: ignore[valid-type]  # a type all the same
     if origin is not None and issubclass(origin, Mapping):
         of = parts[1] if isinstance(parts[1], type) else pydantic.JsonValue
@@ -111,13 +110,12 @@ def _single(hint: Any, field: FieldOf) -> tuple[Any, Convert]:  # noqa: ANN401 -
     return hint, None
 
 
-MODELS: dict[type, type[Derived]] = {}
-"""The model of each value that has one."""
+MODELS: dict[type, type[Derived]] = {}  # the model of each value that has one
 
 
 def _served_fields(of: type, without: Collection[str], also: Collection[str]) -> list[FieldOf]:
     properties = [
-        field_of(name, get_type_hints(getattr(of, name).fget, include_extras=True)["return"]) for name in also
+        _field_of(name, get_type_hints(getattr(of, name).fget, include_extras=True)["return"]) for name in also
     ]
     return [field for field in (*fields_of(of), *properties) if field.key not in without]
 
@@ -145,12 +143,12 @@ class Derived(Representation):
             return
         own, derived, makers = inspect.get_annotations(cls), {}, dict(cls.makers)
         for field in _served_fields(of, without, also):
+            kind, convert = (str, text_of) if field.hint is Reason else served_type(field)
+            makers[field.name] = field.key, convert
             if field.name in own and hasattr(cls, field.name):
                 continue
-            kind, convert = (str, text_of) if field.hint is Reason else served_type(field)
             is_nullable = field.nullable or not field.served.finite or field.hint is Reason
             derived[field.name] = kind | None if is_nullable else kind
-            makers[field.name] = field.key, convert
             setattr(cls, field.name, field.words)
             if field.hint is Reason:
                 derived[f"{field.name}_code"] = ReasonCode | None

@@ -18,7 +18,7 @@ from pydantic import Field as Described
 
 from api.schemas.common import Href, Representation, Uncertain
 from api.schemas.derived import MODELS, Derived, fields_of
-from api.schemas.trend import BEYOND, DateForecast, DistanceForecast
+from api.schemas.trend import DateForecast, DistanceForecast, forecast_of
 from api.times import Timestamp, to_rfc3339
 from estimation.alerts.fleet_alerts import FleetAlertEvidence
 from estimation.alerts.life_cycle import DELAYS, Delays
@@ -27,11 +27,10 @@ from estimation.alerts.rules.book import ALERT_RULES
 from estimation.values.alerts import Alert, AlertScope
 from estimation.values.fields import JsonValue
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.reasons import Reason, ReasonCode
 
 SAFE = 2**53  # beyond it a reader of JSON may round an integer
 SECOND_NS = 1_000_000_000
-_QUANTILES = ("p10", "p50", "p90")
 Stored = Mapping[str, JsonValue]
 Read = Callable[[JsonValue], Any]
 
@@ -93,22 +92,12 @@ def _text(value: JsonValue) -> str | None:
     return value if isinstance(value, str) else None
 
 
-def _flag(value: JsonValue) -> bool | None:
-    return value if isinstance(value, bool) else None
-
-
-def _forecast(model: type[DateForecast | DistanceForecast], read: Read, value: JsonValue) -> Representation:
-    quantiles = {name: read(_part(value).get(name)) for name in _QUANTILES}
-    reason = BEYOND if None in quantiles.values() else None
-    return model(**quantiles, reason=text_of(reason), reason_code=code_of(reason))
-
-
 _SIMPLE: Mapping[object, tuple[Any, Read]] = {
     Estimate: (Uncertain, _estimate),
     float: (float, _number),
     int: (int, _count),
     str: (str, _text),
-    bool: (bool, _flag),
+    bool: (bool, lambda value: value if isinstance(value, bool) else None),
 }
 
 
@@ -116,9 +105,10 @@ def _served(hint: Any, key: str) -> tuple[Any, Read]:  # noqa: ANN401 - a type
     """Return the type that a field is served as, and what reads it; None where another thing is stored."""
     origin, parts = get_origin(hint), get_args(hint)
     served: tuple[Any, Read]
-    if hint is Forecast:
-        model = DateForecast if key.endswith("_ns") else DistanceForecast
-        served = model, partial(_forecast, model, _moment if key.endswith("_ns") else _number)
+    if hint is Forecast and key.endswith("_ns"):
+        served = DateForecast, lambda value: forecast_of(DateForecast, _moment, _part(value), None)
+    elif hint is Forecast:
+        served = DistanceForecast, lambda value: forecast_of(DistanceForecast, _number, _part(value), None)
     elif key.endswith("_ns"):
         served = Timestamp, _moment
     elif origin is tuple:
@@ -257,7 +247,6 @@ def _found(evidence: BaseModel | None) -> BaseModel:
 
 
 def _other(stored: Stored, delays: BaseModel | None) -> OtherEvidence:
-    """Return what an unknown rule has stored, by what it is."""
     numbers: dict[str, float | None] = {}
     texts: dict[str, str] = {}
     times: dict[str, str] = {}

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
-from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
+from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain, why
 from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.schemas.windows import UnestimatedBecause, unestimated_because
@@ -23,27 +25,28 @@ from estimation.values.geometry import (
     WheelsetGeometry,
 )
 from estimation.values.quantities import Estimate, Status
-from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.windows import WindowsOfReason as ReasonOfWindows
 from estimation.values.windows import WindowState, WithoutEstimate
 from fleet_db.stores.window_counts import WindowCounts
 
 MM = 1000.0
+Counts = Counter[tuple[WindowState, ReasonCode | None]]
 
 
 class BinColumn(Representation):
     """One combination over the bins; null where its status is not `estimated`."""
 
-    value: list[float | None]
-    std: list[float | None]
-    status: list[BinStatus]
+    value: list[float | None] = Field(description="Value in each bin; null where it is not estimated.")
+    std: list[float | None] = Field(description="Standard deviation in each bin; null where it is not estimated.")
+    status: list[BinStatus] = Field(description="Of each bin; only an estimated one has a value.")
 
 
 class Bins(Representation):
     """The bin table, column by column; bins of lateral displacement of the wheelset, positive to the left."""
 
-    lower_mm: list[float]
-    upper_mm: list[float]
+    lower_mm: list[float] = Field(description="Lower edge of each bin.")
+    upper_mm: list[float] = Field(description="Upper edge of each bin.")
     samples_1: list[float | None] = Field(description="Effective number of samples.")
     rolling_radius_sum_mm: BinColumn = Field(description="rL + rR.")
     rolling_radius_difference_mm: BinColumn = Field(description="rL - rR.")
@@ -55,7 +58,7 @@ class ConicityAtAmplitude(Representation):
     """Equivalent conicity tan(gamma_e) at one amplitude of the wheelset's motion (EN 15302)."""
 
     amplitude_mm: float
-    equivalent_conicity_1: Uncertain
+    equivalent_conicity_1: Uncertain = Field(description="Equivalent conicity at this amplitude.")
 
 
 class ConicityCentre(Derived, of=Centre):
@@ -117,11 +120,7 @@ def _column(values: BinValues, scale: float) -> BinColumn:
 
 
 def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> Geometry:
-    """Return the representation of a geometry estimate.
-
-    Args:
-        without: Why it holds no number; None where it does, or as it was recorded at a time.
-    """
+    """Return the representation of a geometry estimate; ``without`` is why it holds no number now."""
     shown = _geometry(record.wheelset, record.baseline, record.geometry, without)
     own = shown.links["self"]
     shown.links["as_recorded"] = f"{own}?as_of={to_rfc3339(record.recorded_ns)}"
@@ -145,26 +144,12 @@ def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> 
 
 def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEstimate | None = None) -> Geometry:
     """Return the representation of a wheelset of which nothing was ever estimated."""
-    unknown, empty = Estimate.unknown(reason), BinValues(np.zeros(0), np.zeros(0), ())
-    nothing = WheelsetGeometry(
-        bin_edges=np.zeros(1),
-        samples=np.zeros(0),
-        rolling_radius_sum=empty,
-        rolling_radius_difference=empty,
-        contact_angle_sum=empty,
-        contact_angle_difference=empty,
-        amplitude=np.zeros(0),
-        conicity=(),
-        reported_amplitude=np.nan,
-        equivalent_conicity=unknown,
-        nonlinearity=unknown,
-        zero_crossing=unknown,
-        windows=0,
-        parameter_key="",
-        status=Status.UNESTIMATED,
-        reason=reason,
-    )
-    return _geometry(serial, baseline, nothing, without)
+    empty = BinValues(np.zeros(0), np.zeros(0), ())
+    parts: dict[str, Any] = dict.fromkeys(COMBINATIONS, empty)
+    parts |= dict.fromkeys(("equivalent_conicity", "nonlinearity", "zero_crossing"), Estimate.unknown(reason))
+    parts |= {"bin_edges": np.zeros(1), "samples": np.zeros(0), "amplitude": np.zeros(0), "conicity": ()}
+    parts |= {"reported_amplitude": np.nan, "windows": 0, "parameter_key": "", "status": Status.UNESTIMATED}
+    return _geometry(serial, baseline, WheelsetGeometry(**parts, reason=reason), without)
 
 
 def _geometry(serial: str, baseline: int, found: WheelsetGeometry, without: WithoutEstimate | None) -> Geometry:
@@ -175,8 +160,7 @@ def _geometry(serial: str, baseline: int, found: WheelsetGeometry, without: With
         found,
         **dict.fromkeys(of_record, None),
         wheelset=serial,
-        reason=text_of(reason),
-        reason_code=code_of(reason),
+        **why(reason),
         unestimated_because=unestimated_because(without),
         baseline=baseline,
         equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
@@ -277,28 +261,25 @@ def interval(record: GeometryRecord) -> Interval:
         interval=record.interval or 0,
         n_windows=found.windows,
         status=found.status,
-        reason=text_of(found.reason),
-        reason_code=code_of(found.reason),
+        **why(found.reason),
         equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
     )
 
 
 def data_quality(serial: str, found: WindowCounts, waiting: Sequence[ReasonOfWindows]) -> DataQuality:
     """Return the representation of the windows of a wheelset over time."""
-    stretches: dict[int, dict[tuple[WindowState, ReasonCode | None], int]] = {}
-    total: dict[tuple[WindowState, ReasonCode | None], int] = {}
+    stretches: dict[int, Counts] = {}
+    total: Counts = Counter()
     for one in found.counts:
-        key = one.state, one.code
-        stretches.setdefault(one.from_ns, {})[key] = one.windows
+        stretches.setdefault(one.from_ns, Counter())[one.state, one.code] = one.windows
         if one.state is not WindowState.PENDING:
-            total[key] = total.get(key, 0) + one.windows
+            total[one.state, one.code] += one.windows
     for item in waiting:
-        key = item.state, code_of(item.reason)
-        total[key] = total.get(key, 0) + item.windows
+        total[item.state, code_of(item.reason)] += item.windows
     own = f"/v1/wheelsets/{segment(serial)}"
     return DataQuality(
         wheelset=serial,
-        total=_by_reason(dict(sorted(total.items(), key=lambda item: -item[1]))),
+        total=_by_reason(dict(total.most_common())),
         over_time=[
             QualityOfTime(
                 measured_from=to_rfc3339(from_ns),

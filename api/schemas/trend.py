@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any, TypeVar
 
 from pydantic import Field
 
-from api.schemas.common import Links, Representation, Uncertain, finite, uncertain
+from api.schemas.common import Links, Representation, Uncertain, finite, uncertain, why
 from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.schemas.windows import UnestimatedBecause, unestimated_because
@@ -18,7 +19,7 @@ from estimation.trend.trend import refresh
 from estimation.values import trend as values
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import TrendRecord, WearTrend
 from estimation.values.windows import WithoutEstimate
 
@@ -64,6 +65,10 @@ class DateForecast(Representation):
     reason_code: ReasonCode | None
 
 
+QUANTILES = ("p10", "p50", "p90")
+ForecastT = TypeVar("ForecastT", DistanceForecast, DateForecast)
+
+
 class TrendStep(Derived, of=values.TrendStep, without=("found_ns",)):
     """A sudden change of the indicator, which the trend begins behind."""
 
@@ -98,15 +103,12 @@ class Trend(Derived, of=WearTrend, without=("mileage_km", "measured_ns", "value"
     links: Links
 
 
-def distance_forecast(forecast: Forecast, unknown: Reason | None) -> DistanceForecast:
-    """Return the quantiles of a distance.
-
-    Args:
-        unknown: Why one is missing; None where it is beyond the horizon.
-    """
-    p10, p50, p90 = finite(forecast.p10), finite(forecast.p50), finite(forecast.p90)
-    reason = (unknown or BEYOND) if None in (p10, p50, p90) else None
-    return DistanceForecast(p10=p10, p50=p50, p90=p90, reason=text_of(reason), reason_code=code_of(reason))
+def forecast_of(
+    model: type[ForecastT], read: Callable[[Any], Any], forecast: Mapping[str, Any], unknown: Reason | None
+) -> ForecastT:
+    """Return quantiles; ``unknown`` is why one is missing, None where it is beyond the horizon."""
+    quantiles = {name: read(forecast.get(name)) for name in QUANTILES}
+    return model(**quantiles, **why((unknown or BEYOND) if None in quantiles.values() else None))
 
 
 def _moment(t_ns: float | None) -> str | None:
@@ -114,19 +116,18 @@ def _moment(t_ns: float | None) -> str | None:
     return None if value is None or abs(value) >= 2.0**63 else to_rfc3339(int(value))
 
 
+def distance_forecast(forecast: Forecast, unknown: Reason | None) -> DistanceForecast:
+    """Return the quantiles of a distance."""
+    return forecast_of(DistanceForecast, finite, asdict(forecast), unknown)
+
+
 def date_forecast(forecast: Forecast, unknown: Reason | None) -> DateForecast:
     """Return the quantiles of a date."""
-    p10, p50, p90 = _moment(forecast.p10), _moment(forecast.p50), _moment(forecast.p90)
-    reason = (unknown or BEYOND) if None in (p10, p50, p90) else None
-    return DateForecast(p10=p10, p50=p50, p90=p90, reason=text_of(reason), reason_code=code_of(reason))
+    return forecast_of(DateForecast, _moment, asdict(forecast), unknown)
 
 
 def trend(record: TrendRecord, current: GeometryRecord | None, without: WithoutEstimate | None = None) -> Trend:
-    """Return the representation of a trend.
-
-    Args:
-        without: Why there is none, by its windows; None where there is one, and of a time that has passed.
-    """
+    """Return the representation of a trend; ``without`` is why there is no geometry now, by its windows."""
     recorded_ns = record.recorded_ns if current is None else max(record.recorded_ns, current.recorded_ns)
     shown = _trend(record.wheelset, record.baseline, record.trend, current, without, _NO_CURRENT)
     own = shown.links["self"]
@@ -162,8 +163,7 @@ def _trend(
     return Trend.made(
         found,
         wheelset=serial,
-        reason=text_of(reason),
-        reason_code=code_of(reason),
+        **why(reason),
         unestimated_because=unestimated_because(without),
         baseline=baseline,
         recorded_at=None,

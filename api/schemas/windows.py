@@ -6,11 +6,11 @@ from typing import Any, Self
 
 from pydantic import Field
 
-from api.schemas.common import finite
+from api.schemas.common import finite, why
 from api.schemas.derived import Derived
 from api.times import Timestamp, to_rfc3339
 from estimation.values import windows as values
-from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.windows import WindowsOfReason, WindowState, WithoutEstimate
 
 
@@ -45,8 +45,7 @@ def window(record: values.WindowRecord, reason: Reason | None) -> Window:
     return Window.made(
         record,
         measured_to=to_rfc3339(record.start_ns + record.length_ns),
-        reason=text_of(reason),
-        reason_code=code_of(reason),
+        **why(reason),
         quality=WindowQuality.made(
             record.quality,
             hunting_1=finite(hunting.share),

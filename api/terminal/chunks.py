@@ -17,6 +17,7 @@ from api.factory import (
     backlog_watch,
     open_store,
     process_name,
+    publishing,
     raw_store,
     receiver,
 )
@@ -24,10 +25,9 @@ from api.progress import counted
 from api.settings import load_settings
 from api.terminal.ingest import vehicle_in_name
 from api.terminal.store import begun, store_once_it_answers
-from api.topic import publishing
 from estimation.errors import InputError, MigrationError, PassingFaultError, StoppedError, StorageError
 from estimation.jobs.stop_signals import stop_on_signals
-from fleet_db.keeping.scrub import ScrubFault, ScrubPlan, scrub
+from fleet_db.keeping.checks import ScrubFault, ScrubPlan, scrub
 from ingest.intake.backlog import DecodedChunks, decode_received
 from ingest.intake.drop_folder import DropFolder, DropSettings, held_folder
 from ingest.intake.store import ChunkStorage
@@ -69,11 +69,7 @@ def work(*, once: bool) -> None:
 
 
 def scrub_and_report(mb_per_s: float | None, *, resume: bool) -> None:
-    """Read every raw file again and print what is damaged or missing.
-
-    Raises:
-        typer.Exit: Code 1: something is damaged or missing.
-    """
+    """Read every raw file again, print what is damaged or missing, and exit 1 where anything is."""
 
     def print_fault(found: ScrubFault) -> None:
         typer.echo(f"recording {found.file.digest[:12]} of vehicle {found.file.vehicle}: {found.fault}")

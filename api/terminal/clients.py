@@ -51,15 +51,11 @@ def create_and_print(
 
 
 def make_stored_key(settings: Settings, wanted: Wanted) -> tuple[ApiKey, str]:
-    """Make a key in the database of a deployment; return it with its secret.
-
-    Raises:
-        ParameterError, NotFoundError: As :func:`api.access.key_ring.make_key`.
-    """
+    """Make a key in the database of a deployment; return it with its secret."""
     with closing(open_store(settings)) as storage, storage.write() as unit:
         made, token = make_key(unit, wanted, user_here(), time.time_ns())
         _note(unit, "keys", "create", made.prefix)
-    return made, token.text
+    return made, token
 
 
 def key_list() -> str:

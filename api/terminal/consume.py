@@ -6,7 +6,7 @@ import logging
 import os
 import threading
 from contextlib import ExitStack, closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
@@ -18,20 +18,21 @@ from api.factory import (
     process_name,
     raw_store,
     receiver,
+    topic_of,
+    with_named_setting,
 )
 from api.measures import counter, gauge
 from api.settings import PREFIX, Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.store import begun, store_once_it_answers
-from api.topic import topic_of, with_named_setting
 from estimation.errors import ParameterError
 from fleet_db.storage import SqlStorage
+from ingest.intake.backlog import decode_received
 from ingest.live.backoff import Backoff
 from ingest.topic.client import Topic
-from ingest.topic.consuming import Consuming, Decoding
+from ingest.topic.consuming import Consuming, ReferenceTaking
 from ingest.topic.reading import TopicReader
 from ingest.topic.reference import ConsumerStatus, Outcome
-from ingest.topic.taking import ReferenceTaking
 
 WATCH_EVERY_S = 0.2
 MEASURES = "treadwatch_consumer_"
@@ -71,22 +72,20 @@ def consume(health: HealthAddress | None) -> None:
         raise work.failure
 
 
+@dataclass(slots=True)
 class _Work:
     """The thread of a consumer, with the store that it owns."""
 
-    def __init__(
-        self, settings: Settings, storage: SqlStorage, topic: Topic, status: ConsumerStatus, stopping: threading.Event
-    ) -> None:
-        self._settings = settings
-        self._storage = storage
-        self._topic = topic
-        self._status = status
-        self._stopping = stopping
-        self.failure: Exception | None = None
+    settings: Settings
+    storage: SqlStorage
+    topic: Topic
+    status: ConsumerStatus
+    stopping: threading.Event
+    failure: Exception | None = None
 
     def run(self, reader: TopicReader) -> None:
         """Consume until a stop; a client that refuses everything from now on is replaced."""
-        with closing(self._storage):
+        with closing(self.storage):
             try:
                 self._consume(reader)
             except Exception as error:  # noqa: BLE001 - raised by the main thread
@@ -96,30 +95,26 @@ class _Work:
         from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
 
         delays = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S)
-        decoder = receiver(self._settings, self._storage, SystemClock())
+        raw, clock = raw_store(self.settings), SystemClock()
+        decoder = receiver(self.settings, self.storage, clock)
+        decode = partial(decode_received, self.storage, decoder, process_name())
+        patient = replace(self.storage, patience_s=RECEIPT_PATIENCE_S)
+        backlog = backlog_watch(self.settings, self.storage, raw)
+        taking = ReferenceTaking(patient, raw, clock, backlog, f"topic {self.topic.name}")
         while True:
             with closing(reader):
                 try:
-                    self._consuming(reader, Decoding(self._storage, decoder, process_name())).run()
+                    Consuming(reader, taking, decode, self.status, self.stopping.is_set).run()
                 except KafkaException as error:
                     _log.warning("the consumer begins again: %s", error)
                 else:
                     return
-            if self._stopping.wait(delays.failed()):
+            if self.stopping.wait(delays.failed()):
                 return
-            reader = TopicReader(self._topic, self._status)
-
-    def _consuming(self, reader: TopicReader, decoding: Decoding) -> Consuming:
-        patient = replace(self._storage, patience_s=RECEIPT_PATIENCE_S)
-        raw = raw_store(self._settings)
-        backlog = backlog_watch(self._settings, self._storage, raw)
-        sender = f"topic {self._topic.name}"
-        taking = ReferenceTaking(patient, raw, SystemClock(), backlog, sender)
-        return Consuming(reader, taking, decoding, self._status, self._stopping.is_set)
+            reader = TopicReader(self.topic, self.status)
 
 
 def _health(status: ConsumerStatus) -> Answer:
-    """Whether its thread runs."""
     return json_answer(status.alive, {"thread": status.alive})
 
 

@@ -7,14 +7,18 @@ import io
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import orjson
 import typer
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
-from api.plots.contact import AMPLITUDE_MM, ContactSummary, contact_summary, save_contact_figure
+from estimation.alerts.rules.conicity_limit import ANY_CLASS, ConicityLimitRule
 from estimation.contact.conicity import MeasuredShapes, conicity_std, equivalent_conicity, nonlinearity_parameter
 from estimation.contact.geometry import (
     ContactTable,
@@ -27,10 +31,110 @@ from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import TREAD_DATUM, ProfileKind, is_design, rail_profile, wheel_profile
 from estimation.contact.smoothed_profile import SmoothedProfile, exact
 from estimation.errors import InputError, ParameterError
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.values.arrays import FloatArray
 from ingest.profiles.files import read_measured_profile
 from ingest.profiles.orientation import LEAST_LEAN, lean
 from ingest.profiles.points import Origin
+
+AMPLITUDE_MM = LIMIT_AMPLITUDE * 1e3
+COLUMNS = {
+    "conicity": "equivalent_conicity_at_3_mm_1",
+    "std": "equivalent_conicity_at_3_mm_std_1",
+    "limit": "limit_1",
+    "speed_km_h": "limit_speed_km_h",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ContactSummary:
+    """Wheel, rail, gauge, and the equivalent conicity at 3 mm beside the limit of the shipped rules."""
+
+    wheel_left: str
+    wheel_right: str
+    rail: str
+    inclination: str  # of the rails, as it was written
+    gauge_mm: float
+    method: str
+    conicity: float | None  # None where the contact gives none
+    std: float | None
+    limit: float | None  # None where there is none
+    speed_km_h: float
+
+    @property
+    def title(self) -> str:
+        """Return it in one line."""
+        wheels = self.wheel_left if self.wheel_left == self.wheel_right else f"{self.wheel_left} / {self.wheel_right}"
+        return f"{wheels} on {self.rail} {self.inclination}, gauge {self.gauge_mm:g} mm, {self.method}"
+
+    @property
+    def verdict(self) -> str:
+        """Return the conicity at 3 mm beside the limit."""
+        value = "unknown" if self.conicity is None else f"{self.conicity:.3f}"
+        if self.limit is None:
+            return f"at 3 mm: {value}; no limit at {self.speed_km_h:g} km/h"
+        return f"at 3 mm: {value}; limit {self.limit:.3f} at {self.speed_km_h:g} km/h"
+
+    def columns(self) -> dict[str, str | float | None]:
+        """Return it as columns that are the same in every row of a table."""
+        return {COLUMNS.get(item.name, item.name): getattr(self, item.name) for item in fields(self)}
+
+
+INTERVAL = 1.96  # standard deviations
+_LEFT, _RIGHT, _BOTH, _LIMIT = "#1f5fa8", "#c4561a", "#222222", "#b00020"
+
+
+def save_contact_figure(
+    table: ContactTable,
+    amplitude: FloatArray,
+    conicity: FloatArray,
+    std: FloatArray,
+    summary: ContactSummary,
+    out: Path,
+) -> None:
+    """Write radii, contact angles and positions, and conicity (k,) with its std, of the table's first gauge as PNG."""
+    figure = Figure(figsize=(10.0, 7.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, 2)
+    y = table.lateral_displacement * 1e3
+    _curves(axes[0, 0], y, [("left - right", table.rolling_radius_difference[:, 0] * 1e3, _BOTH)])
+    axes[0, 0].set_ylabel("rolling radius difference, mm")
+    sides = (("left", _LEFT), ("right", _RIGHT))
+    angles = [(name, np.degrees(getattr(table, f"contact_angle_{name}")[:, 0]), colour) for name, colour in sides]
+    _curves(axes[0, 1], y, angles)
+    axes[0, 1].set_ylabel("contact angle, degrees")
+    places = [(name, getattr(table, f"contact_position_{name}")[:, 0] * 1e3, colour) for name, colour in sides]
+    _curves(axes[1, 0], y, places)
+    axes[1, 0].set_ylabel("contact on the wheel from its tread datum, mm")
+    for panel in (axes[0, 0], axes[0, 1], axes[1, 0]):
+        panel.set_xlabel("lateral displacement (left positive), mm")
+        panel.legend(frameon=False)
+    axes[1, 1].plot(amplitude * 1e3, conicity, color=_BOTH, marker="o", markersize=3)
+    if np.nan_to_num(std).any():
+        low, high = conicity - INTERVAL * std, conicity + INTERVAL * std
+        label = "95 % interval"
+        axes[1, 1].fill_between(amplitude * 1e3, low, high, color=_BOTH, alpha=0.2, linewidth=0.0, label=label)
+    if summary.limit is not None:
+        label = f"limit {summary.limit:.3f} at {summary.speed_km_h:g} km/h"
+        axes[1, 1].axhline(summary.limit, color=_LIMIT, linestyle="--", linewidth=1.2, label=label)
+    if summary.conicity is not None:
+        label = f"{summary.conicity:.3f} at 3 mm"
+        axes[1, 1].plot([AMPLITUDE_MM], [summary.conicity], "o", color=_RIGHT, markersize=7, label=label)
+    axes[1, 1].legend(frameon=False)
+    axes[1, 1].set_xlabel("amplitude, mm")
+    axes[1, 1].set_ylabel("equivalent conicity tan γₑ")
+    axes[1, 1].set_ylim(bottom=0.0)
+    axes[1, 1].grid(visible=True, color="#dddddd")
+    figure.suptitle(f"{summary.title}\nequivalent conicity {summary.verdict}")
+    figure.savefig(out, format="png", dpi=110)
+
+
+def _curves(panel: Axes, y: FloatArray, curves: list[tuple[str, FloatArray, str]]) -> None:
+    for name, values, colour in curves:
+        panel.plot(y, values, label=name, color=colour, linewidth=1.4)
+    panel.grid(visible=True, color="#dddddd")
+    panel.margins(x=0.0)
+
 
 LEAST_PLAY_MM = 2.5  # a flange of 32.5 mm, the thickest of EN 13715, leaves 5 mm at 1435 and 1360 mm
 LEAST_TURN = 2e-3  # rad, of a wheel against its design
@@ -95,16 +199,7 @@ def contact_of(
 
 
 def measured_shapes(wheels: tuple[str, str], rail: str, options: FileOptions) -> MeasuredShapes:
-    """Return the profiles of both wheels and of the rail, built-in ones or from files.
-
-    Args:
-        wheels: Left and right: name of a built-in profile, or path of a profile file.
-        rail: The same, of both rails.
-
-    Raises:
-        ProfileError: No such profile, or a file holds none.
-        ParameterError: Options for files, and no file.
-    """
+    """Return the profiles of both wheels and of the rail, by the names of built-in ones or the paths of files."""
     for given, names, option in (
         (options.mirror is not None, (rail,), "--mirror"),
         (options.origin is not Origin.AUTO, wheels, "--origin"),
@@ -175,11 +270,7 @@ def _play(wheelset: WheelsetOnTrack) -> float:
 
 
 def parse_inclination(text: str) -> float:
-    """Return the rail inclination, as a tangent, that is written as ``1:20``, ``1/20`` or ``0.05``.
-
-    Raises:
-        ParameterError: ``text`` is none of these.
-    """
+    """Return the rail inclination, as a tangent, that is written as ``1:20``, ``1/20`` or ``0.05``."""
     rise, _, run = text.replace("/", ":").partition(":")
     try:
         return float(rise) / float(run) if run else float(rise)
@@ -191,9 +282,8 @@ def save_picture(contact: Contact, out: Path | None) -> None:
     """Write the contact geometry of a wheelset as PNG."""
     if out is None:
         raise ParameterError("a picture needs --out FILE.png", field="--format")
-    conicity, std = _conicity(_curve(contact)), _std(contact)
-    summary = _summary(contact, conicity, std)
-    save_contact_figure(_table(contact), _AMPLITUDE_MM * 1e-3, conicity, std, summary, out)
+    found = _computed(contact)
+    save_contact_figure(found.table, _AMPLITUDE_MM * 1e-3, found.conicity, found.std, found.summary, out)
 
 
 @contextmanager
@@ -209,39 +299,38 @@ def refusals() -> Iterator[None]:
         raise typer.Exit(2) from error
 
 
-def table_text(contact: Contact, *, as_json: bool) -> str:
-    """Return the contact geometry of a wheelset as JSON, or as CSV with the conicity at 3 mm alone."""
-    return _json(contact) if as_json else _csv(contact)
+class _Computed(NamedTuple):
+    table: ContactTable
+    curve: RadiusDifferenceCurve
+    conicity: FloatArray  # at ``_AMPLITUDE_MM``
+    std: FloatArray
+    summary: ContactSummary
 
 
-def _summary(contact: Contact, conicity: FloatArray, std: FloatArray) -> ContactSummary:
+def _computed(contact: Contact) -> _Computed:
+    wheelset, method, x, amplitude = contact.wheelset, contact.method, _DISPLACEMENT_MM * 1e-3, _AMPLITUDE_MM * 1e-3
+    table = contact_table(wheelset, x, method=method, outside="hold")
+    curve = radius_difference_curve(wheelset, x, method=method)
+    conicity = equivalent_conicity(curve.displacement, curve.difference, amplitude)
+    std = conicity_std(wheelset, contact.shapes, x, amplitude, method=method)
     place = int(np.argmin(np.abs(_AMPLITUDE_MM - AMPLITUDE_MM)))
     value, spread = _rounded(np.array([conicity[place], std[place]]))
-    return contact_summary(
-        contact.wheelset, contact.inclination, contact.method.value, (value, spread), contact.speed_km_h
+    summary = ContactSummary(
+        wheel_left=wheelset.left_wheel.name,
+        wheel_right=wheelset.right_wheel.name,
+        rail=wheelset.left_rail.name,
+        inclination=contact.inclination,
+        gauge_mm=round(wheelset.gauge * 1e3, 6),
+        method=method.value,
+        conicity=value,
+        std=spread,
+        limit=ConicityLimitRule().limit_at(ANY_CLASS, contact.speed_km_h),
+        speed_km_h=contact.speed_km_h,
     )
-
-
-def _table(contact: Contact) -> ContactTable:
-    return contact_table(contact.wheelset, _DISPLACEMENT_MM * 1e-3, method=contact.method, outside="hold")
-
-
-def _curve(contact: Contact) -> RadiusDifferenceCurve:
-    return radius_difference_curve(contact.wheelset, _DISPLACEMENT_MM * 1e-3, method=contact.method)
-
-
-def _std(contact: Contact) -> FloatArray:
-    return conicity_std(
-        contact.wheelset, contact.shapes, _DISPLACEMENT_MM * 1e-3, _AMPLITUDE_MM * 1e-3, method=contact.method
-    )
-
-
-def _conicity(curve: RadiusDifferenceCurve) -> FloatArray:
-    return equivalent_conicity(curve.displacement, curve.difference, _AMPLITUDE_MM * 1e-3)
+    return _Computed(table, curve, conicity, std, summary)
 
 
 def _columns(table: ContactTable) -> dict[str, FloatArray]:
-    """Return the columns of the first gauge; NaN where both wheels have no contact."""
     exists = table.exists[:, 0]
     columns = {
         "rolling_radius_difference_mm": table.rolling_radius_difference[:, 0] * 1e3,
@@ -254,19 +343,27 @@ def _columns(table: ContactTable) -> dict[str, FloatArray]:
     return {"lateral_displacement_mm": table.lateral_displacement * 1e3, **marked}
 
 
-def _json(contact: Contact) -> str:
-    curve = _curve(contact)
-    nonlinearity = nonlinearity_parameter(curve.displacement, curve.difference)
-    conicity, std = _conicity(curve), _std(contact)
+def table_text(contact: Contact, *, as_json: bool) -> str:
+    """Return the contact geometry of a wheelset as JSON, or as CSV with the conicity at 3 mm alone."""
+    found = _computed(contact)
+    summary = found.summary.columns()
+    columns = {name: _rounded(values) for name, values in _columns(found.table).items()}
+    if not as_json:
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow((*columns, *summary))
+        writer.writerows((*row, *summary.values()) for row in zip(*columns.values(), strict=True))
+        return text.getvalue()
+    curve = found.curve
     document = {
-        **_summary(contact, conicity, std).columns(),
-        **{name: _rounded(values) for name, values in _columns(_table(contact)).items()},
+        **summary,
+        **columns,
         "equivalent_conicity": {
             "amplitude_mm": _rounded(_AMPLITUDE_MM),
-            "value": _rounded(conicity),
-            "std": _rounded(std),
+            "value": _rounded(found.conicity),
+            "std": _rounded(found.std),
         },
-        "nonlinearity_parameter": _rounded(np.array([nonlinearity]))[0],
+        "nonlinearity_parameter": _rounded(np.array([nonlinearity_parameter(curve.displacement, curve.difference)]))[0],
         "contact_jumps_mm": _rounded(curve.jumps * 1e3),
         "profiles": {
             "left_wheel": _described(contact.shapes.left_wheel),
@@ -284,17 +381,6 @@ def _described(shape: SmoothedProfile) -> dict[str, object]:
         "points_left_out": len(shape.outliers),
         "design": None if shape.design is None else shape.design.name,
     }
-
-
-def _csv(contact: Contact) -> str:
-    found = {name: _rounded(values) for name, values in _columns(_table(contact)).items()}
-    summary = _summary(contact, _conicity(_curve(contact)), _std(contact)).columns()
-    columns = {**found, **{name: [value] * len(_DISPLACEMENT_MM) for name, value in summary.items()}}
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
-    return text.getvalue()
 
 
 def _rounded(values: FloatArray) -> list[float | None]:

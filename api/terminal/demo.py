@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import shutil
+import socket
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from importlib.resources import files
 from pathlib import Path
 from urllib.parse import quote
 
@@ -14,24 +17,85 @@ from rich.console import Console
 from api import logs
 from api.access.caller import EVERYTHING
 from api.access.key_ring import Wanted
-from api.demo.own_rules import with_rules
+from api.demo.findings import ServiceAddress, get, lines, second_opinions, tables, to_do, track_lines, true_campaigns
 from api.demo.replay import Simulated, ending_now, replay
-from api.demo.second_opinions import second_opinions
-from api.demo.service import free_port, serving
-from api.demo.table import ServiceAddress, get, lines, tables, true_campaigns
-from api.demo.to_do import to_do
-from api.demo.track import track_lines
+from api.factory import create_server, job_context, open_store, scheduled_jobs
 from api.settings import Settings, load_settings
 from api.terminal.clients import make_stored_key
 from api.terminal.simulate import simulate_with_progress
 from estimation.errors import StorageError
+from estimation.jobs.scheduler import serve_jobs
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.migrate import upgrade
-from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
 
-BESIDE = {"demo": ("demo_autumn",)}
-"""Scenarios that are shown beside a built-in one."""
+START_S = 30.0
+
+
+@contextmanager
+def serving(settings: Settings) -> Iterator[str]:
+    """Serve the REST API and run the jobs on schedule; yield the base URL, and end both on leaving."""
+    stopping = threading.Event()
+
+    def schedule() -> None:
+        with closing(open_store(settings)) as storage:
+            serve_jobs(job_context(settings, storage), scheduled_jobs(settings), stopping, holder="demo")
+
+    scheduler = threading.Thread(target=schedule, name="scheduler", daemon=True)
+    with serving_api(settings) as url:
+        scheduler.start()
+        try:
+            yield url
+        finally:
+            stopping.set()
+            scheduler.join(settings.shutdown_timeout_s)
+
+
+@contextmanager
+def serving_api(settings: Settings) -> Iterator[str]:
+    """Serve the REST API alone; yield its base URL."""
+    api = create_server(settings)
+    thread = threading.Thread(target=api.run, name="api", daemon=True)
+    thread.start()
+    try:
+        deadline = time.monotonic() + START_S
+        while not api.started:
+            if time.monotonic() > deadline or not thread.is_alive():
+                raise StorageError(f"the API did not start on {settings.host}:{settings.port}")
+            time.sleep(0.05)
+        yield f"http://{settings.host}:{settings.port}"
+    finally:
+        api.should_exit = True
+        thread.join(settings.shutdown_timeout_s)
+
+
+def free_port(host: str, wanted: int) -> int:
+    """Return ``wanted`` if it can be listened on, else a free port."""
+    for port in (wanted, 0):
+        with closing(socket.socket(socket.AF_INET, socket.SOCK_STREAM)) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, port))
+            except OSError:
+                continue
+            return int(probe.getsockname()[1])
+    raise StorageError(f"no port can be listened on at {host}")
+
+
+FILE = "rules.toml"
+
+
+def with_rules(settings: Settings, name: str, folder: Path) -> Settings:
+    """Return settings with the rules of a scenario, put into the folder, unless the deployment names others."""
+    shipped = files("api.demo").joinpath("rules", f"{name}.toml")
+    if settings.rules_file is not None or not shipped.is_file():
+        return settings
+    file = folder / FILE
+    file.write_text(shipped.read_text(encoding="utf-8"), encoding="utf-8")
+    return settings.model_copy(update={"rules_file": file})
+
+
+BESIDE = {"demo": ("demo_autumn",)}  # scenarios that are shown beside a built-in one
 MARKER = "made-by-treadwatch-demo"
 
 
@@ -53,10 +117,16 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
     settings = with_rules(settings, plans[0].name, folder)
     settings = settings.model_copy(update={"docs": "open"})  # on this machine alone, and a browser sends no key there
     logs.configure(settings)
-    fleets = [_simulated(plan, folder / "recordings" / plan.fleet_code, console) for plan in plans]
+    fleets = []
+    for plan in plans:
+        console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)
+        report = simulate_with_progress(plan, folder / "recordings" / plan.fleet_code, console)
+        fleets.append(Simulated(plan, report))
     upgrade(settings.url)
     console.print(replay(settings, fleets, console))
-    key = _own_key(settings)
+    key = None  # access is open
+    if settings.access == "keys":
+        _, key = make_stored_key(settings, Wanted("demo", EVERYTHING, None, None))
     # chosen only now: another process may have taken the port during the minutes before
     with serving(settings.model_copy(update={"port": free_port(settings.host, port)})) as url:
         service = ServiceAddress(url, key)
@@ -78,11 +148,6 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
             stopping.wait()
 
 
-def _simulated(plan: Scenario, out: Path, console: Console) -> Simulated:
-    console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)
-    return Simulated(plan, simulate_with_progress(plan, out, console))
-
-
 def _print_findings(service: ServiceAddress, fleets: Sequence[Simulated], console: Console) -> list[bool]:
     """Print what the API says of each fleet and of its track; return of each interval whether it covers."""
     covered: list[bool] = []
@@ -93,9 +158,9 @@ def _print_findings(service: ServiceAddress, fleets: Sequence[Simulated], consol
             for table in tables(found, console):
                 console.print(table)
         covered += [line.covers for line in found if line.covers is not None]
-        for opinion in second_opinions(service, fleet.scenario, true_campaigns(truth)):
-            console.print(opinion.text, highlight=False)
-            covered += [] if opinion.covers is None else [opinion.covers]
+        for text, covers in second_opinions(service, fleet.scenario, true_campaigns(truth)):
+            console.print(text, highlight=False)
+            covered += [] if covers is None else [covers]
     for sentence in track_lines(service):
         console.print(sentence, highlight=False)
     return covered
@@ -113,16 +178,7 @@ def _recreate(folder: Path) -> None:
     (folder / MARKER).touch()
 
 
-def _own_key(settings: Settings) -> str | None:
-    """Return a key of the demo's own for everything; None where access is open."""
-    if settings.access != "keys":
-        return None
-    _, secret = make_stored_key(settings, Wanted("demo", EVERYTHING, None, None))
-    return secret
-
-
 def _print_urls(service: ServiceAddress, console: Console) -> None:
-    """Print where to look first: the page with its key, a wheelset with an alert, its track, and the feed."""
     url = service.url
     if service.key is not None:
         console.print(f"  {url}/#key={service.key}", highlight=False, soft_wrap=True)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import typer
 from rich.console import Console
@@ -15,22 +15,146 @@ from rich.table import Table
 from api import logs
 from api.factory import job_context, open_store, process_name, scheduled_jobs
 from api.progress import bar
+from api.routes.worklist import WheelsetRow, row_of_document
 from api.settings import Settings
-from api.terminal.reasons import fleet_reasons, summary_lines
+from api.times import from_rfc3339, to_rfc3339
 from api.tracing import start_tracing
-from api.workers.choice import executor_of
+from api.window_reasons import SHOWN, WindowReasons, same_reason
+from api.workers.on_dask import executor_of
 from estimation.errors import ParameterError
+from estimation.jobs.estimate_windows import REFUSED, refusals
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.jobs.steps.refusals import REFUSED, refusals
 from estimation.jobs.stop_signals import stop_on_signals
+from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
+from estimation.values.windows import WindowsOfReason, WithoutEstimate
+from estimation.worklist.row import WITHOUT_GEOMETRY
+from fleet_db.storage import SqlUnitOfWork
+from fleet_db.stores.window_counts import COUNTED
+from fleet_db.stores.worklist import WorklistFilter
+
+READ = 200_000  # windows that are looked at for all wheelsets together
+
+FEWEST = 20
+NAMED = 8  # reasons of all wheelsets together that are printed
+
+
+@dataclass(frozen=True, slots=True)
+class Unestimated:
+    """A mounted wheelset without an estimate."""
+
+    row: WheelsetRow
+    why: WithoutEstimate
+
+
+@dataclass(frozen=True, slots=True)
+class FleetReasons:
+    """Why wheelsets have no estimate."""
+
+    mounted: int  # wheelsets that run under a vehicle
+    most: int  # newest windows of each that were looked at, at most
+    wheelsets: tuple[Unestimated, ...]  # by serial
+
+
+def fleet_reasons(unit: SqlUnitOfWork) -> FleetReasons:
+    """Return why mounted wheelsets have no estimate."""
+    rows = [row_of_document(document) for document in unit.worklist.documents(WorklistFilter())]
+    mounted = [row for row in rows if row.vehicle is not None]
+    without = [row for row in mounted if row.state.status is Status.UNESTIMATED]
+    most = min(COUNTED, max(FEWEST, READ // max(1, len(without))))
+    reasons = WindowReasons(unit)
+    return FleetReasons(len(mounted), most, tuple(Unestimated(row, _why(reasons, row, most)) for row in without))
+
+
+def _why(reasons: WindowReasons, row: WheelsetRow, most: int) -> WithoutEstimate:
+    """Return why a wheelset has no conicity at 3 mm: what its geometry says, or where it has none its windows."""
+    code, text = row.state.conicity_1.reason_code, row.state.conicity_1.reason
+    if code is None or code in WITHOUT_GEOMETRY:
+        return reasons.without_estimate(row.serial, most=most)
+    last_ns = None if row.state.last_data_at is None else from_rfc3339(row.state.last_data_at)
+    return WithoutEstimate(Reason(code, text or code.meaning), code.remedy, (), None, last_ns)
+
+
+def print_each(settings: Settings) -> None:
+    """Print of every mounted wheelset without an estimate why it has none, and what to do."""
+    with closing(open_store(settings)) as storage, storage.read() as unit:
+        found = fleet_reasons(unit)
+    for line in summary_lines(found) or ["every mounted wheelset has a conicity at 3 mm"]:
+        typer.echo(line)
+    if found.wheelsets:
+        Console().print(_each(found.wheelsets))
+
+
+def summary_lines(found: FleetReasons) -> list[str]:
+    """Return why wheelsets have no estimate, all together: a line a reason; none where all have one."""
+    if not found.wheelsets:
+        return []
+    head = f"{len(found.wheelsets)} of {found.mounted} mounted wheelsets have no conicity at 3 mm"
+    together = _together(found.wheelsets)
+    lines = [f"{head}; their newest windows, at most {found.most:,} of each:" if together else f"{head}:"]
+    lines += [f"  {line_of(one)}" for one in together[:NAMED]]
+    return lines + [f"  {line}" for line in _without_windows(found.wheelsets)]
+
+
+def _without_windows(wheelsets: Iterable[Unestimated]) -> list[str]:
+    """Return a line for those wheelsets, of which no window says why, for which there is the same to do."""
+    found: dict[tuple[ReasonCode, str], list[Unestimated]] = {}
+    for item in wheelsets:
+        if not item.why.windows:
+            found.setdefault((item.why.reason.code, item.why.what_to_do), []).append(item)
+    lines = []
+    for (code, to_do), items in sorted(found.items(), key=lambda pair: -len(pair[1]))[:NAMED]:
+        what = "without a window" if code in WITHOUT_GEOMETRY else code.value
+        lines.append(f"{len(items)} {what}, such as {items[0].row.serial}: {items[0].why.reason}. {to_do}".rstrip())
+    return lines
+
+
+def line_of(one: WindowsOfReason) -> str:
+    """Return windows of one reason as a line: how many, why, and what to do."""
+    code = "" if one.reason is None else f" {one.reason.code.value}: {one.reason}"
+    remedy = "" if one.reason is None or not one.reason.code.remedy else f". {one.reason.code.remedy}"
+    return f"{one.windows} {one.state.value}{code}{remedy}"
+
+
+def _together(wheelsets: Iterable[Unestimated]) -> list[WindowsOfReason]:
+    found: dict[object, WindowsOfReason] = {}
+    for one in (one for item in wheelsets for one in item.why.windows):
+        same = same_reason(one.state, one.reason)
+        before = found.get(same)
+        if before is None:
+            found[same] = one
+            continue
+        newest = one if one.newest_ns > before.newest_ns else before
+        found[same] = replace(newest, windows=before.windows + one.windows)
+    return sorted(found.values(), key=lambda one: (-one.windows, -one.newest_ns))
+
+
+def _each(wheelsets: Sequence[Unestimated]) -> Table:
+    table = Table("wheelset", "runs under", "windows", "last data", "why", "what to do")
+    for item in wheelsets:
+        why = item.why
+        shown = [f"{one.windows} {one.state.value}: {one.reason}" for one in why.windows[:SHOWN]]
+        table.add_row(
+            item.row.serial,
+            f"{item.row.vehicle}, axle {item.row.axle}",
+            str(why.counted),
+            "never" if why.last_ns is None else to_rfc3339(why.last_ns),
+            "\n".join(shown) or why.reason.text,
+            why.what_to_do,
+        )
+    return table
 
 
 def run_jobs_once(name: str | None, settings: Settings) -> bool:
     """Run every job, or one, print what the runs did, and return whether all succeeded."""
     logs.configure(settings)
     start_tracing()
-    jobs = _chosen(settings, name)
+    scheduled = scheduled_jobs(settings)
+    jobs = [job for job in scheduled if name in {None, job.name}]
+    if not jobs:
+        known = ", ".join(job.name for job in scheduled)
+        raise ParameterError(f"no job {name!r}; there are {known}", field="--job")
     console = Console(stderr=True)
     stopping = threading.Event()
     stop_on_signals(stopping)
@@ -48,24 +172,10 @@ def run_jobs_once(name: str | None, settings: Settings) -> bool:
     return all(run.outcome is JobOutcome.SUCCEEDED for run in runs)
 
 
-def _chosen(settings: Settings, name: str | None) -> Sequence[Job]:
-    jobs = scheduled_jobs(settings)
-    chosen = [job for job in jobs if name in {None, job.name}]
-    if not chosen:
-        known = ", ".join(job.name for job in jobs)
-        raise ParameterError(f"no job {name!r}; there are {known}", field="--job")
-    return chosen
-
-
 def run_in_order(
     jobs: Sequence[Job], context: JobContext, console: Console, trigger: JobTrigger = JobTrigger.CLI
 ) -> list[JobRun]:
-    """Run the jobs one after the other, with a line of progress each; return their records.
-
-    Args:
-        jobs: In the order in which they run.
-        context: What the jobs may touch.
-    """
+    """Run the jobs one after the other, with a line of progress each; return their records."""
     runs = []
     with bar(console) as progress:
         for job in jobs:

@@ -32,12 +32,7 @@ def read_state(file: Path | None) -> str | None:
 
 @dataclass(slots=True)
 class Lines:
-    """Prints events and keeps the cursor behind what is printed.
-
-    Args:
-        as_json: Whether a line is JSON, or for people.
-        state: Where the cursor is kept; None for nowhere.
-    """
+    """Prints events, for people or as JSON, and keeps the cursor behind them in a file; ``state`` None keeps none."""
 
     as_json: bool
     state: Path | None

@@ -20,8 +20,7 @@ from api.measures import Measured
 from estimation.errors import ParameterError
 
 REQUEST_TIMEOUT_S = 5.0
-CONNECTIONS = 16
-"""At a time; more are closed at once, so that nobody can use up the descriptors of the process."""
+CONNECTIONS = 16  # at a time; more are closed at once, so that nobody can use up the descriptors of the process
 
 Answer = tuple[HTTPStatus, str, bytes]
 
@@ -41,11 +40,7 @@ def served(
     readyz: Callable[[], Answer],
     measures: Sequence[Callable[[], Iterable[Metric]]],
 ) -> Iterator[int]:
-    """Serve ``/healthz``, ``/readyz`` and ``/metrics`` from threads of their own; yield the port.
-
-    Raises:
-        ParameterError: Nobody can listen there.
-    """
+    """Serve ``/healthz``, ``/readyz`` and ``/metrics`` from threads of their own; yield the port."""
     registry = registry_of(*measures)
     answers: dict[str, Callable[[], Answer]] = {
         "/healthz": healthz,

@@ -13,13 +13,12 @@ from rich.console import Console
 from rich.table import Table
 
 from api import factory, logs
-from api.factory import SystemClock, open_store
+from api.factory import SystemClock, open_store, publishing
 from api.progress import bar
 from api.settings import load_settings
-from api.terminal.reasons import line_of
+from api.terminal.estimate import line_of
 from api.terminal.store import print_line, user_name
 from api.times import to_rfc3339
-from api.topic import publishing
 from api.tracing import start_tracing
 from api.window_reasons import WindowReasons
 from estimation.errors import InputError, ParameterError, TreadwatchError
@@ -32,8 +31,7 @@ from ingest.registry_entry.contents import Entry, LoadedRegistry
 from ingest.registry_file import load_registry
 from ingest.span_commit import SpanChanges
 
-SEPARATOR = "__"
-"""Between the vehicle and the time in the name of a recording."""
+SEPARATOR = "__"  # between the vehicle and the time in the name of a recording
 
 NOT_COUNTS = ("recorder_first_ns", "recorder_last_ns", "own_time")
 
@@ -49,11 +47,7 @@ def ingest_and_report(
     *,
     take_deleted: bool,
 ) -> None:
-    """Receive recordings and exchanges of runs, and print a summary.
-
-    Raises:
-        typer.Exit: Code 1: a recording was rejected.
-    """
+    """Receive recordings and exchanges of runs, print a summary, and exit 1 where one was rejected."""
     settings = load_settings()
     logs.configure(settings)
     start_tracing()
@@ -65,7 +59,12 @@ def ingest_and_report(
         receiver = factory.receiver(
             settings, storage, SystemClock(), catalogues, deleted_taken_by=taken_by, announce=announce
         )
-        outcomes = _unfinished(receiver, console)
+        outcomes: list[Outcome] = []
+        for outcome in receiver.decode_stored():  # what an earlier run stored but did not decode
+            if isinstance(outcome, ChunkReceipt):
+                outcomes.append((Path(outcome.record.digest), outcome))
+            else:
+                print_line(console, f"stored earlier, not decoded: {outcome}")
         _work_off(receiver, console)
         for path in exchanges:
             try:
@@ -76,16 +75,14 @@ def ingest_and_report(
             recordings, unnamed = recordings_of(places, vehicle)
             _say_left_out(places, console)
             outcomes += [*receive_with_progress(receiver, recordings, console), *unnamed]
-        waiting = _waiting(storage, outcomes)
-    print_outcomes(outcomes, console, waiting)
+        vehicles = {outcome.record.vehicle for _, outcome in outcomes if isinstance(outcome, ChunkReceipt)}
+        with storage.read() as unit:
+            reasons = WindowReasons(unit).waiting(vehicles=sorted(vehicles)) if vehicles else ()
+    print_outcomes(outcomes, console, [line_of(one) for one in reasons])
 
 
 def print_outcomes(outcomes: Sequence[Outcome], console: Console, waiting: Sequence[str] = ()) -> None:
-    """Print a summary, what windows wait for, and what was not decoded or rejected.
-
-    Raises:
-        typer.Exit: Code 1: a recording was rejected.
-    """
+    """Print a summary, what windows wait for, and what was not decoded or rejected; exit 1 where anything was."""
     Console().print(summary(outcomes))
     for line in waiting:
         print_line(console, f"windows: {line}")
@@ -102,10 +99,6 @@ def recordings_of(places: Iterable[Path], vehicle: str | None) -> tuple[list[tup
     """Return every recording and its vehicle, folders searched through, in the order of their names.
 
     Files in folders whose names contain no vehicle come second, with why they are left out.
-
-    Raises:
-        InputError: A path does not exist, a folder holds no recording, or the name of a file that was given contains no
-            vehicle.
     """
     found: list[tuple[Path, str]] = []
     unnamed: list[Outcome] = []
@@ -127,7 +120,6 @@ def recordings_of(places: Iterable[Path], vehicle: str | None) -> tuple[list[tup
 
 
 def _say_left_out(places: Iterable[Path], console: Console) -> None:
-    """Print how many files of the folders are no recordings by their suffix."""
     inside = (path for place in places if place.is_dir() for path in place.rglob("*") if not path.is_dir())
     left_out = Counter(path.suffix or "none" for path in inside if path.suffix.lower() not in SUFFIXES)
     if left_out:
@@ -136,11 +128,7 @@ def _say_left_out(places: Iterable[Path], console: Console) -> None:
 
 
 def vehicle_in_name(path: Path) -> str:
-    """Return the vehicle in ``<vehicle>__<time>.<suffix>``.
-
-    Raises:
-        InputError: The name has no such part.
-    """
+    """Return the vehicle in ``<vehicle>__<time>.<suffix>``."""
     vehicle, separator, _ = path.stem.partition(SEPARATOR)
     if not (vehicle and separator):
         raise InputError("does not name its vehicle: name it <vehicle>__<time>, or give --vehicle", file=path)
@@ -184,15 +172,6 @@ def summary(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def _waiting(storage: SqlStorage, outcomes: Sequence[Outcome]) -> list[str]:
-    """Return what the windows of the vehicles wait for of which something was received."""
-    vehicles = {outcome.record.vehicle for _, outcome in outcomes if isinstance(outcome, ChunkReceipt)}
-    if not vehicles:
-        return []
-    with storage.read() as unit:
-        return [line_of(one) for one in WindowReasons(unit).waiting(vehicles=sorted(vehicles))]
-
-
 def registry_lines(loaded: LoadedRegistry) -> list[str]:
     """Return what people must know of a registry that was loaded: what is estimated again, and what is not at all."""
     lines = []
@@ -217,17 +196,6 @@ def load_and_say(registry: Path, storage: SqlStorage, console: Console) -> None:
         loaded = load_registry(registry, unit, now_ns, Entry(Decision(recorded_ns=now_ns), now_ns))
     for line in registry_lines(loaded):
         print_line(console, line)
-
-
-def _unfinished(receiver: Receiver, console: Console) -> list[Outcome]:
-    """Decode what an earlier run stored but did not decode; what cannot be decoded yet stays stored."""
-    outcomes: list[Outcome] = []
-    for outcome in receiver.decode_stored():
-        if isinstance(outcome, ChunkReceipt):
-            outcomes.append((Path(outcome.record.digest), outcome))
-        else:
-            print_line(console, f"stored earlier, not decoded: {outcome}")
-    return outcomes
 
 
 def _work_off(receiver: Receiver, console: Console) -> None:

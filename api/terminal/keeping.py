@@ -13,21 +13,16 @@ from api.factory import SystemClock, open_store, raw_store, retention_of
 from api.progress import counted
 from api.settings import load_settings
 from fleet_db.keeping.backup import BackupPlan, back_up
-from fleet_db.keeping.deep_check import DeepCheck, check_deep
+from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.restore import Installation, restore
 from fleet_db.keeping.stored_bytes import StoredBytes, StoredKind, stored_bytes
 
-LISTED = 50
-"""Findings that are printed; the rest is counted."""
+LISTED = 50  # findings that are printed; the rest is counted
 
 
 def back_up_and_report(folder: Path, *, windows: bool, recordings: bool | None) -> None:
-    """Write a backup and print what it holds.
-
-    Raises:
-        typer.Exit: Code 1: files that the database refers to are missing or damaged; they are listed.
-    """
+    """Write a backup and print what it holds; exit 1 where files that the database refers to are missing or damaged."""
     settings, plan = load_settings(), BackupPlan(windows, recordings)
     raw = raw_store(settings)
     with closing(open_store(settings)) as storage, counted("backing up files") as progress:
@@ -42,11 +37,7 @@ def back_up_and_report(folder: Path, *, windows: bool, recordings: bool | None) 
 
 
 def restore_and_report(folder: Path, name: str | None) -> None:
-    """Restore a backup and print what is there now.
-
-    Raises:
-        typer.Exit: Code 1: files are missing; they are listed.
-    """
+    """Restore a backup and print what is there now; exit 1 where files are missing."""
     settings = load_settings()
     with counted("restoring files") as progress:
         into = Installation(settings.url, settings.data_dir, raw_store(settings))
@@ -60,16 +51,14 @@ def restore_and_report(folder: Path, name: str | None) -> None:
 
 
 def check_and_report() -> None:
-    """Compare everything that is stored and print what does not belong together.
-
-    Raises:
-        typer.Exit: Code 1: something is damaged or lost.
-    """
+    """Compare everything that is stored and print what does not belong together; exit 1 where something is lost."""
     settings = load_settings()
     raw = raw_store(settings)
     with closing(open_store(settings)) as storage, counted("reading files") as progress:
         found = check_deep(storage, raw, progress)
-    typer.echo(f"read {found.files:,} files and {found.rows:,} packed values: {_verdict(found)}")
+    harmful = sum(not finding.harmless for finding in found.findings)
+    verdict = f"{harmful:,} damaged or lost, {len(found.findings) - harmful:,} files that nothing refers to"
+    typer.echo(f"read {found.files:,} files and {found.rows:,} packed values: {verdict}")
     lines = [f"{finding.kind}: {finding.subject}: {finding.detail}" for finding in found.findings]
     for line in lines[:LISTED]:
         typer.echo(line)
@@ -87,12 +76,6 @@ def purge_and_report() -> None:
     for one in done:
         size = f", {one.item_bytes:,} bytes" if one.item_bytes else ""
         typer.echo(f"{one.kind.value.replace('_', ' ')}: {one.items:,} deleted{size}")
-
-
-def _verdict(found: DeepCheck) -> str:
-    harmful = sum(not finding.harmless for finding in found.findings)
-    orphans = len(found.findings) - harmful
-    return f"{harmful:,} damaged or lost, {orphans:,} files that nothing refers to"
 
 
 def _list(what: str, lines: tuple[str, ...]) -> None:

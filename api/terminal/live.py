@@ -16,12 +16,11 @@ from prometheus_client.core import Metric
 from rich.console import Console
 
 from api import factory, logs
-from api.factory import SystemClock, open_store
+from api.factory import SystemClock, open_store, publisher
 from api.measures import counter, gauge, reference_measures
 from api.settings import Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes
-from api.topic import publisher
 from api.tracing import start_tracing
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.migrate import check_head
@@ -34,8 +33,7 @@ from ingest.live.storing import Stores
 from ingest.receipts import to_nobody
 from ingest.receiver import ChunkReceipt, Receiver
 
-REMEMBERED = 1000
-"""Recordings that the summary at the end covers."""
+REMEMBERED = 1000  # recordings that the summary at the end covers
 
 MEGABYTE = 1_000_000
 
@@ -55,11 +53,7 @@ class LiveBus:
 def receive_and_report(
     buses: Sequence[LiveBus], registry: Path | None, catalogues: Sequence[Path], health: HealthAddress | None
 ) -> None:
-    """Receive live buses until SIGTERM or SIGINT, and print a summary.
-
-    Raises:
-        typer.Exit: Code 1: a recording was rejected.
-    """
+    """Receive live buses until SIGTERM or SIGINT, and print a summary; exit 1 where a recording was rejected."""
     settings = load_settings()
     console = Console(stderr=True)
     say = _say(settings, console)
@@ -97,8 +91,6 @@ def receive_and_report(
 
 
 class _Stores:
-    """Database and raw store, opened when they are there."""
-
     def __init__(self, settings: Settings, catalogues: Sequence[Path], registry: Path | None, console: Console) -> None:
         self._settings = settings
         self._catalogues = catalogues
@@ -201,18 +193,13 @@ TIMES: Mapping[str, str] = {
 def serving_health(
     address: HealthAddress, statuses: Mapping[str, LiveStatus], more: Sequence[Callable[[], Iterable[Metric]]] = ()
 ) -> Iterator[int]:
-    """Serve health and measures of receivers, by the vehicle, and ``more`` measures; yield the port.
-
-    Raises:
-        ParameterError: Nobody can listen there.
-    """
+    """Serve health and measures of receivers, by the vehicle, and ``more`` measures; yield the port."""
     read = partial(live_measures, statuses)
     with served(address, partial(_health, statuses), partial(_readiness, statuses), [read, *more]) as port:
         yield port
 
 
 def _health(statuses: Mapping[str, LiveStatus]) -> Answer:
-    """Whether every thread runs."""
     alive = all(status.alive for status in statuses.values())
     threads = {
         vehicle: {thread.name: thread.is_alive() for thread in status.threads} for vehicle, status in statuses.items()
@@ -224,14 +211,10 @@ def _readiness(statuses: Mapping[str, LiveStatus]) -> Answer:
     """Whether frames reach their receipts and can be used; a silent bus is no fault, a vehicle may be switched off."""
     faults = {vehicle: status.faults for vehicle, status in statuses.items()}
     alive = all(status.alive for status in statuses.values())
-    silent_s = {vehicle: _silent_s(status) for vehicle, status in statuses.items()}
+    since_s = {vehicle: status.silent_since_s for vehicle, status in statuses.items()}
+    silent_s = {v: None if s is None else round(max(0.0, time.time() - s), 1) for v, s in since_s.items()}
     bad = {vehicle: found for vehicle, found in faults.items() if found}
     return json_answer(alive and not bad, {"faults": bad, "silent_for_s": silent_s})
-
-
-def _silent_s(status: LiveStatus) -> float | None:
-    since_s = status.silent_since_s
-    return None if since_s is None else round(max(0.0, time.time() - since_s), 1)
 
 
 def live_measures(statuses: Mapping[str, LiveStatus]) -> Iterator[Metric]:

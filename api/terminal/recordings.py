@@ -21,8 +21,7 @@ from fleet_db.stores.decoded_again import STAGE
 from ingest.corrections import Author, RecordingCorrections, receipt_of
 from ingest.receiver import ChunkReceipt, Receiver
 
-DIGITS = 12
-"""Of a digest, in lists: enough to name it."""
+DIGITS = 12  # of a digest, in lists: enough to name it
 
 MOST_LISTED = 10_000
 
@@ -68,11 +67,7 @@ def correct_and_report(
     *,
     our_clock_was_behind: bool = False,
 ) -> None:
-    """Correct a recording, decode what has to be, make the windows again, and print how it stands.
-
-    Raises:
-        typer.Exit: Code 1: it could not be decoded.
-    """
+    """Correct a recording, decode and assemble what has to be, print how it stands; exit 1 where decoding fails."""
     settings, clock = load_settings(), SystemClock()
     logs.configure(settings)
     with closing(open_store(settings)) as storage:
@@ -106,11 +101,7 @@ def quarantine_list(*, everything: bool) -> str:
 
 
 def retry_and_report(kind: SubjectKind | None, key: str | None) -> None:
-    """Let what is in quarantine be tried again: recordings now, the rest at the next run of the jobs.
-
-    Raises:
-        typer.Exit: Code 1: a recording could not be decoded.
-    """
+    """Try what is in quarantine again: recordings now, the rest at the next run of the jobs; exit 1 where one fails."""
     settings, clock = load_settings(), SystemClock()
     logs.configure(settings)
     with closing(open_store(settings)) as storage:
@@ -123,7 +114,6 @@ def retry_and_report(kind: SubjectKind | None, key: str | None) -> None:
 
 
 def _decode(receiver: Receiver, digests: Iterable[str]) -> list[str]:
-    """Decode recordings; return why any could not be."""
     failed = []
     for digest in digests:
         for outcome in receiver.decode_stored(digest):

@@ -131,7 +131,6 @@ def _problems(file: Path, storage: SqlStorage, entry: Entry) -> list[str]:
 
 
 def _roll_back() -> None:
-    """End a transaction without storing anything."""
     raise _NothingStoredError
 
 

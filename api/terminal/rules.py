@@ -24,9 +24,16 @@ from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import SpeedBand
 from estimation.errors import InputError, NotFoundError
 from estimation.jobs.refresh_adhesion import KEPT_NS
-from estimation.jobs.rules_difference import Change, Difference, differences
-from estimation.jobs.rules_replay import DAY_NS, NOT_REPLAYED, history_of, replayed
-from estimation.jobs.section_replay import section_replayed
+from estimation.jobs.rules_replay import (
+    DAY_NS,
+    NOT_REPLAYED,
+    Change,
+    Difference,
+    differences,
+    history_of,
+    replayed,
+    section_replayed,
+)
 from estimation.values.alerts import Alert
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
@@ -59,7 +66,6 @@ def _settings_table(settings: _Settings, shipped: _Settings) -> Table:
 
 
 def _settings(book: RuleBook) -> _Settings:
-    """Return every setting as text, by rule and name."""
     found = {(rule.kind, name): value for rule in book.rules for name, value in _flat(rule)}
     return found | {("alarm_flood", name): value for name, value in _flat(book.alarm_flood)}
 
@@ -140,7 +146,6 @@ def _check_codes(unit: SqlUnitOfWork, book: RuleBook, fleet: str | None, console
 def _replayed(
     storage: SqlStorage, books: tuple[RuleBook, RuleBook], span: tuple[int, int], fleet: str | None
 ) -> Mapping[str, Sequence[Difference]]:
-    """Return the differences by wheelset, and by section and fleet."""
     with storage.read() as unit:
         serials = [one.serial for one in unit.registry.wheelsets() if fleet in (None, one.fleet)]
         sections = [one.code for one in unit.tracks.sections()]
@@ -167,7 +172,6 @@ def _of_fleet(alerts: Sequence[Alert], fleet: str | None) -> list[Alert]:
 
 
 def _summary(found: Mapping[str, Sequence[Difference]]) -> Table:
-    """Return how many alerts of each kind there are, and how many differ in which way."""
     counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
     for one in (one for changes in found.values() for one in changes):
         kind = _either(one).kind

@@ -6,7 +6,7 @@ import inspect
 import os
 import re
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import typer
 
@@ -44,8 +44,3 @@ def described(documentation: str) -> Iterator[tuple[Sequence[str], str]]:
     _, _, parameters = documentation.partition("Args:\n")
     for names, meaning in re.findall(r"^    (\S[^:]*): (.*\n?(?:        .*\n?)*)", parameters, re.MULTILINE):
         yield names.split(", "), " ".join(meaning.split()).replace("``", "")
-
-
-def meanings() -> Mapping[str, str]:
-    """Return what every setting means, by its field."""
-    return {name: meaning for names, meaning in described(inspect.getdoc(Settings) or "") for name in names}

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from api.progress import bar
+from api.terminal.store import print_line
 from estimation.errors import ParameterError
 from estimation.jobs.stop_signals import stop_on_signals
 from ingest.bus import open_bus
@@ -19,53 +20,31 @@ from ingest.simulator.scenario_file import builtin_scenarios, load_scenario
 
 
 def load(scenario: str, seed: int | None) -> Scenario:
-    """Return a built-in scenario or that of a file, with another seed where one is given.
-
-    Raises:
-        ScenarioError: There is no such scenario, or the file is wrong; names the line and the field.
-    """
+    """Return a built-in scenario or that of a file, with another seed where one is given."""
     plan = load_scenario(scenario)
     return plan if seed is None else with_seed(plan, seed)
 
 
-def list_scenarios() -> None:
-    """Print the built-in scenarios."""
-    Console().print(scenario_table())
-
-
 def write_registry(scenario: Scenario, out: Path) -> None:
     """Write registry and track of a scenario into the folder ``out``."""
-    Console(stderr=True).print(f"wrote {prepare(scenario, out)}", highlight=False, soft_wrap=True)
+    print_line(Console(stderr=True), f"wrote {prepare(scenario, out)}")
 
 
 def write_recordings(scenario: Scenario, out: Path, vehicles: list[str] | None, workers: int | None) -> None:
-    """Simulate a scenario, or some of its ``vehicles``, into the folder ``out`` in ``workers`` processes.
-
-    Args:
-        out: Folder of the recordings, the registry and the truth.
-        vehicles: Codes; None is all.
-        workers: Processes; None is as many as cores.
-    """
+    """Simulate a scenario, or some of its ``vehicles``, into a folder; None is all, and as many processes as cores."""
     console = Console(stderr=True)
     report = simulate_with_progress(scenario, out, console, vehicles=vehicles, workers=workers)
-    console.print(
+    print_line(
+        console,
         f"{len(report.recordings)} recordings, {report.frames:,} frames, {report.wheelset_seconds:,.0f} "
         f"wheelset-seconds in {out}; registry {report.registry.name}, truth {report.truth.name}",
-        highlight=False,
-        soft_wrap=True,
     )
 
 
 def simulate_with_progress(
     scenario: Scenario, out: Path, console: Console, *, vehicles: list[str] | None = None, workers: int | None = None
 ) -> FleetReport:
-    """Simulate a scenario into ``out`` under a progress bar; arguments and errors as ``run_fleet``.
-
-    Args:
-        out: Folder of the recordings, the registry and the truth.
-        vehicles: Codes; None is all.
-        workers: Processes; None is as many as cores.
-    """
+    """Simulate a scenario into ``out`` under a progress bar; arguments and errors as ``run_fleet``."""
     with bar(console, "simulating the fleet", "{task.fields[frames]:,} frames") as progress:
         task = progress.add_task("", total=None, frames=0)
         frames = 0
@@ -78,8 +57,8 @@ def simulate_with_progress(
         return run_fleet(scenario, out, vehicles=vehicles, workers=workers, progress=show)
 
 
-def scenario_table() -> Table:
-    """Return the built-in scenarios with their size and description."""
+def list_scenarios() -> None:
+    """Print the built-in scenarios with their size and description."""
     table = Table("scenario", "vehicles", "wheelsets", "campaigns", "minutes each", "description")
     for name in builtin_scenarios():
         plan = load_scenario(name)
@@ -93,21 +72,13 @@ def scenario_table() -> Table:
             else f"{plan.sessions.duration / 60.0:g}",
             plan.description,
         )
-    return table
+    Console().print(table)
 
 
 def transmit_live(
     scenario: Scenario, interface: str, channel: str | None, vehicles: list[str] | None, speed_up: float
 ) -> None:
-    """Transmit one vehicle of a scenario on a live bus until its last campaign ends or a signal comes.
-
-    Args:
-        vehicles: The one vehicle; may be left out where the scenario has only one.
-        speed_up: Simulated seconds per second.
-
-    Raises:
-        ParameterError: A channel or the choice of one vehicle is missing, or the bus cannot be opened.
-    """
+    """Transmit one vehicle of a scenario on a live bus until its last campaign ends or a signal comes."""
     console = Console(stderr=True)
     if channel is None:
         raise ParameterError("a live bus needs --channel", field="--channel")

@@ -17,8 +17,7 @@ from api.tracing import start_tracing
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
-NAMELESS = "command line"
-"""Who is recorded where the user of the system has no name, as in a container."""
+NAMELESS = "command line"  # who is recorded where the user of the system has no name, as in a container
 
 
 def begun(settings: Settings) -> threading.Event:

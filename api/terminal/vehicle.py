@@ -16,7 +16,7 @@ from estimation.vehicle.linear_model import (
 )
 from estimation.vehicle.observability import CAUSES, Running, conicity_shifts, observability
 from estimation.vehicle.vehicle_class import VehicleClass
-from ingest.vehicle_class_file import read_vehicle_class, shipped_class, shipped_classes
+from ingest.vehicle_class_schema import read_vehicle_class, shipped_class, shipped_classes
 
 CONICITIES = 0.1, 0.2, 0.3, 0.4
 ERROR, SCALE_ERROR = 0.1, 0.01

@@ -66,33 +66,21 @@ def event_id(visible: frozenset[str] | None, branches: Sequence[FeedBranch], eve
 
 def cloud_event(branches: Sequence[FeedBranch], identity: str, event: AlertEvent) -> bytes:
     """Return what is sent for an event; its ``data`` is byte for byte the event of the feed."""
-    envelope = {
-        "specversion": "1.0",
-        "id": identity,
-        "source": f"urn:treadwatch:feed:{branches[0].identity}",
-        "type": f"treadwatch.alert.{event.kind.value}",
-        "subject": f"/v1/alerts/{event.alert.alert_id}",
-        "time": to_rfc3339(event.recorded_ns),
-        "datacontenttype": "application/json",
-    }
+    subject = f"/v1/alerts/{event.alert.alert_id}"
+    envelope = _envelope(branches, identity, f"treadwatch.alert.{event.kind.value}", subject, event.recorded_ns)
     return orjson.dumps(envelope)[:-1] + b',"data":' + payload_of(alerts.event(event)) + b"}"
 
 
-def trial_event(branches: Sequence[FeedBranch], webhook_id: int, now_ns: int) -> tuple[str, bytes]:
-    """Return identity and body of an event that only tries out a webhook."""
-    identity = f"test-{uuid.uuid4().hex}"
-    path = f"/v1/webhooks/{webhook_id}"
-    envelope = {
+def _envelope(branches: Sequence[FeedBranch], identity: str, kind: str, subject: str, at_ns: int) -> dict[str, object]:
+    return {
         "specversion": "1.0",
         "id": identity,
         "source": f"urn:treadwatch:feed:{branches[0].identity}",
-        "type": TEST_TYPE,
-        "subject": path,
-        "time": to_rfc3339(now_ns),
+        "type": kind,
+        "subject": subject,
+        "time": to_rfc3339(at_ns),
         "datacontenttype": "application/json",
-        "data": {"webhook": path},
     }
-    return identity, orjson.dumps(envelope)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,5 +99,6 @@ def trial_of(storage: SqlStorage, webhook_id: int, now_ns: int) -> Trial:
         webhook, branches = unit.webhooks.get(webhook_id), unit.feed_branches.all()
     with replace(storage, visible_fleets=None).read() as unit:  # no bound caller sees what signs
         secrets = unit.webhooks.secrets(webhook_id, now_ns)
-    identity, body = trial_event(branches, webhook_id, now_ns)
+    identity, path = f"test-{uuid.uuid4().hex}", f"/v1/webhooks/{webhook_id}"
+    body = orjson.dumps(_envelope(branches, identity, TEST_TYPE, path, now_ns) | {"data": {"webhook": path}})
     return Trial(webhook.url, identity, signed_headers(secrets, identity, now_ns, body), body)

@@ -24,8 +24,8 @@ from api.webhooks.sending import Outcome, Sender
 from estimation.errors import NotFoundError, TreadwatchError
 from estimation.storage import Clock
 from estimation.values.alerts import AlertEvent
+from fleet_db.process_locks import sending_alone
 from fleet_db.session import BUSY_TIMEOUT_MS
-from fleet_db.sole_sender import sending_alone
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.installation import FeedBranch
 from fleet_db.webhook_records import Delivery, DeliveryState, DisabledReason, Failure, Webhook, WebhookState
@@ -58,11 +58,7 @@ class Schedule:
     def next_ns(
         self, first_ns: int, attempts: int, now_ns: int, chance_1: float, asked_s: float | None = None
     ) -> int | None:
-        """Return when an event is sent again; None where it is given up.
-
-        Args:
-            chance_1: Of a fair draw from 0 to 1, for the jitter.
-        """
+        """Return when an event is sent again; None where it is given up. ``chance_1`` is a fair draw from 0 to 1."""
         end_ns = first_ns + round(self.span_s * SECOND_NS)
         if now_ns >= end_ns and attempts >= self.least_attempts:
             return None
@@ -138,19 +134,14 @@ def after_attempt(delivery: Delivery, outcome: Outcome, schedule: Schedule, now_
     return Verdict(replace(tried, state=DeliveryState.WAITING, next_ns=next_ns), None)
 
 
-AT_ONCE = 32
-"""Receivers that are sent to at the same time."""
-PASSED_AT_ONCE = 500
-"""Events of others over which a position is moved together."""
-AFTER_STORAGE_S, AFTER_FAULT_S = 2.0, 60.0
-"""How long a webhook waits where the database fails, and where we do."""
+AT_ONCE = 32  # receivers that are sent to at the same time
+PASSED_AT_ONCE = 500  # events of others over which a position is moved together
+AFTER_STORAGE_S, AFTER_FAULT_S = 2.0, 60.0  # how long a webhook waits where the database fails, and where we do
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class _Next:
-    """What is sent next to a webhook."""
-
     webhook: Webhook
     delivery: Delivery
     event: AlertEvent
@@ -160,7 +151,7 @@ class _Next:
 
 @dataclass(slots=True)
 class Deliveries:
-    """Sends what is due; one in all processes, see :func:`fleet_db.sole_sender.sending_alone`."""
+    """Sends what is due; one in all processes, see :func:`fleet_db.process_locks.sending_alone`."""
 
     storage: SqlStorage
     sender: Sender
@@ -193,7 +184,6 @@ class Deliveries:
             await asyncio.gather(*late, return_exceptions=True)
 
     def _due(self) -> list[int]:
-        """Return the numbers of the webhooks for which there may be something to send now."""
         now_ns = self.clock.now_ns()
         with self.storage.read() as unit:
             active, waiting = unit.webhooks.active(), unit.webhooks.waiting()
@@ -207,7 +197,6 @@ class Deliveries:
         ]
 
     async def _deliver(self, webhook_id: int) -> None:
-        """Send to one webhook until nothing is due."""
         try:
             while not self._ending:
                 found = await asyncio.to_thread(self._next, webhook_id)
@@ -229,7 +218,6 @@ class Deliveries:
             del self._under_way[webhook_id]
 
     def _next(self, webhook_id: int) -> _Next | None:
-        """Return what is to be sent now to a webhook; None where that is nothing."""
         now_ns = self.clock.now_ns()
         with self.storage.read() as unit:
             webhook = unit.webhooks.get(webhook_id)
@@ -293,12 +281,9 @@ def _report(webhook: Webhook, delivery: Delivery, disabled: DisabledReason | Non
         _log.warning("webhook %d: event %d was not taken: %s", webhook.webhook_id, delivery.sequence, delivery.detail)
 
 
-INTERVAL_S = 1.0
-"""Between two looks at what is due."""
-TAKE_OVER_S = 5.0
-"""Between two looks at whether the process that delivers has ended."""
-PATIENCE_S = 3.0
-"""How long what is being sent may take when the service ends."""
+INTERVAL_S = 1.0  # between two looks at what is due
+TAKE_OVER_S = 5.0  # between two looks at whether the process that delivers has ended
+PATIENCE_S = 3.0  # how long what is being sent may take when the service ends
 
 
 class WebhookWorker:
@@ -342,7 +327,6 @@ class WebhookWorker:
                 _log.exception("webhooks are not delivered to for %g s", TAKE_OVER_S)
 
     async def _deliver(self, services: Services, still_alone: Callable[[], bool]) -> None:
-        """Deliver until the service ends, or another process may have taken over."""
         patient = replace(services.storage, patience_s=BUSY_TIMEOUT_MS / 1000)  # requests do not wait for it
         deliveries = Deliveries(patient, self._sender, services.clock)
         try:

@@ -61,13 +61,7 @@ def in_state(webhook: Webhook, state: WebhookState, now_ns: int) -> Webhook:
 
 
 def place_of(unit: SqlUnitOfWork, webhook: Webhook, after: str | None, from_ns: int | None, path: str) -> int:
-    """Return the number of the event behind which a webhook is to go on.
-
-    Args:
-        after: A cursor of the feed of the webhook's filter or of all that it may carry, the id of an event, or
-            ``latest``.
-        from_ns: From the first event on that was recorded at or after this time, ns UTC; wins over ``after``.
-    """
+    """Return the number of the event behind which a webhook goes on: a time, a cursor or ``latest``."""
     if from_ns is not None:
         return unit.webhooks.last_before(from_ns)
     if after == LATEST:

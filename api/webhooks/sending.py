@@ -19,16 +19,11 @@ from api.webhooks.targets import Address, RefusedTargetError, Target, Targets, n
 from estimation.errors import ParameterError
 from fleet_db.webhook_records import Failure
 
-MOST_ANSWER_BYTES = 65_536
-"""What is read of an answer, which is then let go; a receiver that says more is cut off."""
-ADDRESSES = 4
-"""Addresses of a name that are tried, one after the other."""
-TRIALS = 4
-"""Webhooks that are tried out at once in a process."""
-LOOK_UP_S = 5.0
-"""How long the addresses of a name are waited for where nothing is sent."""
-ANSWER_S = 1.0
-"""How long what follows the status of an answer is waited for; it decides nothing."""
+MOST_ANSWER_BYTES = 65_536  # what is read of an answer, which is then let go; a receiver that says more is cut off
+ADDRESSES = 4  # addresses of a name that are tried, one after the other
+TRIALS = 4  # webhooks that are tried out at once in a process
+LOOK_UP_S = 5.0  # how long the addresses of a name are waited for where nothing is sent
+ANSWER_S = 1.0  # how long what follows the status of an answer is waited for; it decides nothing
 
 
 @dataclass(frozen=True, slots=True)

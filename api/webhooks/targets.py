@@ -22,8 +22,7 @@ from fleet_db.webhook_records import Failure
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 MOST_CHARACTERS = 2000
-LOOK_UPS = 16
-"""Names that are looked up at once."""
+LOOK_UPS = 16  # names that are looked up at once
 SETTING = "TREADWATCH_WEBHOOK_NETWORKS"
 _HOST_NAME = re.compile(r"[a-z0-9_]([a-z0-9_.-]{0,251}[a-z0-9_.])?", re.ASCII)
 _PORTS = {"https": 443, "http": 80}
@@ -137,7 +136,6 @@ class Targets:
 
 
 def _look_up(host: str, port: int) -> list[Address]:
-    """Return the addresses of a host, in the order in which the system would try them."""
     found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     return list(dict.fromkeys(ipaddress.ip_address(str(entry[4][0]).partition("%")[0]) for entry in found))
 

@@ -1,4 +1,4 @@
-"""Units of work on the workers of a Dask scheduler, which are processes on any machines; the extra ``dask``.
+"""Units of work on the workers of a Dask scheduler, which are processes on any machines, and such workers here.
 
 Dask carries keys and counts. Settings are not sent: each worker has those of its own environment, with which it opens
 the same database and the same files. Whether it does, it shows before it gets work. A unit that Dask loses or does
@@ -10,6 +10,8 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import logging
+import subprocess
+import sys
 import threading
 import time
 import uuid
@@ -21,31 +23,28 @@ from typing import Any, TypeVar, cast
 
 from api.factory import process_name
 from api.settings import Settings, load_settings
-from api.workers.process import context_of, in_worker, work_unit
+from api.workers.pool import ProcessPool, context_of, in_worker, work_unit
 from estimation.errors import PassingFaultError, TreadwatchError, WorkFailedError
 from estimation.jobs.job import JobContext, WorkExecutor
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobTrigger
 from fleet_db.atomic_files import passing_faults
 from fleet_db.storage import SqlStorage
+from ingest.live.backoff import Backoff
 
-CONNECT_S = 10.0
-"""How long the scheduler may take to answer, s."""
-LOOK_S = 1.0
-"""How often it is asked which workers there are, s."""
-WITHOUT_WORKERS_S = 30.0
-"""So long units wait for workers, s; they may be starting again."""
+CONNECT_S = 10.0  # how long the scheduler may take to answer, s
+LOOK_S = 1.0  # how often it is asked which workers there are, s
+WITHOUT_WORKERS_S = 30.0  # so long units wait for workers, s; they may be starting again
+FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0
+"""Between attempts to reach a scheduler that is away; each is twice the one before."""
+STOP_LOOK_S = 0.2  # how often a stop is looked for, s
 Result = TypeVar("Result")
 
 _log = logging.getLogger(__name__)
 
 
 class DaskExecutor(WorkExecutor):
-    """Does units of work on the workers of a Dask scheduler, those that have shown that they are of this deployment.
-
-    Args:
-        settings: Of the deployment, with the address of the scheduler, such as ``tcp://scheduler:8786``.
-    """
+    """Does units of work on the workers of a Dask scheduler, those that have shown that they are of this deployment."""
 
     work = staticmethod(work_unit)
 
@@ -60,11 +59,7 @@ class DaskExecutor(WorkExecutor):
 
     @property
     def width(self) -> int:
-        """Number of threads of the workers that are fit.
-
-        Raises:
-            WorkFailedError: The scheduler does not answer, or has no such workers.
-        """
+        """Number of threads of the workers that are fit; raises where the scheduler has none or does not answer."""
         self.look()
         return max(1, self.threads())
 
@@ -93,11 +88,7 @@ class DaskExecutor(WorkExecutor):
             raise WorkFailedError(f"the Dask scheduler at {self._address} has no workers of this deployment{others}")
 
     def submit(self, work: Callable[..., Result], /, *arguments: Any, **named: Any) -> Future[Result]:  # noqa: ANN401 - of any work
-        """Return what will hold the result of ``work(context, *arguments)``; cancelled where all are gone.
-
-        Raises:
-            WorkFailedError: The scheduler does not answer, or has no workers.
-        """
+        """Return what will hold the result of ``work(context, *arguments)``; cancelled where all are gone."""
         self.look()
         fit = self._fit()
         # another call each time, and no attempt of Dask's own after an exception; workers that are gone it replaces
@@ -148,11 +139,14 @@ class DaskExecutor(WorkExecutor):
                 _log.warning("a worker gets no work: %s", self._greeted[worker])
 
 
-def _client(address: str) -> Any:  # noqa: ANN401 - a client of a package that may be missing
+def _require_dask() -> None:
     if importlib.util.find_spec("distributed") is None:
-        raise PassingFaultError(
-            "Dask is not installed: pip install 'treadwatch[dask]'", code=ReasonCode.WAITS_FOR_EXTRA
-        )
+        missing = "Dask is not installed: pip install 'treadwatch[dask]'"
+        raise PassingFaultError(missing, code=ReasonCode.WAITS_FOR_EXTRA)
+
+
+def _client(address: str) -> Any:  # noqa: ANN401 - a client of a package that may be missing
+    _require_dask()
     from distributed import Client  # noqa: PLC0415 - an extra
 
     try:
@@ -178,11 +172,7 @@ def _challenge(storage: SqlStorage) -> Iterator[str]:
 
 
 def hello(word: str, wanted: str) -> str | None:
-    """Return why the worker that this is called on is not to get work; None where it is.
-
-    Args:
-        wanted: What :func:`estimated_with` returns where the units come from.
-    """
+    """Return why the worker that this is called on is not to get work; None where it is."""
     try:
         context = context_of(_settings())
         storage = context.storage
@@ -216,3 +206,49 @@ def _on_worker(work: Callable[..., Result], *arguments: Any) -> Result:  # noqa:
         return in_worker(_settings(), work, *arguments)
     except WorkFailedError as error:
         raise WorkFailedError(f"{process_name()}: {error}") from None
+
+
+def serve_dask(address: str, settings: Settings, stopping: threading.Event) -> None:
+    """Run Dask's program for workers until a stop is asked for; it ends when its scheduler does, and is started again.
+
+    Dask starts a worker again that has twice the memory that one may have.
+    """
+    _require_dask()
+    delays = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S)
+    while not stopping.is_set():
+        process = subprocess.Popen(_command(address, settings))  # noqa: S603 - our own interpreter
+        while process.poll() is None and not stopping.wait(STOP_LOOK_S):
+            pass
+        if process.poll() is None:
+            process.terminate()  # Dask lets the running units end
+            process.wait()
+            return
+        delay_s = delays.failed()
+        _log.warning(
+            "the workers have ended (%s), perhaps with their scheduler: again in %g s", process.poll(), delay_s
+        )
+        stopping.wait(delay_s)
+
+
+def _command(address: str, settings: Settings) -> list[str]:
+    options = {
+        "--nworkers": settings.worker_count,
+        "--nthreads": 1,
+        "--memory-limit": f"{2 * settings.worker_memory_mb}MB",
+    }
+    given = [str(part) for pair in options.items() for part in pair]
+    return [sys.executable, "-m", "distributed.cli.dask_worker", address, *given, "--no-dashboard"]
+
+
+@contextmanager
+def executor_of(settings: Settings) -> Iterator[WorkExecutor | None]:
+    """Yield what does the units of work of this deployment: None for this process itself."""
+    if settings.dask_scheduler is None and settings.worker_count == 1:
+        yield None
+        return
+    with (
+        ProcessPool(settings, settings.worker_count)
+        if settings.dask_scheduler is None
+        else DaskExecutor(settings) as made
+    ):
+        yield made

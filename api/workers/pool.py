@@ -12,40 +12,82 @@ import multiprocessing
 import os
 import resource
 import signal
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
+from multiprocessing import parent_process
+from multiprocessing.connection import wait
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from api.factory import open_store, process_name
+from api import logs
+from api.factory import job_context, open_store, process_name
 from api.settings import Settings
-from api.workers.process import begin, in_worker, work_unit
-from estimation.errors import StorageError
-from estimation.jobs.job import WorkExecutor
+from estimation.errors import StorageError, TreadwatchError, WorkFailedError
+from estimation.jobs.catalogue import stage_named
+from estimation.jobs.hand_out import claimed_work
+from estimation.jobs.job import JobContext, WorkExecutor, WorkUnit
 
-RECYCLED_AFTER = 500
-"""Units after which a worker is replaced, whatever its memory: fragments of memory are never given back otherwise."""
-LARGEST = 2.0
-"""A worker that has so many times the memory that it may have after a unit is ended during it."""
-START_S = 120.0
-"""A worker takes at most so long to start: it loads the numerics."""
-LOOK_S = 1.0
-"""How often a worker that is at work is looked at, s."""
+REST_S = 1.0  # a worker that cannot reach the database rests so long, so that the others get the units
 Result = TypeVar("Result")
 
 _log = logging.getLogger(__name__)
 
 
-class ProcessPool(WorkExecutor):
-    """Does units of work in processes of its own.
+@cache
+def context_of(settings: Settings) -> JobContext:
+    """Return what units of this process may touch; opened once."""
+    return replace(job_context(settings, open_store(settings)), holder=process_name())
 
-    Args:
-        count: How many workers there are; each is started when the first unit comes to it.
-    """
+
+def in_worker(settings: Settings, work: Callable[..., Result], *arguments: Any) -> Result:  # noqa: ANN401 - of any work
+    """Return ``work(context, *arguments)``; what is raised fails the unit, as its message, never the worker."""
+    try:
+        return work(context_of(settings), *arguments)
+    except StorageError as error:
+        threading.Event().wait(REST_S)
+        raise WorkFailedError(str(error)) from None
+    except TreadwatchError as error:
+        raise WorkFailedError(str(error)) from None
+    except Exception as error:  # noqa: BLE001 - see above
+        _log.exception("a unit failed")
+        raise WorkFailedError(f"{type(error).__name__}: {error}".splitlines()[0]) from None
+
+
+def work_unit(context: JobContext, unit: WorkUnit) -> Mapping[str, int]:
+    """Do a unit of a stage that this process knows by its name; return what was counted."""
+    return claimed_work(context, stage_named(unit.stage), unit)
+
+
+def begin(settings: Settings) -> None:
+    """Prepare a process of a pool: it leaves signals to whoever started it, and ends when that is gone."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    logs.configure(settings)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os._exit(1)
+
+
+RECYCLED_AFTER = 500
+"""Units after which a worker is replaced, whatever its memory: fragments of memory are never given back otherwise."""
+LARGEST = 2.0  # a worker that has so many times the memory that it may have after a unit is ended during it
+START_S = 120.0  # a worker takes at most so long to start: it loads the numerics
+LOOK_S = 1.0  # how often a worker that is at work is looked at, s
+
+
+class ProcessPool(WorkExecutor):
+    """Does units of work in processes of its own."""
 
     work = staticmethod(work_unit)
 
@@ -97,25 +139,16 @@ class ProcessPool(WorkExecutor):
 
 @dataclass(slots=True)
 class _Worker:
-    """One process after the other, each behind a pool that has no other.
-
-    Attributes:
-        until_s: When the pool is closed, on the monotonic clock.
-        units: How many the process has done.
-    """
+    """One process after the other, each behind a pool that has no other."""
 
     settings: Settings
-    until_s: float = float("inf")
+    until_s: float = float("inf")  # when the pool is closed, on the monotonic clock
     pool: ProcessPoolExecutor | None = None
     pid: int = 0
-    units: int = 0
+    units: int = 0  # that the process has done
 
     def done(self, work: Callable[..., Result], arguments: tuple[Any, ...]) -> Result:
-        """Return what comes of a unit.
-
-        Raises:
-            BrokenExecutor: The process has ended, or is to be killed; says why.
-        """
+        """Return what comes of a unit; a process that has ended, or is to be killed, is a broken executor."""
         pool = self.pool or self._started()
         future = pool.submit(in_worker, self.settings, work, *arguments)
         begun_s = time.monotonic()
@@ -173,6 +206,5 @@ class _Worker:
 
 
 def _memory_mb(pid: int) -> float:
-    """Return how much memory a process has, MB; 0 where the system does not say."""
     pages = Path(f"/proc/{pid}/statm")
     return int(pages.read_text("ascii").split()[1]) * resource.getpagesize() / 1e6 if pages.exists() else 0.0

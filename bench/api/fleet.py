@@ -12,8 +12,14 @@ from sqlalchemy import Insert, func, insert, literal, select
 from estimation.alerts.rules.rule import estimate_evidence, unknown_evidence
 from estimation.trend.trend import TrendPoint, refresh
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
-from estimation.values.geometry import GEOMETRY, BinStatus, BinValues, GeometryRecord, WheelsetGeometry
-from estimation.values.geometry_results import result_of_geometry
+from estimation.values.geometry import (
+    GEOMETRY,
+    BinStatus,
+    BinValues,
+    GeometryRecord,
+    WheelsetGeometry,
+    result_of_geometry,
+)
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord

@@ -26,7 +26,7 @@ def new_key(storage: SqlStorage) -> str:
     wanted = Wanted(owner="bench", scopes=EVERYTHING, fleets=None, expires_ns=None)
     with storage.write() as unit:
         _, token = make_key(unit, wanted, "bench", time.time_ns())
-    return f"Authorization: Bearer {token.text}"
+    return f"Authorization: Bearer {token}"
 
 
 @contextmanager

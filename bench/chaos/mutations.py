@@ -133,8 +133,8 @@ def _values(content: LogContent) -> tuple[Values, dict[str, int]]:
     samples, counts = vehicle_samples("N-7", catalogue, aligned.messages)
     found: set[tuple[int, int, bytes]] = set()
     for number, node in samples.nodes.items():
-        good = node.block.valid.all(axis=1)
-        rows = zip(node.block.t_ns[good].tolist(), node.block.values[good], strict=True)
+        good = node.valid.all(axis=1)
+        rows = zip(node.t_ns[good].tolist(), node.values[good], strict=True)
         found.update((number, t_ns, values.tobytes()) for t_ns, values in rows)
     for identifier, message in aligned.messages.items():
         if message.plan.kind in (MOTION, POSITION):

@@ -30,7 +30,7 @@ from ingest.receiver import Receiver
 from ingest.registry_file import load_registry
 from ingest.simulator.fleet import FleetReport, run_fleet
 from ingest.simulator.scenario_file import load_scenario
-from ingest.vehicle_class_file import class_of_package
+from ingest.vehicle_class_schema import class_of_package
 from tests.postgres_server import PostgresServer, stoppable_server
 
 SCENARIO = """\

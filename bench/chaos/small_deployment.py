@@ -20,7 +20,7 @@ from psycopg import sql
 from api.factory import SystemClock, open_store, raw_store, receiver
 from api.settings import Settings
 from estimation.values.runs import JobOutcome
-from fleet_db.keeping.deep_check import check_deep
+from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.kept_files import orphaned_recordings
 from fleet_db.migrate import upgrade
 from fleet_db.packed_values import pack_geometry
@@ -28,7 +28,7 @@ from fleet_db.storage import SqlStorage
 from fleet_db.tables import Base
 from ingest.frames import take
 from ingest.logs import write_blf
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 from tests.ingest.vehicle_bus import START_NS, VEHICLE, Run, register
 from tests.postgres_server import SAFE, PostgresServer, stoppable_server
 

@@ -19,7 +19,7 @@ from bench.chaos.worker_faults import HERE, ON_DASK, ON_SERVER, Strike
 from bench.chaos.worker_fleet import WorkerFleet, come_to_rest, compared_state, stored_twice, worker_fleet
 from bench.chaos.worker_services import DASK_WORKERS, PROCESSES, services
 from bench.report import BenchRow
-from fleet_db.keeping.deep_check import check_deep
+from fleet_db.keeping.checks import check_deep
 from fleet_db.storage import SqlStorage
 from tests.postgres_server import SAFE, stoppable_server
 

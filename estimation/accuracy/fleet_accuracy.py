@@ -33,11 +33,7 @@ class EstimateOfDate:
 
 
 def baseline_at(wheelset: WheelsetRecord, at_ns: int) -> tuple[int, float]:
-    """Return the number of reprofilings up to a time, and the mileage of the last of them (0 where there is none).
-
-    Args:
-        at_ns: Time, ns UTC; the profile of a reprofiling at that time is the new one.
-    """
+    """Return the number of reprofilings up to and at a time, and the mileage of the last of them (0 without any)."""
     turned = [item for item in wheelset.reprofilings if item.at_ns <= at_ns]
     return len(turned), max(turned, key=lambda item: item.at_ns).mileage_km if turned else 0.0
 
@@ -54,9 +50,6 @@ def estimate_of_date(
     It is that of the mileage interval which contains the measurement, since the last reprofiling before it and with no
     data of after the next. Where that interval has no conicity it is the nearest one that has, if its mileage is
     within an interval of the measurement: in that distance a profile hardly wears.
-
-    Args:
-        change: Its last identity change: estimates of the other side are of another wheelset.
     """
     baseline, begin_km = baseline_at(wheelset, measurement.at_ns)
     own = [one for one in intervals if one.baseline == baseline and one.interval is not None and one.geometry.windows]
@@ -69,31 +62,23 @@ def estimate_of_date(
         return EstimateOfDate(None, Reason(ReasonCode.IDENTITY_DOUBTFUL, text))
     containing = int((measurement.mileage_km - begin_km) // interval_km)
     chosen = next((one for one in same if one.interval == containing), None)
-    if chosen is None or not _has_conicity(chosen):
-        chosen = _nearest(measurement, same, interval_km) or chosen
-    if chosen is None:
-        least = min(abs(one.mileage_km - measurement.mileage_km) for one in same)
-        text = f"the nearest estimate of this profile is {least:.0f} km from the measurement"
-        return EstimateOfDate(None, Reason(ReasonCode.NO_ESTIMATE_NEAR, text))
-    return EstimateOfDate(chosen, None if _has_conicity(chosen) else _why_not(chosen))
 
-
-def _nearest(
-    measurement: MeasuredProfiles, records: Sequence[GeometryRecord], within_km: float
-) -> GeometryRecord | None:
     def apart(record: GeometryRecord) -> float:
         return abs(record.mileage_km - measurement.mileage_km)
 
-    near = [one for one in records if _has_conicity(one) and apart(one) <= within_km]
-    return min(near, key=apart, default=None)
+    if chosen is None or not _has_conicity(chosen):
+        near = [one for one in same if _has_conicity(one) and apart(one) <= interval_km]
+        chosen = min(near, key=apart, default=chosen)
+    if chosen is None:
+        text = f"the nearest estimate of this profile is {min(map(apart, same)):.0f} km from the measurement"
+        return EstimateOfDate(None, Reason(ReasonCode.NO_ESTIMATE_NEAR, text))
+    if _has_conicity(chosen):
+        return EstimateOfDate(chosen, None)
+    return EstimateOfDate(chosen, chosen.geometry.reason or chosen.geometry.equivalent_conicity.reason)
 
 
 def _has_conicity(record: GeometryRecord) -> bool:
     return any(one.status is Status.ESTIMATED for one in record.geometry.conicity)
-
-
-def _why_not(record: GeometryRecord) -> Reason | None:
-    return record.geometry.reason or record.geometry.equivalent_conicity.reason
 
 
 def _same_side(record: GeometryRecord, at_ns: int, change: IdentityChange | None) -> bool:
@@ -162,30 +147,20 @@ class Comparison:
 def compared(
     measurement: MeasuredProfiles, contact: WheelContact | Reason, estimate: EstimateOfDate, *, independent: bool | None
 ) -> Comparison:
-    """Return a measurement beside the estimate that belongs to it.
-
-    Args:
-        contact: What follows from it, or why nothing does.
-        independent: Whether the estimate was made without a measurement of the same wheels; None without an estimate.
-    """
+    """Return a measurement beside the estimate that belongs to it."""
     if isinstance(contact, Reason):
         measured = dict.fromkeys(map(_key, AMPLITUDES), Estimate.unknown(contact))
     else:
         measured = dict(zip(map(_key, contact.amplitude), contact.conicity, strict=True))
-    estimated = _estimated(estimate)
-    pairs = (ConicityPair(float(a), measured[_key(a)], estimated[_key(a)]) for a in AMPLITUDES)
+    pairs = (ConicityPair(a, measured[_key(a)], _estimated(estimate, a)) for a in AMPLITUDES.tolist())
     return Comparison(measurement, contact, estimate, independent, tuple(pairs))
 
 
-def _estimated(estimate: EstimateOfDate) -> Mapping[int, Estimate]:
-    """Return the estimated conicity at each amplitude; at that of limits it may be extrapolated."""
+def _estimated(estimate: EstimateOfDate, amplitude: float) -> Estimate:
+    """Return the estimated conicity at an amplitude; at that of limits it may be extrapolated."""
     if estimate.record is None:
-        return dict.fromkeys(map(_key, AMPLITUDES), Estimate.unknown(estimate.reason or _NO_ESTIMATE))
-    return {_key(a): _at(estimate.record, float(a)) for a in AMPLITUDES}
-
-
-def _at(record: GeometryRecord, amplitude: float) -> Estimate:
-    geometry = record.geometry
+        return Estimate.unknown(estimate.reason or _NO_ESTIMATE)
+    geometry = estimate.record.geometry
     if abs(amplitude - LIMIT_AMPLITUDE) < SAME_AMPLITUDE:
         return conicity_at_limit_amplitude(geometry)
     near = np.flatnonzero(np.abs(geometry.amplitude - amplitude) < SAME_AMPLITUDE)
@@ -312,7 +287,6 @@ def fleet_accuracy(rows: Sequence[PlacedComparison]) -> FleetAccuracy:
 
 
 def _count(rows: Iterable[PlacedComparison], index: int | None = None) -> CoveragePair:
-    """Return the counts at an amplitude, or at that of limits."""
     found = [row.comparison for row in rows]
     outcomes = [(one.at_limit if index is None else one.conicity[index]).covered for one in found]
     alone = [outcome for one, outcome in zip(found, outcomes, strict=True) if one.independent]
@@ -350,10 +324,6 @@ def curve_origin(
     The estimated curve has its origin at the mean of both: it may be anywhere along the known curve, with its own R
     zero on average. The place where it fits best is taken; a wheelset of unlike wheels runs nearer to the track centre
     than its zero crossing is.
-
-    Args:
-        displacement, difference: (n,) m, the known curve.
-        crossing: Its zero crossing, m.
     """
     centre, R = found.bin_centres, found.rolling_radius_difference
     known = np.isfinite(R.value)

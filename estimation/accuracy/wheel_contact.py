@@ -68,11 +68,7 @@ class WheelContact(FrozenArrays):
 
 
 def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact | Reason:
-    """Return the contact geometry of two wheels on rails, or why there is none.
-
-    Args:
-        rails: Rails with the share of the running on each; shares need not add up to one.
-    """
+    """Return the contact geometry of two wheels on rails, or why there is none."""
     if not rails:
         return Reason(ReasonCode.SECTION_UNKNOWN, "no section is on file on whose rails the wheels could be looked at")
     try:
@@ -87,12 +83,14 @@ def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact
     )
     x = np.array(table.lateral_displacement)
     curve_x, curve = _mean_curve([curve for _, curve in found], share)
+    # by how much rL - rR changes where the displacement is a standard deviation off
+    middle, below, above = (np.interp(x + shift, curve_x, curve) for shift in (0.0, -wheels.std, wheels.std))
     return WheelContact(
         tuple(rails),
         x,
         share @ sums,
         share @ differences,
-        _difference_std(x, curve_x, curve, wheels.std),
+        np.maximum(np.abs(above - middle), np.abs(below - middle)),
         AMPLITUDES,
         conicity_of(curve_x, curve, AMPLITUDES, wheels.std),
         zero_crossing(curve_x, curve),
@@ -106,9 +104,6 @@ def conicity_of(x: FloatArray, curve: FloatArray, amplitude: FloatArray, std: fl
     by the largest change per standard deviation within a 95 % interval, for a contact jump may be passed far out only.
 
     Args:
-        x: (n,) lateral displacement, m, increasing.
-        curve: (n,) rL - rR, m.
-        amplitude: (k,) m.
         std: Of the displacement at a rolling radius difference, m.
     """
     here = equivalent_conicity(x, curve, amplitude)
@@ -154,9 +149,3 @@ def _mean_curve(curves: Sequence[RadiusDifferenceCurve], share: FloatArray) -> t
     x = np.unique(np.concatenate([one.displacement for one in curves]))
     x = x[(x >= low) & (x <= high)]
     return x, share @ np.array([np.interp(x, one.displacement, one.difference) for one in curves])
-
-
-def _difference_std(x: FloatArray, curve_x: FloatArray, curve: FloatArray, std: float) -> FloatArray:
-    """Return by how much rL - rR (n,) changes where the displacement is a standard deviation off."""
-    middle, below, above = (np.interp(x + shift, curve_x, curve) for shift in (0.0, -std, std))
-    return np.asarray(np.maximum(np.abs(above - middle), np.abs(below - middle)))

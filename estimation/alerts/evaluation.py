@@ -52,9 +52,6 @@ def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]
     Where the sensor is silent or faulty, where the wheelset was reprofiled or mounted after the newest data, or where
     those do not follow the class of the vehicle, the wear rules find ``unknown``: old numbers are never read as the
     present state. Where its identity is in doubt no wear alert is opened either.
-
-    Args:
-        now_ns: Our time, nanoseconds UTC since the Unix epoch.
     """
     if facts.wheelset.mounting is None:
         return []
@@ -68,7 +65,6 @@ def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]
 
 
 def _not_assessable_reason(facts: WheelsetFacts, found: list[tuple[AlertRule, Finding | None]]) -> Reason | None:
-    """Return why the data do not show the present profile; None where they do."""
     baseline = len(facts.wheelset.reprofilings)
     mounting, geometry = facts.wheelset.mounting, facts.geometry
     if geometry is None or geometry.baseline < baseline:

@@ -37,15 +37,7 @@ class FleetAlertEvidence(Evidence):
 
 
 def in_flood(opened_ns: Sequence[int], rule: AlarmFloodRule) -> list[bool]:
-    """Return of each alert whether it is one of too many.
-
-    Args:
-        opened_ns: When the alerts of one kind in one fleet were opened, by the time of the data; in any order.
-
-    Returns:
-        list of bool: In the order given: true where some span of ``within_hours`` (both ends included) holds the alert
-            and more than ``more_than`` altogether.
-    """
+    """Return of each alert whether some span of ``within_hours`` (both ends included) holds it and too many others."""
     order = sorted(range(len(opened_ns)), key=lambda i: opened_ns[i])
     within_ns = round(rule.within_hours * HOUR_NS)
     flooding = [False] * len(opened_ns)
@@ -63,14 +55,6 @@ def opened(fleet: str, kind: str, members: Sequence[Alert], book: RuleBook) -> A
     """Return the fleet alert that members-to-be call for, to be stored before them so that they can name it.
 
     It counts them only once they are stored, see :func:`refreshed`; to be raised after that.
-
-    Args:
-        kind: Kind of all members.
-        members: The alerts that join it, at least one.
-        book: The rules in force: limits of the alarm flood and delays of the kind.
-
-    Raises:
-        InputError: There are no members.
     """
     if not members:
         raise InputError("a fleet alert needs members", field="members")
@@ -99,12 +83,7 @@ def opened(fleet: str, kind: str, members: Sequence[Alert], book: RuleBook) -> A
 
 
 def refreshed(alert: Alert, members: Sequence[Alert], now_ns: int) -> Transition | None:
-    """Return what its members, as they are now, make of an open fleet alert; None where nothing has changed.
-
-    Args:
-        members: All of its members as stored, open and closed.
-        now_ns: Our time; only an acknowledgement that has run out depends on it.
-    """
+    """Return what its members, as they are now, make of an open fleet alert; None where nothing has changed."""
     after = replace(
         without_stale_acknowledgement(alert, now_ns),
         last_seen_ns=max(alert.last_seen_ns, *(member.last_seen_ns for member in members)),

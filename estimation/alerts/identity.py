@@ -14,14 +14,100 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import combinations
 
 import numpy as np
 
-from estimation.alerts.mirrored import Parts, newest_mirrored
+from estimation.trend.change_point import BESIDE, Series, StepModel, newest_change
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.results import History, ResultKind
 from estimation.values.runs import SubjectKind
+
+EVEN = StepModel(
+    slope=0.0,
+    slope_std=5e-6,  # mm per km, wear that differs between the wheels
+    bend_std=2e-6,
+    wander_std=0.01,
+    step_std=0.3,
+    outlier_std=0.2,
+    noise_floor=1e-3,
+    least_size=0.03,
+    sure=0.95,
+)  # of the rms of the even part, mm
+SAME_SIZE = 0.25  # of the step, by which the size may differ but for its sign
+COMMON = 2.0  # published standard deviations besides, of what all intervals have in common
+KEPT = 0.35  # of the change of the even part, that the odd part may change by: it is its own mirror image
+LEAST_BINS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """Even and odd parts of the curves of a wheelset for x > 0, in order of mileage; NaN where not known."""
+
+    x_km: FloatArray  # (k,)
+    t_ns: FloatArray  # (k,)
+    even: FloatArray  # (k, b) m
+    odd: FloatArray  # (k, b) m
+    std: FloatArray  # (k, b) m, of the even part
+
+
+@dataclass(frozen=True, slots=True)
+class Mirrored:
+    """Where the even part has changed its sign."""
+
+    last: int  # curve before it
+    first: int  # curve behind it
+    jump: float  # standard deviations of the step
+    left: float  # standard deviations that the other sign leaves
+
+
+def newest_mirrored(parts: Parts) -> Mirrored | None:
+    """Return the newest change of sign since the last known event, by a whole history; None where there is none.
+
+    From one interval to the next a curve differs by no more than its standard deviations where these are large,
+    although most of what they hold is common to all intervals of a wheelset. Over a history the noise is known: the
+    even parts are one pattern of changing size, which wears slowly, and a wheelset that was turned end for end has the
+    same size with the other sign.
+    """
+    bins = np.isfinite(parts.even).mean(axis=0) >= 1.0 - SAME_SIZE
+    whole = np.flatnonzero(np.isfinite(parts.even[:, bins]).all(axis=1))
+    if bins.sum() < LEAST_BINS or len(whole) < 2 * EVEN.least_points:
+        return None
+    even, odd, std = (1e3 * table[whole][:, bins] for table in (parts.even, parts.odd, parts.std))
+    even = even - even.mean(axis=1, keepdims=True)  # a band-passed signal leaves the level open
+    size, error = _sizes(even, std)
+    x_km = parts.x_km[whole]
+    found = newest_change(Series(x_km, parts.t_ns[whole], size, error), EVEN)
+    if found is None:
+        return None
+    sides = slice(max(0, found.last + 1 - BESIDE), found.last + 1), slice(found.first, found.first + BESIDE)
+    before, after = (float(np.median(size[side])) for side in sides)
+    odd_change, even_change = (_change(table, x_km, sides) for table in (odd, even))
+    unlike, common = abs(after + before), float(np.median(error))
+    if odd_change > KEPT * even_change or unlike > SAME_SIZE * abs(found.size) + COMMON * common:
+        return None
+    left = unlike / float(np.hypot(found.std, COMMON * common))
+    return Mirrored(int(whole[found.last]), int(whole[found.first]), abs(found.size) / found.std, left)
+
+
+def _sizes(even: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how much each even part (k, b) has of the pattern that varies most, rms in mm, and its std."""
+    pattern = np.linalg.svd(even - even.mean(axis=0), full_matrices=False)[2][0]
+    root = np.sqrt(len(pattern))
+    # errors of neighbouring bins go together
+    return even @ pattern / root, np.maximum(std @ np.abs(pattern) / root, EVEN.noise_floor)
+
+
+def _change(table: FloatArray, x_km: FloatArray, sides: tuple[slice, slice]) -> float:
+    """Return by how much the curves change, rms over the bins: as they are, or less for the wear on both sides."""
+    rates = [np.diff(table[side], axis=0) / np.maximum(np.diff(x_km[side]), 1.0)[:, np.newaxis] for side in sides]
+    wear = np.median(np.concatenate(rates), axis=0)
+    changes = []
+    for rate in (np.zeros_like(wear), wear):
+        before, after = (np.median(table[side] - rate * x_km[side][:, np.newaxis], axis=0) for side in sides)
+        changes.append(float(np.sqrt(np.mean((after - before) ** 2))))
+    return min(changes)
 
 
 class Mistake(StrEnum):
@@ -76,13 +162,9 @@ class IdentityEvent:
 
 @dataclass(frozen=True, slots=True)
 class IdentityJump:
-    """A wheelset whose geometry jumps, so that it must be compared with those of the others.
+    """A wheelset whose geometry jumps, so that it must be compared with those of the others."""
 
-    Attributes:
-        shown: Digest of the geometries in which it jumps.
-    """
-
-    shown: str
+    shown: str  # digest of the geometries in which it jumps
 
 
 JUMP = ResultKind("identity_jump", SubjectKind.WHEELSET, IdentityJump, history=History.NEWEST)
@@ -99,42 +181,23 @@ class _Curve:
 def identity_events(
     histories: Mapping[str, Sequence[Observation]], parameters: IdentityParameters | None = None
 ) -> dict[str, IdentityEvent]:
-    """Return by wheelset the first jump of its geometry that a mistake of the registry explains.
-
-    Args:
-        histories: By wheelset its geometries since its last reprofiling or known event, in order of mileage.
-    """
+    """Return by wheelset the first jump of its geometry that a mistake of the registry explains."""
     p = parameters or IdentityParameters()
     jumps = {serial: jump for serial, seen in histories.items() if (jump := _first_jump(seen, p)) is not None}
     events: dict[str, IdentityEvent] = {}
-    for serial, (before, after) in jumps.items():
-        event = reversed_between(before, after, p)
-        if event is not None:
+    for serial, seen in histories.items():
+        event = reversed_between(*jumps[serial], p) if serial in jumps else None
+        if (event := event or _reversed_in(seen, p)) is not None:
             events[serial] = event
-    for serial in histories.keys() - events.keys():
-        event = _reversed_in(histories[serial], p)
-        if event is not None:
-            events[serial] = event
-    pairs = []
-    serials = sorted(jumps)
-    for i, first in enumerate(serials):
-        for second in serials[i + 1 :]:
-            swap = swapped_between(jumps[first], jumps[second], p)
-            if swap is not None:
-                pairs.append(swap)
-    for first_event, second_event in sorted(
-        pairs, key=lambda pair: (max(pair[0].left, pair[1].left), pair[0].wheelset)
-    ):
-        better = all(
-            event.wheelset not in events or event.left < events[event.wheelset].left
-            for event in (first_event, second_event)
-        )
-        taken = any(
-            serial in events and events[serial].mistake is Mistake.SWAPPED
-            for serial in (first_event.wheelset, second_event.wheelset)
-        )
-        if better and not taken:
-            events |= {first_event.wheelset: first_event, second_event.wheelset: second_event}
+    pairs = (swapped_between(jumps[one], jumps[other], p) for one, other in combinations(sorted(jumps), 2))
+    swaps = [swap for swap in pairs if swap is not None]
+    for swap in sorted(swaps, key=lambda pair: (max(pair[0].left, pair[1].left), pair[0].wheelset)):
+        known = [events.get(event.wheelset) for event in swap]
+        if all(
+            old is None or (old.mistake is not Mistake.SWAPPED and event.left < old.left)
+            for event, old in zip(swap, known, strict=True)
+        ):
+            events |= {event.wheelset: event for event in swap}
     return events
 
 
@@ -142,9 +205,6 @@ def jumps(seen: Sequence[Observation], parameters: IdentityParameters) -> bool:
     """Whether the geometry of a wheelset jumps, so that it must be compared with those of the others.
 
     Observations before the last two of which one did not jump need not be looked at again.
-
-    Args:
-        seen: Its geometries, in order of mileage.
     """
     return _first_jump(seen, parameters) is not None or _reversed_in(seen, parameters) is not None
 
@@ -178,11 +238,6 @@ def reversed_between(
     """Return the event where the curve after is the mirror image of the one before; None where it is not.
 
     Only the even part of R decides: the odd part is its own mirror image.
-
-    Args:
-        before, after: Geometry of the wheelset over two intervals of its mileage, the earlier one first.
-        parameters: Thresholds of a jump and of what may be left of it after mirroring; by default those of the identity
-            rule.
     """
     p = parameters or IdentityParameters()
     worn = _worn(before, after, p)
@@ -229,11 +284,7 @@ def swapped_between(
     second: tuple[Observation, Observation],
     parameters: IdentityParameters | None = None,
 ) -> tuple[IdentityEvent, IdentityEvent] | None:
-    """Return the events of both where each has after what was the other's before, at one time; None where not so.
-
-    Args:
-        first, second: Before and after of two wheelsets.
-    """
+    """Return the events of both where each has after what was the other's before, at one time; None where not so."""
     p = parameters or IdentityParameters()
     if max(first[0].to_ns, second[0].to_ns) > min(first[1].from_ns, second[1].from_ns):
         return None  # one had changed while the other had not yet
@@ -261,16 +312,7 @@ def _event(
     mistake: Mistake, partner: str | None, pair: tuple[Observation, Observation], jump: float, left: float
 ) -> IdentityEvent:
     before, after = pair
-    return IdentityEvent(
-        wheelset=before.wheelset,
-        mistake=mistake,
-        partner=partner,
-        before_ns=before.to_ns,
-        after_ns=after.from_ns,
-        measured_ns=after.to_ns,
-        jump=jump,
-        left=left,
-    )
+    return IdentityEvent(before.wheelset, mistake, partner, before.to_ns, after.from_ns, after.to_ns, jump, left)
 
 
 def _worn(before: Observation, after: Observation, p: IdentityParameters) -> float:

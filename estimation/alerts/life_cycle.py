@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 from estimation.alerts.rules.rule import AlertDelays
-from estimation.errors import ConflictError
+from estimation.errors import ConflictError, InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
 from estimation.values.fields import JsonValue, Served
 
@@ -59,16 +59,11 @@ def transition(
     """Return what a finding does to the open alert of its wheelset and kind.
 
     Args:
-        open_alert: The open alert, or None.
-        now_ns: Our time; only acknowledgements that have run out depend on it.
         delays: Delays of the rule, for a new alert; an open alert keeps those that it was raised with.
 
     Returns:
         Transition or None: None where nothing changes; a repeat with the same data is such a case. ``events`` is empty
             where only counters or a pending alert changed.
-
-    Raises:
-        ConflictError: The alert is closed, or of another wheelset or kind.
     """
     if open_alert is None:
         opens = finding.breached if finding.stands is None else finding.stands
@@ -98,13 +93,14 @@ def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
     if in_km or delays.off_delay_km > 0.0:
         counters |= {"on_delay_km": delays.on_delay_km or None, "off_delay_km": delays.off_delay_km or None}
         counters[RUN_FROM] = finding.mileage_km
+    condition = Condition.UNKNOWN if finding.breached is None else Condition.ACTIVE
     alert = Alert(
         alert_id=0,
         fleet=fleet,
         wheelset=finding.wheelset,
         kind=finding.kind,
         severity=finding.severity,
-        condition=_first_condition(finding) if at_once else Condition.PENDING,
+        condition=condition if at_once else Condition.PENDING,
         opened_ns=finding.measured_ns if finding.since_ns is None else finding.since_ns,
         last_seen_ns=finding.measured_ns,
         occurrence_count=1,
@@ -117,23 +113,12 @@ def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
     return Transition(alert, (AlertEventKind.RAISED,) if at_once else ())
 
 
-def _first_condition(finding: Finding) -> Condition:
-    return Condition.UNKNOWN if finding.breached is None else Condition.ACTIVE
-
-
 def _pending(alert: Alert, finding: Finding) -> Transition | None:
     """Count a breach towards the on-delay; without one the alert ends before it was published."""
     if finding.breached is None or not _is_news(alert, finding):
         return None
     if not (finding.breached if finding.stands is None else finding.stands):
-        gone = replace(
-            alert,
-            condition=Condition.CLEARED,
-            cleared_ns=finding.measured_ns,
-            closed_ns=finding.measured_ns,
-            close_reason=CloseReason.NOT_CONFIRMED,
-        )
-        return _changed(alert, gone, ())
+        return _changed(alert, _ended(alert, finding, CloseReason.NOT_CONFIRMED), ())
     seen = _seen_again(alert, finding)
     if finding.stands is None and not _run_over(seen, finding, seen.occurrence_count, "on"):
         return _changed(alert, seen, ())
@@ -143,57 +128,40 @@ def _pending(alert: Alert, finding: Finding) -> Transition | None:
 def _raised(alert: Alert, stored: Alert, finding: Finding) -> Transition | None:
     if finding.stands is False:
         return _cleared(stored, _refreshed(alert, finding), finding)
-    if finding.breached is None:
-        after = _unknown(alert, finding)
+    if finding.breached is None:  # keep the numbers that raised it, with the reason why they are no longer known
+        why = {name: finding.evidence.get(name) for name in ("unknown_because", "unknown_because_code")}
+        after = replace(alert, condition=Condition.UNKNOWN, evidence={**alert.evidence, **why})
+        if finding.stands is not None:  # of the newest data that decide
+            after = replace(after, severity=finding.severity, action=finding.action)
     elif finding.breached:
         after = _seen_again(alert, finding) if _is_news(alert, finding) else _refreshed(alert, finding)
         after = replace(_counted(after, finding, clear_seen=0), condition=Condition.ACTIVE)
     elif finding.cleared and finding.stands is None:
-        return _clearing(alert, stored, finding)
+        seen = _delay(alert, "clear_seen") + _is_news(alert, finding)
+        after = _counted(_refreshed(alert, finding), finding, clear_seen=seen)
+        if _run_over(after, finding, seen, "off"):
+            return _cleared(stored, after, finding)
+        after = replace(after, condition=Condition.ACTIVE)
     else:  # between the limits: still true, not seen again
         after = replace(_counted(_refreshed(alert, finding), finding, clear_seen=0), condition=Condition.ACTIVE)
     return updated(stored, after)
 
 
-def _unknown(alert: Alert, finding: Finding) -> Alert:
-    """Keep the numbers that raised it, with the reason why they are no longer known."""
-    why = {name: finding.evidence.get(name) for name in ("unknown_because", "unknown_because_code")}
-    evidence = {**alert.evidence, **why}
-    after = replace(alert, condition=Condition.UNKNOWN, evidence=evidence)
-    if finding.stands is None:
-        return after
-    return replace(after, severity=finding.severity, action=finding.action)  # of the newest data that decide
-
-
-def _clearing(alert: Alert, stored: Alert, finding: Finding) -> Transition | None:
-    news = _is_news(alert, finding)
-    seen = _delay(alert, "clear_seen") + (1 if news else 0)
-    after = _counted(_refreshed(alert, finding), finding, clear_seen=seen)
-    if not _run_over(after, finding, seen, "off"):
-        return updated(stored, replace(after, condition=Condition.ACTIVE))
-    return _cleared(stored, after, finding)
-
-
 def _cleared(stored: Alert, alert: Alert, finding: Finding) -> Transition | None:
-    after = replace(
-        alert,
-        condition=Condition.CLEARED,
-        cleared_ns=finding.measured_ns,
-        closed_ns=finding.measured_ns,
-        close_reason=CloseReason.CLEARED,
-        acknowledged_by=None,
-        acknowledged_ns=None,
-    )
+    after = _ended(alert, finding, CloseReason.CLEARED)
     return _changed(stored, after, (AlertEventKind.CLEARED, AlertEventKind.CLOSED))
+
+
+def _ended(alert: Alert, finding: Finding, reason: CloseReason) -> Alert:
+    at_ns, cleared = finding.measured_ns, Condition.CLEARED
+    after = replace(alert, condition=cleared, cleared_ns=at_ns, closed_ns=at_ns, close_reason=reason)
+    return replace(after, acknowledged_by=None, acknowledged_ns=None)
 
 
 def _seen_again(alert: Alert, finding: Finding) -> Alert:
     after = _counted(_refreshed(alert, finding), finding, clear_seen=0)
-    return replace(
-        after,
-        last_seen_ns=max(alert.last_seen_ns, finding.measured_ns),
-        occurrence_count=alert.occurrence_count + 1,
-    )
+    last_ns = max(alert.last_seen_ns, finding.measured_ns)
+    return replace(after, last_seen_ns=last_ns, occurrence_count=alert.occurrence_count + 1)
 
 
 def _refreshed(alert: Alert, finding: Finding) -> Alert:
@@ -221,11 +189,7 @@ def without_stale_acknowledgement(alert: Alert, now_ns: int) -> Alert:
 
 
 def acknowledgement_ends_ns(alert: Alert) -> int | None:
-    """Return when the acknowledgement of an alert runs out, ns UTC; None where it has none.
-
-    Args:
-        alert: Open or closed.
-    """
+    """Return when the acknowledgement of an alert runs out, ns UTC; None where it has none."""
     if alert.acknowledged_ns is None:
         return None
     days = _number(_counters(alert).get("acknowledgement_days"), AlertDelays().acknowledgement_days)
@@ -239,9 +203,7 @@ def updated(before: Alert, after: Alert) -> Transition | None:
 
 
 def _changed(before: Alert, after: Alert, events: tuple[AlertEventKind, ...]) -> Transition | None:
-    if before == after:
-        return None
-    return Transition(after, events)
+    return None if before == after else Transition(after, events)
 
 
 def _material(alert: Alert) -> tuple[object, ...]:
@@ -289,13 +251,6 @@ def close(alert: Alert, reason: CloseReason, at_ns: int) -> Transition:
     """Close an alert for a reason outside the data, such as a reprofiling or an exchange.
 
     The condition stays as it was: what was true then is on record. A pending alert goes without an event.
-
-    Args:
-        reason: Why it is closed.
-        at_ns: When that happened, ns UTC.
-
-    Raises:
-        ConflictError: It is closed already.
     """
     must_be_open(alert)
     after = replace(alert, closed_ns=at_ns, close_reason=reason)
@@ -303,15 +258,10 @@ def close(alert: Alert, reason: CloseReason, at_ns: int) -> Transition:
 
 
 def must_be_open(alert: Alert) -> None:
-    """Refuse an alert that is closed.
-
-    Raises:
-        ConflictError: It is.
-    """
+    """Refuse an alert that is closed."""
     if alert.closed_ns is not None:
-        raise conflict(
-            alert, f"the alert is closed ({alert.close_reason.sentence if alert.close_reason else 'no reason given'})"
-        )
+        why = alert.close_reason.sentence if alert.close_reason else "no reason given"
+        raise conflict(alert, f"the alert is closed ({why})")
 
 
 def conflict(alert: Alert, reason: str) -> ConflictError:
@@ -329,14 +279,66 @@ def section_transition(
     delays: AlertDelays,
     rules_version: str,
 ) -> Transition | None:
-    """Return what a finding does to the open alert of a section and kind; None where nothing changes.
-
-    Args:
-        open_alert: The open alert of the fleet about the section; None where there is none.
-        finding: Of the rule; its wheelset is empty.
-    """
+    """Return what a finding does to the open alert of a section and kind; None where nothing changes."""
     nameless = None if open_alert is None else replace(open_alert, wheelset="")
     found = transition(nameless, finding, now_ns, fleet=fleet, delays=delays, rules_version=rules_version)
     if found is None:
         return None
     return replace(found, alert=replace(found.alert, wheelset=None, track_section=track_section))
+
+
+MOST_REFERENCES = 20
+REFERENCE_LENGTH = 200
+
+
+def acknowledge(alert: Alert, by: str, now_ns: int) -> Transition:
+    """Record that somebody has seen the alert."""
+    _must_be_raised(alert)
+    if not by.strip():
+        raise InputError("an acknowledgement needs a name", field="by")
+    if alert.acknowledged_by is not None:
+        raise conflict(alert, f"already acknowledged by {alert.acknowledged_by}")
+    after = replace(alert, acknowledged_by=by.strip(), acknowledged_ns=now_ns)
+    return Transition(after, (AlertEventKind.ACKNOWLEDGED,))
+
+
+def shelve(alert: Alert, until_ns: int, reason: str, now_ns: int) -> Transition:
+    """Hide the alert until a time; its life cycle goes on, and it returns by itself."""
+    _must_be_raised(alert)
+    if until_ns <= now_ns:
+        raise InputError("the end of shelving is in the past", field="until")
+    if not reason.strip():
+        raise InputError("shelving needs a reason", field="reason")
+    after = replace(alert, shelved_until_ns=until_ns, shelved_reason=reason.strip())
+    return Transition(after, (AlertEventKind.SHELVED,))
+
+
+def unshelve(alert: Alert, now_ns: int) -> Transition:
+    """Bring a shelved alert back before its time."""
+    must_be_open(alert)
+    if alert.shelved_until_ns is None or alert.shelved_until_ns <= now_ns:
+        raise conflict(alert, "the alert is not shelved")
+    after = replace(alert, shelved_until_ns=None, shelved_reason=None)
+    return Transition(after, (AlertEventKind.UNSHELVED,))
+
+
+def link(alert: Alert, ref: str) -> Transition | None:
+    """Note the reference of another system, such as a work order; None where it is noted already.
+
+    Closed alerts take references too: the work order often comes after.
+    """
+    wanted = ref.strip()
+    if not 0 < len(wanted) <= REFERENCE_LENGTH:
+        raise InputError(f"a reference has 1 to {REFERENCE_LENGTH} characters", field="external_refs")
+    if wanted in alert.external_refs:
+        return None
+    if len(alert.external_refs) >= MOST_REFERENCES:
+        raise conflict(alert, f"the alert has {MOST_REFERENCES} references already")
+    after = replace(alert, external_refs=(*alert.external_refs, wanted))
+    return Transition(after, (AlertEventKind.UPDATED,))
+
+
+def _must_be_raised(alert: Alert) -> None:
+    must_be_open(alert)
+    if alert.condition is Condition.PENDING:
+        raise conflict(alert, "the alert has not been raised yet")

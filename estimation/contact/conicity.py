@@ -9,7 +9,8 @@ Curves that a measurement gives: ``docs/decisions/contact-conicity-rules.md``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -242,8 +243,7 @@ FEWEST = 0.8  # share of the draws that must cover an amplitude
 _SEED = 20_15302
 
 
-@dataclass(frozen=True, slots=True)
-class MeasuredShapes:
+class MeasuredShapes(NamedTuple):
     """The four profiles of a wheelset on a track with their uncertainty; one that is used twice errs alike."""
 
     left_wheel: SmoothedProfile
@@ -254,22 +254,15 @@ class MeasuredShapes:
     @property
     def exact(self) -> bool:
         """Whether all four shapes are known."""
-        return all(shape.spline is None for shape in self._all())
+        return all(shape.spline is None for shape in self)
 
     def draw(self, wheelset: WheelsetOnTrack, random: np.random.Generator) -> WheelsetOnTrack:
         """Return the wheelset with profiles that the measurements allow."""
-        different = {id(shape): shape for shape in self._all()}
-        drawn = {key: shape.draw(random) for key, shape in different.items()}
+        drawn = {key: shape.draw(random) for key, shape in {id(shape): shape for shape in self}.items()}
+        left_wheel, right_wheel, left_rail, right_rail = (drawn[id(shape)] for shape in self)
         return replace(
-            wheelset,
-            left_wheel=drawn[id(self.left_wheel)],
-            right_wheel=drawn[id(self.right_wheel)],
-            left_rail=drawn[id(self.left_rail)],
-            right_rail=drawn[id(self.right_rail)],
+            wheelset, left_wheel=left_wheel, right_wheel=right_wheel, left_rail=left_rail, right_rail=right_rail
         )
-
-    def _all(self) -> tuple[SmoothedProfile, ...]:
-        return self.left_wheel, self.right_wheel, self.left_rail, self.right_rail
 
 
 def conicity_std(
@@ -289,9 +282,6 @@ def conicity_std(
 
     Args:
         lateral_displacement, amplitudes: (n,) m, strictly increasing; (k,) m.
-
-    Raises:
-        ContactError: The profiles never touch.
     """
     wanted = np.array(amplitudes, dtype=np.float64, ndmin=1)
     if shapes.exact:

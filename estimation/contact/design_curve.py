@@ -8,7 +8,7 @@ points differ from it by no more than their noise, because wear removes corners.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated
@@ -17,8 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import cKDTree
 
-from estimation.contact.en13715 import HEIGHTS, THICKNESSES
-from estimation.contact.profiles import ProfileKind, rail_profile, wheel_profile
+from estimation.contact.profiles import HEIGHTS, THICKNESSES, ProfileKind, rail_profile, wheel_profile
 from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, Segment
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 
@@ -64,10 +63,7 @@ class DesignCurve(FrozenArrays):
 
 
 def nearest_design(kind: ProfileKind, points: FloatArray) -> DesignCurve | None:
-    """Return the design nearest to measured points (n, 2), mm, moved to them; None if they are of no known design.
-
-    Axes are those of profiles; a wheel's y is from about its tread datum.
-    """
+    """Return the design nearest to measured points (n, 2), mm, moved to them; None if they are of no known one."""
     shown = points[np.unique(np.linspace(0, len(points) - 1, POINTS).astype(np.int64))]
     found = []
     for name in _names(kind, shown):
@@ -124,9 +120,9 @@ def _names(kind: ProfileKind, points: FloatArray) -> list[str]:
     return [*(name for name in _different(WHEEL_DEFINITIONS) if name != "S1002"), *family]  # S1002 is of the family
 
 
-def _different(definitions: Mapping[str, Callable[[], tuple[Segment, ...]]]) -> list[str]:
+def _different(definitions: Mapping[str, tuple[Segment, ...]]) -> list[str]:
     """Return one name of each definition."""
-    return list({define: name for name, define in reversed(list(definitions.items()))}.values())
+    return list({segments: name for name, segments in reversed(list(definitions.items()))}.values())
 
 
 @cache

@@ -13,7 +13,7 @@ from estimation.contact import kernels
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import TREAD_DATUM, Profile, Surface, rail_surface, wheel_surface
 from estimation.errors import ContactError
-from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, freeze, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +86,7 @@ Setting = tuple[bool, float, tuple[float, float], _Sides, _Sides]
 
 @dataclass(frozen=True, slots=True)
 class WheelsetOnTrack:
-    """A wheelset and the track under it, as far as contact geometry goes; SI.
-
-    Raises:
-        ContactError: A wheel where a rail should be, or a dimension that is not a positive number.
-    """
+    """A wheelset and the track under it, as far as contact geometry goes; SI."""
 
     left_wheel: Profile
     right_wheel: Profile
@@ -103,11 +99,10 @@ class WheelsetOnTrack:
     flange_back_distance: float = FLANGE_BACK_DISTANCE  # m
 
     def __post_init__(self) -> None:
-        for field, kind in (("left_wheel", "wheel"), ("right_wheel", "wheel"), ("left_rail", "rail")):
+        for field in ("left_wheel", "right_wheel", "left_rail", "right_rail"):
+            kind = field.partition("_")[2]
             if getattr(self, field).kind != kind:
                 raise ContactError(f"{getattr(self, field).name!r} is no {kind}", field=field)
-        if self.right_rail.kind != "rail":
-            raise ContactError(f"{self.right_rail.name!r} is no rail", field="right_rail")
         for field in ("gauge", "left_radius", "right_radius", "flange_back_distance"):
             value = getattr(self, field)
             if not (math.isfinite(value) and value > 0.0):
@@ -117,18 +112,10 @@ class WheelsetOnTrack:
 
     @staticmethod
     def symmetric(
-        wheel: Profile,
-        rail: Profile,
-        inclination: float,
-        gauge: float,
-        *,
-        radius: float = 0.45,
-        flange_back_distance: float = FLANGE_BACK_DISTANCE,
+        wheel: Profile, rail: Profile, inclination: float, gauge: float, *, radius: float = 0.45
     ) -> WheelsetOnTrack:
         """Return the wheelset with the same wheel, rail and radius on both sides."""
-        return WheelsetOnTrack(
-            wheel, wheel, rail, rail, inclination, gauge, radius, radius, flange_back_distance=flange_back_distance
-        )
+        return WheelsetOnTrack(wheel, wheel, rail, rail, inclination, gauge, radius, radius)
 
 
 def contact_table(
@@ -157,7 +144,23 @@ def contact_table(
     )
     exists = outcomes == kernels.FOUND
     crossed = kernels.jumps(displacement, deviation, values, outcomes, *setting)
-    return _filled(wheelset, method, displacement, deviation, _held(values, exists), exists, crossed)
+    roll, left, right, rail_left, rail_right = _held(values, exists)
+    return ContactTable(
+        method=method,
+        lateral_displacement=displacement,
+        gauge_deviation=deviation,
+        roll=roll,
+        rolling_radius_left=wheelset.left_radius + wheelset.left_wheel.height(left),
+        rolling_radius_right=wheelset.right_radius + wheelset.right_wheel.height(right),
+        contact_angle_left=-np.arctan(wheelset.left_wheel.gradient(left)),
+        contact_angle_right=-np.arctan(wheelset.right_wheel.gradient(right)),
+        contact_position_left=left,
+        contact_position_right=right,
+        rail_position_left=rail_left,
+        rail_position_right=rail_right,
+        exists=exists,
+        jump=np.pad(crossed, ((0, 1), (0, 0))) | np.pad(crossed, ((1, 0), (0, 0))),
+    )
 
 
 def search_contacts(
@@ -233,53 +236,19 @@ def _held(values: FloatArray, exists: BoolArray) -> FloatArray:
     return held
 
 
-def _filled(
-    wheelset: WheelsetOnTrack,
-    method: ContactMethod,
-    displacement: FloatArray,
-    deviation: FloatArray,
-    values: FloatArray,
-    exists: BoolArray,
-    crossed: BoolArray,
-) -> ContactTable:
-    roll, left, right, rail_left, rail_right = values
-    shape = left.shape
-    return ContactTable(
-        method=method,
-        lateral_displacement=displacement,
-        gauge_deviation=deviation,
-        roll=roll,
-        rolling_radius_left=wheelset.left_radius + wheelset.left_wheel.height(left.ravel()).reshape(shape),
-        rolling_radius_right=wheelset.right_radius + wheelset.right_wheel.height(right.ravel()).reshape(shape),
-        contact_angle_left=-np.arctan(wheelset.left_wheel.gradient(left.ravel())).reshape(shape),
-        contact_angle_right=-np.arctan(wheelset.right_wheel.gradient(right.ravel())).reshape(shape),
-        contact_position_left=left,
-        contact_position_right=right,
-        rail_position_left=rail_left,
-        rail_position_right=rail_right,
-        exists=exists,
-        jump=np.pad(crossed, ((0, 1), (0, 0))) | np.pad(crossed, ((1, 0), (0, 0))),
-    )
-
-
 _HOLD = 1.5 * kernels.CURVE_INTERVAL  # m, neighbours on both sides of a jump are no farther apart
 
 
 @dataclass(frozen=True, slots=True)
-class RadiusDifferenceCurve:
+class RadiusDifferenceCurve(FrozenArrays):
     """Left minus right rolling radius, straight between points that were set as densely as that takes; SI.
 
     A contact jump is between two points less than 2 nm apart. Displacements without contact have no points.
     """
 
-    displacement: FloatArray  # (n,) m, strictly increasing
-    difference: FloatArray  # (n,) m
-    jumps: FloatArray  # (k,) m, displacements at which a contact point of either side jumps
-
-    def __post_init__(self) -> None:
-        freeze(self)
-        for name, n in (("displacement", None), ("difference", len(self.displacement)), ("jumps", None)):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+    displacement: Annotated[FloatArray, "n"]  # m, strictly increasing
+    difference: Annotated[FloatArray, "n"]  # m
+    jumps: Annotated[FloatArray, "k"]  # m, displacements at which a contact point of either side jumps
 
 
 def radius_difference_curve(
@@ -294,9 +263,6 @@ def radius_difference_curve(
     Each cell is halved until the curve is straight in it to 0.2 um; a jump is placed by bisection of the contact
     search to 1 nm. So integrals over the curve (EN 15302) do not depend on the grid. Arguments are as those of
     :func:`contact_table`.
-
-    Raises:
-        ContactError: A grid that is not finite and increasing; profiles that never touch.
     """
     grid, _, setting, values, outcomes = search_contacts(
         wheelset, lateral_displacement, (gauge_deviation,), method=method, outside="hold"
@@ -306,13 +272,8 @@ def radius_difference_curve(
 
 def refined_curve(wheelset: WheelsetOnTrack, table: ContactTable, column: int) -> RadiusDifferenceCurve:
     """Return the same curve from a contact table that has been searched already, at one of its gauges (``column``)."""
-    contacts = (
-        table.roll,
-        table.contact_position_left,
-        table.contact_position_right,
-        table.rail_position_left,
-        table.rail_position_right,
-    )
+    positions = (table.contact_position_left, table.contact_position_right)
+    contacts = (table.roll, *positions, table.rail_position_left, table.rail_position_right)
     values = np.array([values[:, column] for values in contacts])
     outcomes = np.where(table.exists[:, column], kernels.FOUND, kernels.NO_ROLL)
     grid = np.array(table.lateral_displacement)  # writable, as the kernel is compiled for

@@ -181,10 +181,7 @@ def contact(displacement, deviation, start, rigid, half, radii, wheels, rails): 
 
 @compiled()
 def table(displacement, deviation, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Return (5, n, g) roll, wheel coordinates and rail positions, and outcomes (n, g).
-
-    Each search starts from its neighbour's roll, from the centre outwards.
-    """
+    """Return (5, n, g) roll, wheel coordinates, rail positions, and outcomes (n, g): from the centre outwards."""
     n, g = len(displacement), len(deviation)
     values, outcomes = np.full((5, n, g), np.nan), np.zeros((n, g), np.int64)
     centre = int(np.argmin(np.abs(displacement)))

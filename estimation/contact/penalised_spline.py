@@ -10,6 +10,7 @@ is that of Wahba (1983). Points of a known design are fitted by this design and 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -17,7 +18,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import nnls
 
 from estimation.contact.design_curve import DesignCurve
-from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 
 DEGREE = 5
 ORDER = 3  # of the penalised derivative
@@ -52,22 +53,15 @@ _MIDDLE = 0.5  # of a chord between two neighbours
 
 
 @dataclass(frozen=True, slots=True)
-class PenalisedSpline:
+class PenalisedSpline(FrozenArrays):
     """The spline and how well it is known; mm."""
 
-    knots: FloatArray  # (k + DEGREE + 1,) mm of arc
-    coefficients: FloatArray  # (k, 2) mm
-    root: FloatArray  # (k, k) mm: square root of the covariance of the coefficients of either coordinate
+    coefficients: Annotated[FloatArray, "k", 2]  # mm
+    knots: Annotated[FloatArray, f"k + {DEGREE + 1}"]  # mm of arc
+    root: Annotated[FloatArray, "k", "k"]  # mm: square root of the covariance of the coefficients of either coordinate
     noise_std: float  # mm, root mean square across the curve
-    residual: FloatArray  # (n,) mm, of each point across the curve
+    residual: Annotated[FloatArray, "n"]  # mm, of each point across the curve
     design: DesignCurve | None = None  # to which the spline is added
-
-    def __post_init__(self) -> None:
-        k = len(self.coefficients)
-        object.__setattr__(self, "knots", frozen_array(self.knots, (k + DEGREE + 1,), name="knots"))
-        object.__setattr__(self, "coefficients", frozen_array(self.coefficients, (k, 2), name="coefficients"))
-        object.__setattr__(self, "root", frozen_array(self.root, (k, k), name="root"))
-        object.__setattr__(self, "residual", frozen_array(self.residual, (None,), name="residual"))
 
     def at(self, arc: FloatArray, coefficients: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Return points and derivatives (n, 2) at arc (n,), mm; of other coefficients, if some are given."""
@@ -111,25 +105,19 @@ def fit_spline(
     noise = noise_std**2 if noise_std is not None else max(rough**2, _TINY)
     for rounds in (FIRST_ROUNDS, ROUNDS):
         knots, basis = _basis(arc, spacing)
-        rows = _whitened(_beyond(design, points, arc), basis, weights, arc, length)
-        pooled = _on_design(design, knots)
-        fit = _evidence_fit(rows, noise, rounds, known=noise_std is not None, pooled=pooled)
+        rows = _whitened(points - design.at(arc)[0] if design else points, basis, weights, arc, length)
+        fit = _evidence_fit(rows, noise, rounds, known=noise_std is not None, pooled=_on_design(design, knots))
         arc, residual, tangent = _projected(points, arc, knots, fit.coefficients, design)
         if noise_std is None:
             weights = weight * _relative_precision(tangent, residual, weight)
     knots, basis = _basis(arc, spacing)
-    rows = _whitened(_beyond(design, points, arc), basis, weights, arc, length)
+    rows = _whitened(points - design.at(arc)[0] if design else points, basis, weights, arc, length)
     fit = _evidence_fit(rows, fit.noise, ROUNDS, known=noise_std is not None, pooled=_on_design(design, knots))
     if design is None:
         fit = _levelled(rows, fit, known=noise_std is not None)
     _, residual, _ = _projected(points, arc, knots, fit.coefficients, design)
     root = np.asarray(np.linalg.cholesky(fit.covariance * UNKNOWN_PENALTY**2), dtype=np.float64)
-    return PenalisedSpline(knots, fit.coefficients, root, float(np.sqrt(fit.noise)), residual, design)
-
-
-def _beyond(design: DesignCurve | None, points: FloatArray, arc: FloatArray) -> FloatArray:
-    """Return what the spline has to be at the arc of each point."""
-    return points if design is None else points - design.at(arc)[0]
+    return PenalisedSpline(fit.coefficients, knots, root, float(np.sqrt(fit.noise)), residual, design)
 
 
 def _on_design(design: DesignCurve | None, knots: FloatArray) -> BoolArray | None:
@@ -220,11 +208,7 @@ def _whitened(points: FloatArray, basis: FloatArray, weights: FloatArray, arc: F
 
 
 def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool, pooled: BoolArray | None = None) -> _Fit:
-    """Return the fit whose local variance of the third difference explains the points best (MacKay's fixed point).
-
-    The variance is the sum of squares over the number of well-determined differences, both over the neighbours, or
-    over all that are ``pooled``.
-    """
+    """Return the fit whose variance of third differences, local or ``pooled``, explains points best (MacKay)."""
     local = np.full(rows[0].shape[1] - ORDER, (FIRST_THIRD_DERIVATIVE * KNOT_STEP**ORDER) ** 2)
     least = (LEAST_THIRD_DERIVATIVE * KNOT_STEP**ORDER) ** 2
     normal = rows[0].T @ rows[0], rows[0].T @ rows[1]
@@ -306,10 +290,7 @@ def _projected(
 
 
 def _relative_precision(tangent: FloatArray, residual: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return weights (n,), geometric mean 1: the noise has one variance in height and one in lateral position.
-
-    Across a surface at angle a its variance is that in height times cos^2 a and the lateral one times sin^2 a.
-    """
+    """Return weights (n,), geometric mean 1: noise has one variance in height (cos^2) and one laterally (sin^2)."""
     share = tangent**2 / np.maximum((tangent**2).sum(axis=1), _TINY)[:, np.newaxis]  # cos^2, sin^2
     variance = np.full(len(residual), max(float((weight @ residual**2) / weight.sum()), _TINY))
     for _ in range(NOISE_ROUNDS):

@@ -10,7 +10,7 @@ from estimation.contact.design_curve import DesignCurve, explains, nearest_desig
 from estimation.contact.penalised_spline import DEGREE, PenalisedSpline, correlated_noise, fit_spline
 from estimation.contact.profiles import Profile, ProfileKind, profile_from_points
 from estimation.errors import ProfileError
-from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.arrays import FloatArray, IntArray
 
 MOST_POINTS = 4000  # one in 0.05 mm of a wheel's arc: the spacing at which smoothed profiles are given
 
@@ -86,9 +86,6 @@ def smoothed_profile(
     Args:
         points: (n, 2) mm, y to the field side and z down, along the profile with y increasing on the whole.
         noise_std: Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
-
-    Raises:
-        ProfileError: Fewer than four points, points that are not in order, or too few for their scatter.
     """
     level = correlated_noise(points)[0] if noise_std is None else noise_std
     if level < EXACT_BELOW:
@@ -104,7 +101,11 @@ def smoothed_profile(
             "points, or a noise of 0 to take them as they are",
             field="z",
         ) from error
-    spline = _on_design(kind, points[chosen], weight, noise_std, spline)
+    counted = weight > 0.0
+    design = nearest_design(kind, points[chosen][counted])
+    local = np.sqrt(np.nanmean(_windows(spline.residual[counted] ** 2, NEAR), axis=1))
+    if design and explains(design, points[chosen][counted], local, correlated_noise(points[chosen])[1]):
+        spline = fit_spline(points[chosen], weight, noise_std, design)
     profile = _profile(kind, name, spline, spline.coefficients)
     outliers = tuple(int(index) for index in chosen[weight == 0.0])
     return SmoothedProfile(profile, spline.noise_std * _MILLIMETRE, outliers, spline)
@@ -116,7 +117,9 @@ def _without_outliers(points: FloatArray, level: float, noise_std: float | None)
     spline = fit_spline(points, weight, noise_std)
     for _ in range(OUTLIER_ROUNDS):
         limit = _limit(spline.residual, weight)
-        far = (weight > 0.0) & (np.abs(spline.residual) > limit) & _farthest(spline.residual, weight)
+        magnitude = np.where(weight > 0.0, np.abs(spline.residual), 0.0)
+        farthest = magnitude >= np.nanmax(_windows(magnitude, ALONE), axis=1)
+        far = (weight > 0.0) & (np.abs(spline.residual) > limit) & farthest
         if not far.any():
             break
         weight[far] = 0.0
@@ -126,18 +129,6 @@ def _without_outliers(points: FloatArray, level: float, noise_std: float | None)
         weight[back] = 1.0
         spline = fit_spline(points, weight, noise_std)
     return spline, weight
-
-
-def _on_design(
-    kind: ProfileKind, points: FloatArray, weight: FloatArray, noise_std: float | None, spline: PenalisedSpline
-) -> PenalisedSpline:
-    """Return the spline; of points that differ from a design by their noise only, the one that is added to it."""
-    kept = weight > 0.0
-    design = nearest_design(kind, points[kept])
-    local = np.sqrt(np.nanmean(_windows(spline.residual[kept] ** 2, NEAR), axis=1))
-    if design is None or not explains(design, points[kept], local, correlated_noise(points)[1]):
-        return spline
-    return fit_spline(points, weight, noise_std, design)
 
 
 def datum_at_zero(profile: Profile) -> Profile:
@@ -189,11 +180,7 @@ def _profile(kind: ProfileKind, name: str, spline: PenalisedSpline, coefficients
 
 
 def without_spikes(points: FloatArray, level: float) -> FloatArray:
-    """Return weight 0 (n,) for points far off the median of their neighbours, which would bend the first fit, else 1.
-
-    Args:
-        level: Noise across the curve, mm.
-    """
+    """Return weight 0 (n,) for points far off the median of their neighbours, beside noise of ``level``, mm; else 1."""
     n = len(points)
     index = np.clip(np.arange(n)[:, np.newaxis] + np.arange(-3, 4), 0, n - 1)
     middle = np.median(points[index], axis=1)
@@ -207,12 +194,6 @@ def _limit(residual: FloatArray, weight: FloatArray) -> FloatArray:
     magnitude = np.where(weight > 0.0, np.abs(residual), np.nan)
     local = 1.4826 * np.nanmedian(_windows(magnitude, NEIGHBOURHOOD), axis=1)
     return np.maximum(OUTLIER * local, LEAST_OUTLIER)
-
-
-def _farthest(residual: FloatArray, weight: FloatArray) -> BoolArray:
-    """Return which points are farther from the curve than their nearest neighbours."""
-    magnitude = np.where(weight > 0.0, np.abs(residual), 0.0)
-    return np.asarray(magnitude >= np.nanmax(_windows(magnitude, ALONE), axis=1))
 
 
 def _windows(values: FloatArray, reach: int) -> FloatArray:

@@ -25,7 +25,7 @@ import numpy as np
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.errors import ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
-from estimation.values.fields import IN_MM, Served
+from estimation.values.fields import in_mm
 
 DEEPEST_HOLLOW = 6e-3  # largest depth that the form is meant for, m
 
@@ -37,11 +37,7 @@ _TIP = (-0.058, -0.048)  # m, the tip stays up to the first, the face moves full
 
 @dataclass(frozen=True, slots=True)
 class TreadWear:
-    """Material that a wheel has lost; metres on the profile's lateral axis.
-
-    Raises:
-        ParameterError: Depth outside 0 to 6 mm, flange wear outside 0 to 4 mm, a half width that is not positive.
-    """
+    """Material that a wheel has lost; metres on the profile's lateral axis."""
 
     depth: float  # at the centre of the hollow
     centre: float = 0.0  # lateral, from the tread datum, positive to the field side
@@ -51,10 +47,7 @@ class TreadWear:
     def __post_init__(self) -> None:
         _within("depth", self.depth, DEEPEST_HOLLOW)
         _within("flange_wear", self.flange_wear, MOST_FLANGE_WEAR)
-        if not (math.isfinite(self.half_width) and self.half_width > 0.0):
-            raise ParameterError(f"{self.half_width!r} is not a positive length", field="half_width")
-        if not math.isfinite(self.centre):
-            raise ParameterError(f"{self.centre!r} is not a position", field="centre")
+        _check_band(self)
 
 
 class WearFamily(StrEnum):
@@ -76,14 +69,12 @@ def wear_course(family: WearFamily, depth: float) -> TreadWear:
 
 
 def worn(wheel: Profile, wear: TreadWear) -> Profile:
-    """Return the wheel profile after it has lost that material; the new profile is not touched.
-
-    Raises:
-        ProfileError: The profile is a rail.
-    """
+    """Return the wheel profile after it has lost that material; the new profile is not touched."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear is applied to wheels", field="kind")
-    moved, rate = _flange_shift(wheel.y, wear.flange_wear)
+    (root, root_rate), (tip, tip_rate) = _blend(wheel.y, *_ROOT), _blend(wheel.y, *_TIP)
+    moved = wear.flange_wear * (1.0 - root) * tip  # from how far field-wards the surface at y came
+    rate = wear.flange_wear * ((1.0 - root) * tip_rate - root_rate * tip)
     source = np.clip(wheel.y + moved, wheel.y[0], wheel.y[-1])
     loss, loss_slope = _hollow(source, wear)
     z = wheel.height(source) - loss
@@ -91,18 +82,11 @@ def worn(wheel: Profile, wear: TreadWear) -> Profile:
     return Profile("wheel", f"{wheel.name} worn", wheel.y, z, slope)
 
 
-def _hollow(y: FloatArray, wear: TreadWear) -> tuple[FloatArray, FloatArray]:
+def _hollow(y: FloatArray, wear: TreadWear | RailWear) -> tuple[FloatArray, FloatArray]:
     """Return lost height and its slope (n,)."""
     u = np.clip((y - wear.centre) / wear.half_width, -1.0, 1.0)
     rest = 1.0 - u * u
     return wear.depth * rest**3, -6.0 * wear.depth / wear.half_width * u * rest**2
-
-
-def _flange_shift(y: FloatArray, flange_wear: float) -> tuple[FloatArray, FloatArray]:
-    """Return from how far field-wards the surface at y came, and the derivative of that by y (n,)."""
-    root, root_rate = _blend(y, *_ROOT)
-    tip, tip_rate = _blend(y, *_TIP)
-    return flange_wear * (1.0 - root) * tip, flange_wear * ((1.0 - root) * tip_rate - root_rate * tip)
 
 
 def _blend(y: FloatArray, low: float, high: float) -> tuple[FloatArray, FloatArray]:
@@ -114,6 +98,13 @@ def _blend(y: FloatArray, low: float, high: float) -> tuple[FloatArray, FloatArr
 def _within(field: str, value: float, largest: float) -> None:
     if not 0.0 <= value <= largest:
         raise ParameterError(f"{value!r} m is outside 0 to {largest} m", field=field)
+
+
+def _check_band(wear: TreadWear | RailWear) -> None:
+    if not (math.isfinite(wear.half_width) and wear.half_width > 0.0):
+        raise ParameterError(f"{wear.half_width!r} is not a positive length", field="half_width")
+    if not math.isfinite(wear.centre):
+        raise ParameterError(f"{wear.centre!r} is not a position", field="centre")
 
 
 _FACE_BELOW_TREAD = 10e-3  # m, where the flange thickness is measured
@@ -128,40 +119,21 @@ class WearMeasures:
     """Wear measures of a wheel profile, m."""
 
     flange_height: Annotated[
-        float,
-        Served(
-            "Sh: tip of the flange over the tread 70 mm from the flange back.",
-            "flange_height_mm",
-            IN_MM,
-            28.0,
-            finite=False,
-        ),
+        float, in_mm("Sh: tip of the flange over the tread 70 mm from the flange back.", "flange_height_mm", 28.0)
     ]
     flange_thickness: Annotated[
-        float,
-        Served(
-            "Sd: flange face to flange back, 10 mm beyond the tread.", "flange_thickness_mm", IN_MM, 32.5, finite=False
-        ),
+        float, in_mm("Sd: flange face to flange back, 10 mm beyond the tread.", "flange_thickness_mm", 32.5)
     ]
     flange_gradient: Annotated[
         float,
-        Served(
+        in_mm(
             "qR: lateral distance of the face 10 mm beyond the tread from that 2 mm short of the tip.",
             "flange_gradient_mm",
-            IN_MM,
             10.8,
-            finite=False,
         ),
     ]
     hollow: Annotated[
-        float,
-        Served(
-            "Depth of the tread below the highest point farther out; 0 for a new wheel.",
-            "hollow_mm",
-            IN_MM,
-            0.0,
-            finite=False,
-        ),
+        float, in_mm("Depth of the tread below the highest point farther out; 0 for a new wheel.", "hollow_mm", 0.0)
     ]
 
 
@@ -181,7 +153,9 @@ def wear_measures(wheel: Profile) -> WearMeasures:
     tread = float(wheel.height(np.zeros(1))[0])
     thick = _face(y[tip:], z[tip:], tread + _FACE_BELOW_TREAD)
     high = _face(y[tip:], z[tip:], float(z[tip]) - _FACE_ABOVE_TIP)
-    return WearMeasures(float(z[tip]) - tread, thick + TREAD_DATUM, thick - high, _deepest_hollow(y, z))
+    part = z[(y >= _TREAD_FROM) & (y <= y[-1] - _RIM_MARGIN)]
+    hollow = float((np.maximum.accumulate(part[::-1])[::-1] - part).max())  # below the highest point farther out
+    return WearMeasures(float(z[tip]) - tread, thick + TREAD_DATUM, thick - high, hollow)
 
 
 def _face(y: FloatArray, z: FloatArray, level: float) -> float:
@@ -193,50 +167,29 @@ def _face(y: FloatArray, z: FloatArray, level: float) -> float:
     return float(y[i] - (y[i] - y[i - 1]) * (level - z[i]) / (z[i - 1] - z[i]))
 
 
-def _deepest_hollow(y: FloatArray, z: FloatArray) -> float:
-    """Return the largest amount by which a point further out is deeper than the tread."""
-    part = z[(y >= _TREAD_FROM) & (y <= y[-1] - _RIM_MARGIN)]
-    deepest_outside = np.maximum.accumulate(part[::-1])[::-1]
-    return float((deepest_outside - part).max())
-
-
 DEEPEST_BAND = 4e-3  # largest depth that the form is meant for, m
 
 
 @dataclass(frozen=True, slots=True)
 class RailWear:
-    """Material that a rail head has lost; metres on the profile's lateral axis.
-
-    Raises:
-        ParameterError: Depth outside 0 to 4 mm, a half width that is not positive, a middle that is no number.
-    """
+    """Material that a rail head has lost; metres on the profile's lateral axis."""
 
     depth: float  # at the middle of the band
     centre: float = 0.0  # lateral, from the middle of the head, negative to the gauge side
     half_width: float = 0.030  # from the middle to where the band ends
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.depth <= DEEPEST_BAND:
-            raise ParameterError(f"{self.depth!r} m is outside 0 to {DEEPEST_BAND} m", field="depth")
-        if not (math.isfinite(self.half_width) and self.half_width > 0.0):
-            raise ParameterError(f"{self.half_width!r} is not a positive length", field="half_width")
-        if not math.isfinite(self.centre):
-            raise ParameterError(f"{self.centre!r} is not a position", field="centre")
+        _within("depth", self.depth, DEEPEST_BAND)
+        _check_band(self)
 
 
 def worn_rail(rail: Profile, wear: RailWear) -> Profile:
-    """Return the rail profile after it has lost that material; the new profile is not touched.
-
-    Raises:
-        ProfileError: The profile is a wheel.
-    """
+    """Return the rail profile after it has lost that material; the new profile is not touched."""
     if rail.kind != "rail":
         raise ProfileError(f"{rail.name!r} is a wheel; a band is worn into rails", field="kind")
     if wear.depth == 0.0:
         return rail
-    u = np.clip((rail.y - wear.centre) / wear.half_width, -1.0, 1.0)
-    rest = 1.0 - u * u
-    loss, slope = wear.depth * rest**3, -6.0 * wear.depth / wear.half_width * u * rest**2
+    loss, slope = _hollow(rail.y, wear)
     return Profile("rail", f"{rail.name} worn", rail.y, rail.z + loss, rail.slope + slope)
 
 

@@ -13,21 +13,33 @@ published.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated, NamedTuple
+from functools import lru_cache, partial
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters, covered_range, usable
-from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
+from estimation.estimators import filter_kernels as kernels
+from estimation.estimators.interface import (
+    FEWEST_GROUPS,
+    CurveEstimate,
+    EstimatorParameters,
+    Replicates,
+    covered_range,
+    curve_estimate,
+    nothing,
+    usable,
+)
 from estimation.estimators.series import GROUPS, SPACING, Basis, SeriesState, added, empty, misfit, shifts
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import regression
 
 STEP_S = 0.012  # between the samples that a filter takes
@@ -86,11 +98,7 @@ def start(parameters: EstimatorParameters, coefficients: int) -> FilterState:
 def filtered(
     state: FilterState, motion: Motion, basis: Basis, prior: Prior, block_filter: BlockFilter, weight: float
 ) -> FilterState:
-    """Return the state with the blocks of ``motion`` added.
-
-    Raises:
-        ParameterError: The interval between samples is not known.
-    """
+    """Return the state with the blocks of ``motion`` added."""
     if not motion.sample_interval_s > 0.0:
         raise ParameterError("the interval between samples is not known", field="sample_interval_s")
     keep = usable(motion)
@@ -146,27 +154,22 @@ def _inputs(motion: Motion, parameters: EstimatorParameters, keep: BoolArray) ->
     equations = regression(motion, p)
     R = equations.yaw_targets[at, 0] / equations.yaw[at, -1]
     rate = motion.yaw_rate[at]
-    lateral = -r0 * motion.roll_rate[at] + _slip(motion, parameters)[at]
+    # the lateral creep velocity that the lateral forces need (Eq. 1 at S = 2 r0, D = 0)
+    spring = p.lateral_stiffness * motion.suspension_deflection + p.lateral_damping * motion.suspension_deflection_rate
+    spin = 2 * p.lateral_spin_creep_coefficient / motion.speed * motion.yaw_rate
+    force = spring - p.wheelset_mass * motion.lateral_acceleration - p.load * motion.roll - spin
+    slip = motion.speed / (2 * p.lateral_creep_coefficient) * force
+    lateral = -r0 * motion.roll_rate[at] + slip[at]
     step = np.where(np.append(True, np.diff(run) > 0), 0.0, stride * motion.sample_interval_s)
     return Inputs(step, V, motion.displacement[at], motion.yaw[at], rate + V / (2 * half * r0) * R, lateral)
-
-
-def _slip(motion: Motion, parameters: EstimatorParameters) -> FloatArray:
-    """Return the lateral creep velocity (n,), m/s, that the lateral forces need (Eq. 1 at S = 2 r0, D = 0)."""
-    p, V = parameters.vehicle, motion.speed
-    spring = p.lateral_stiffness * motion.suspension_deflection + p.lateral_damping * motion.suspension_deflection_rate
-    spin = 2 * p.lateral_spin_creep_coefficient / V * motion.yaw_rate
-    force = spring - p.wheelset_mass * motion.lateral_acceleration - p.load * motion.roll - spin
-    return np.asarray(V / (2 * p.lateral_creep_coefficient) * force)
 
 
 def solved(state: FilterState, basis: Basis, prior: Prior) -> CurveEstimate:
     """Return the curve that all blocks tell; nothing where too many have diverged."""
     series = state.series
     span = covered_range(series.counts)
-    if span is None:
-        reason = Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
-        return nothing(reason, series.parameters, series.samples, series.stretches)
+    if isinstance(span, Reason):
+        return nothing(span, series.parameters, series.samples, series.stretches)
     if state.diverged > MOST_DIVERGED * state.blocks:
         text = f"the filter has diverged in {state.diverged} of {state.blocks} blocks of running"
         reason = Reason(ReasonCode.DIVERGED, text)
@@ -188,3 +191,105 @@ def solved(state: FilterState, basis: Basis, prior: Prior) -> CurveEstimate:
     shifted = np.vstack([value + shifts(series, functions, ridge=1e-9), unfollowed])
     curve = Replicates(x, value, np.array(left_out), shifted, series.samples, series.stretches, own.T)
     return curve_estimate(curve, series.parameters)
+
+
+class BlockFilters(ABC):
+    """An estimator by a filter of each block of running."""
+
+    __slots__ = ()
+    prior: ClassVar[Prior]
+
+    @abstractmethod
+    def basis(self, x: FloatArray) -> FloatArray:
+        """Return the functions (n, m) of y - d (n,), m, whose coefficients are filtered."""
+
+    @abstractmethod
+    def filter_block(self, vehicle: VehicleParameters, inputs: Inputs, noise: float) -> Posterior:
+        """Return what a block tells of the coefficients, with the std of y - d, m."""
+
+    def init(self, parameters: EstimatorParameters) -> FilterState:
+        """Return the state before any block."""
+        return start(parameters, len(self.prior.mean))
+
+    def update(self, state: FilterState, motion: Motion, weight: float = 1.0) -> FilterState:
+        """Return the state with the blocks of ``motion`` filtered and added, ``weight`` times."""
+        run = partial(self.filter_block, state.series.parameters.vehicle)
+        return filtered(state, motion, self.basis, self.prior, run, weight)
+
+    def result(self, state: FilterState) -> CurveEstimate:
+        """Return the curve that all blocks tell."""
+        return solved(state, self.basis, self.prior)
+
+
+@dataclass(frozen=True, slots=True)
+class ExtendedKalman(BlockFilters):
+    """Extended Kalman-Bucy filter whose state is augmented by a nonlinear conicity.
+
+    After Charles, Goodall and Dixon (2008), as the paper quotes them: the coefficients of a smooth R(y - d) are states
+    that do not change, beside the states of the wheelset. Here R is a cubic polynomial; too far from a motion, it says
+    that it has diverged.
+    """
+
+    prior = Prior(np.array([0.0, 0.3e-3, 0.0, 0.0]), np.array([1e-3, 0.3e-3, 0.05e-3, 0.03e-3]))  # m, of powers of mm
+    name: str = "extended_kalman"
+    title: str = "extended Kalman-Bucy filter"
+
+    def basis(self, x: FloatArray) -> FloatArray:
+        """Return the powers."""
+        return np.vander(x / kernels.MILLIMETRE, len(self.prior.mean), increasing=True)
+
+    def filter_block(self, vehicle: VehicleParameters, inputs: Inputs, noise: float) -> Posterior:
+        """Return what a block tells of the coefficients."""
+        mean = np.concatenate([[0.0, 0.0], self.prior.mean])
+        P = np.diag(np.concatenate([[1.0, 1.0], self.prior.std]) ** 2)
+        lever = 2 * vehicle.half_contact_distance * vehicle.nominal_radius
+        square = kernels.extended(*inputs, noise, lever, mean, P)
+        return Posterior(mean[2:], 0.5 * (P + P.T)[2:, 2:], square)
+
+
+STEEPEST = 1.6  # of R per y - d that particles begin with: a conicity of 0.8
+OFFSET_STD = 1e-3  # m
+ROWS = 64  # of numbers drawn, used in turn
+SEED = 2003
+SMALLEST = 1e-9  # of the variance of the slope, relative to the prior's: particles that are all alike
+
+
+@dataclass(frozen=True, slots=True)
+class ParticleFilter(BlockFilters):
+    """Rao-Blackwellised particle filter: ``particles`` over the conicity, the same for every amplitude.
+
+    After Li, Goodall and others (2003 to 2006), as the paper quotes them: particles carry the parameter, a Kalman
+    filter in each the states that are linear once it is known. R = R0 + 2 lambda (y - d): particles over 2 lambda, a
+    Kalman filter over y - d, psi and R0.
+    """
+
+    prior = Prior(
+        np.array([0.0, 0.5 * STEEPEST * kernels.MILLIMETRE]),
+        np.array([OFFSET_STD, STEEPEST / np.sqrt(12.0) * kernels.MILLIMETRE]),
+    )
+    particles: int = 48
+    name: str = "particles"
+    title: str = "Rao-Blackwellised particle filter"
+
+    def basis(self, x: FloatArray) -> FloatArray:
+        """Return the constant and the line."""
+        return np.column_stack([np.ones(len(x)), x / kernels.MILLIMETRE])
+
+    def filter_block(self, vehicle: VehicleParameters, inputs: Inputs, noise: float) -> Posterior:
+        """Return what a block tells of offset and slope."""
+        slope = STEEPEST * (np.arange(self.particles) + 0.5) / self.particles
+        mean = np.zeros((self.particles, 3))
+        P = np.tile(np.diag([1.0, 1.0, OFFSET_STD**2]), (self.particles, 1, 1))
+        lever = 2 * vehicle.half_contact_distance * vehicle.nominal_radius
+        square = kernels.particles(*inputs, noise, lever, slope, mean, P, _draws(self.particles))
+        found = np.column_stack([mean[:, 2], slope * kernels.MILLIMETRE])
+        covariance = np.cov(found.T, bias=True) + np.diag([P[:, 2, 2].mean(), SMALLEST * self.prior.std[1] ** 2])
+        return Posterior(found.mean(axis=0), covariance, square)
+
+
+@lru_cache
+def _draws(particles: int) -> FloatArray:
+    rng = np.random.default_rng(SEED)
+    drawn = np.column_stack([rng.uniform(size=ROWS), rng.standard_normal((ROWS, particles))])
+    drawn.flags.writeable = False
+    return drawn

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.estimators.extended_kalman import ExtendedKalman
+from estimation.estimators.block_filters import ExtendedKalman, ParticleFilter
 from estimation.estimators.hidden_displacement import HiddenDisplacement
 from estimation.estimators.interface import REACH, CurveEstimate, Estimator, EstimatorParameters
-from estimation.estimators.known_irregularity import KnownIrregularity
 from estimation.estimators.paper_algorithm import PaperAlgorithm
-from estimation.estimators.particle_filter import ParticleFilter
-from estimation.estimators.series import SeriesState, added, empty, solved
+from estimation.estimators.series import KnownIrregularity, SeriesFit
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters
@@ -27,70 +24,34 @@ MILLIMETRE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class LinearConicity:
-    """Least squares of one straight line."""
+class LinearConicity(SeriesFit):
+    """Least squares of one straight line: its conicity at every amplitude inside the data."""
 
     name: str = "linear"
     title: str = "linear effective conicity"
 
-    def init(self, parameters: EstimatorParameters) -> SeriesState:
-        """Return the empty sums."""
-        return empty(parameters, 2)
-
-    def update(self, state: SeriesState, motion: Motion, weight: float = 1.0) -> SeriesState:
-        """Return the state with ``motion`` added, ``weight`` times."""
-        return added(state, motion, _line, weight)
-
-    def result(self, state: SeriesState) -> CurveEstimate:
-        """Return the straight line, its conicity at every amplitude inside the data."""
-        return solved(state, _line, ridge=0.0)
-
-
-def _line(x: FloatArray) -> FloatArray:
-    return np.column_stack([np.ones(len(x)), x / MILLIMETRE])
+    def basis(self, x: FloatArray) -> FloatArray:
+        """Return the constant and the line."""
+        return np.column_stack([np.ones(len(x)), x / MILLIMETRE])
 
 
 @dataclass(frozen=True, slots=True)
-class CubicFit:
-    """Least squares of a piecewise cubic with pieces of ``piece`` m."""
+class CubicFit(SeriesFit):
+    """Least squares of a piecewise cubic with pieces of ``piece`` m, where there are data."""
 
+    ridge = 1e-9
     piece: float = 1e-3  # m
     name: str = "cubic"
     title: str = "piecewise cubic least squares"
 
-    def __post_init__(self) -> None:
-        if not 0 < self.piece <= REACH:
-            raise ParameterError(f"{self.piece!r} m is outside 0 to {REACH} m", field="piece")
-
-    def init(self, parameters: EstimatorParameters) -> SeriesState:
-        """Return the empty sums."""
-        return empty(parameters, self._pieces + 3)
-
-    def update(self, state: SeriesState, motion: Motion, weight: float = 1.0) -> SeriesState:
-        """Return the state with ``motion`` added, ``weight`` times."""
-        return added(state, motion, self._basis, weight)
-
-    def result(self, state: SeriesState) -> CurveEstimate:
-        """Return the piecewise cubic where there are data."""
-        return solved(state, self._basis, ridge=1e-9)
-
-    @property
-    def _pieces(self) -> int:
-        return int(np.ceil(2 * REACH / self.piece))
-
-    @property
-    def _basis(self) -> partial[FloatArray]:
-        return partial(b_splines, first=-0.5 * self._pieces * self.piece, piece=self.piece, pieces=self._pieces)
+    def basis(self, x: FloatArray) -> FloatArray:
+        """Return the B-splines of the pieces."""
+        pieces = int(np.ceil(2 * REACH / self.piece))
+        return b_splines(x, first=-0.5 * pieces * self.piece, piece=self.piece, pieces=pieces)
 
 
 def b_splines(x: FloatArray, first: float, piece: float, pieces: int) -> FloatArray:
-    """Return the uniform cubic B-splines (n, pieces + 3) at ``x``.
-
-    Args:
-        x: (n,) m, where to evaluate them; beyond the pieces the outermost are continued.
-        first: Start of the first piece, m.
-        piece: Length of a piece, m.
-    """
+    """Return the uniform cubic B-splines (n, pieces + 3) at ``x`` (n,); beyond the pieces the outermost continue."""
     position = (x - first) / piece
     cell = np.clip(np.floor(position), 0, pieces - 1).astype(np.int64)
     u = position - cell
@@ -168,11 +129,7 @@ def estimators() -> tuple[Estimator[Any], ...]:
 
 
 def estimator_named(name: str) -> Estimator[Any]:
-    """Return the estimator called ``name``.
-
-    Raises:
-        ParameterError: There is none; the message lists those there are.
-    """
+    """Return the estimator called ``name``."""
     known = {item.name: item for item in estimators()}
     if name not in known:
         raise ParameterError(f"no estimator {name!r}; there are {', '.join(known)}", field="estimator")

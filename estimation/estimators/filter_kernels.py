@@ -30,7 +30,6 @@ def renew(mean: FloatArray, P: FloatArray, displacement: float, yaw: float) -> N
 
     Args:
         mean, P: (k,) and (k, k) of the state, changed; y - d and psi come first.
-        displacement, yaw: m and rad, as measured.
     """
     mean[0], mean[1] = displacement, yaw
     for row in range(2):
@@ -45,7 +44,6 @@ def correct(mean: FloatArray, P: FloatArray, part: int, measured: float, varianc
 
     Args:
         mean, P: (k,) and (k, k), changed.
-        part, measured, variance: Which part, its measured value, and the variance of that.
     """
     innovation, total = measured - mean[part], P[part, part] + variance
     size = len(mean)
@@ -74,9 +72,6 @@ def extended(
         step_s, speed, displacement, yaw, known_rate, lateral_rate: (n,) each, as ``block_filters.Inputs`` has them.
         noise, lever: Std of y - d, m; 2 l r0, m2.
         mean, P: (2 + m,) and (2 + m, 2 + m), the prior; changed to the posterior.
-
-    Returns:
-        float: Mean of the squared innovations of psi over their variances.
     """
     squares, count, size = 0.0, 0, len(mean)
     for i in range(len(step_s)):
@@ -116,11 +111,7 @@ def extended(
 
 @compiled(nogil=True, error_model="numpy")
 def run_on(mean: FloatArray, P: FloatArray, dt: float, V: float, lateral_rate: float) -> None:
-    """Let y - d run on by a step with psi as it is now.
-
-    Args:
-        dt, V, lateral_rate: s, m/s, m/s.
-    """
+    """Let y - d run on by a step of ``dt`` s with psi as it is now."""
     mean[0] += dt * (V * mean[1] + lateral_rate)
     for b in range(len(mean)):
         P[0, b] += dt * V * P[1, b]
@@ -143,9 +134,6 @@ def particles(
         slope: (q,) R per y - d, changed.
         mean, P: (q, 3) and (q, 3, 3), changed.
         draws: (r, 1 + q) one number between 0 and 1, then normal ones: used row by row, in turn.
-
-    Returns:
-        float: Mean of the squared innovations of psi over their variances, over particles as they are likely.
     """
     q, squares, count, resampled = len(slope), 0.0, 0, 0
     weight, likelihood = np.full(q, 1.0 / q), np.empty(q)

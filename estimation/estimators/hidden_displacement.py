@@ -18,30 +18,32 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from estimation.compiled import compiled
 from estimation.contact.conicity import zero_crossing
 from estimation.errors import ParameterError
-from estimation.estimators.contact_jumps import stepped
 from estimation.estimators.interface import (
     CELLS,
+    FEWEST_GROUPS,
     REACH,
     CurveEstimate,
     EstimatorParameters,
+    Replicates,
     counted,
     covered_range,
+    curve_estimate,
+    nothing,
     usable,
 )
-from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.estimators.series import GROUPS
 from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, frozen_array
+from estimation.values.reasons import Reason
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 
@@ -158,6 +160,7 @@ def add_expected(
 
 CELL = 0.04e-3  # m of y - d
 FINE = round(2 * REACH / CELL)
+MIDDLES = frozen_array((np.arange(FINE) + 0.5) * CELL - REACH, (FINE,), name="middles")  # m
 LEAST_IN_CELL = 20.0  # samples
 GRID = frozen_array(0.02e-3 * np.arange(-15.0, 16.0), (31,), name="grid")  # m, values of the hidden displacement
 PRIOR_STD = 0.1e-3  # m, of the hidden displacement
@@ -205,10 +208,6 @@ class HiddenDisplacement:
     name: str = "hidden"
     title: str = "hidden slow displacement"
 
-    def __post_init__(self) -> None:
-        if self.rounds < 1:
-            raise ParameterError(f"{self.rounds} rounds give no curve", field="rounds")
-
     def init(self, parameters: EstimatorParameters) -> HiddenState:
         """Return the state without samples."""
         return HiddenState(parameters, (), np.zeros((CELLS, len(YAW_TARGETS) - 1)), np.zeros(CELLS), 0)
@@ -221,11 +220,13 @@ class HiddenDisplacement:
         equations = regression(motion, state.parameters.vehicle)
         R = equations.yaw_targets[keep] / equations.yaw[keep, -1:]
         x = motion.displacement[keep]
-        first = np.flatnonzero(_begins(motion, keep))
+        at, block = np.flatnonzero(keep), motion.block[keep]
+        # a run begins behind a gap, and with every block
+        first = np.flatnonzero(np.append(True, (np.diff(at) > 1) | (np.diff(block) != 0)))
         cell = np.floor((x + REACH) / (2 * REACH / CELLS)).astype(np.int64)
         derivatives = np.column_stack([np.bincount(cell, column, CELLS) for column in R[:, 1:].T])
         piece = HiddenPiece(
-            x, R[:, 0], np.append(first, len(x)), group_of(motion.block[keep][first], GROUPS),
+            x, R[:, 0], np.append(first, len(x)), group_of(block[first], GROUPS),
             _chunk(motion, state.parameters), weight,
         )  # fmt: skip
         return HiddenState(
@@ -240,23 +241,22 @@ class HiddenDisplacement:
         """Return the last curve, its intervals from groups left out and from what is systematic."""
         samples = state.samples
         span = covered_range(state.counts)
-        if span is None:
-            reason = Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
-            return nothing(reason, state.parameters, samples, state.stretches)
+        if isinstance(span, Reason):
+            return nothing(span, state.parameters, samples, state.stretches)
         groups = len({group for piece in state.pieces for group in piece.group.tolist()})
         if groups < FEWEST_GROUPS:
-            reason = too_few_blocks(groups)
-            return nothing(reason, state.parameters, samples, state.stretches)
+            return nothing(too_few_blocks(groups), state.parameters, samples, state.stretches)
         sums, counts = self._expected(state)
         inside = _run(counts.sum(axis=0), span)
-        middles = _middles()[inside]
+        middles = MIDDLES[inside]
         sums, counts = sums[:, inside], counts[:, inside]
         total, number = sums.sum(axis=0), counts.sum(axis=0)
         present = np.flatnonzero(counts.any(axis=1))
         curve = total / number
         sharp = stepped(middles, curve)
         x, R = sharp.displacement, sharp.difference
-        changes = [_without(total - sums[g], number - counts[g], curve) - curve for g in present]
+        rest = number - counts[present]  # of all data where nothing else is left
+        changes = np.where(rest > 0, (total - sums[present]) / np.where(rest > 0, rest, 1.0), curve) - curve
         left_out = R + np.array([np.interp(x, middles, change) for change in changes])
         shifted = R + _systematic(x, R, state)
         return curve_estimate(Replicates(x, R, left_out, shifted, samples, state.stretches), state.parameters)
@@ -268,12 +268,6 @@ class HiddenDisplacement:
             for _ in range(self.rounds):
                 sums, counts = _expectation(state, _filled(sums.sum(axis=0), counts.sum(axis=0)))
         return sums, counts
-
-
-def _begins(motion: Motion, keep: BoolArray) -> BoolArray:
-    """Return at which of the samples that are kept a run begins: behind a gap, and with every block."""
-    at, block = np.flatnonzero(keep), motion.block[keep]
-    return np.append(True, (np.diff(at) > 1) | (np.diff(block) != 0))
 
 
 def _chunk(motion: Motion, parameters: EstimatorParameters) -> int:
@@ -303,30 +297,19 @@ def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArr
     return sums, counts
 
 
-def _middles() -> FloatArray:
-    return np.asarray((np.arange(FINE) + 0.5) * CELL - REACH)
-
-
 def _filled(sums: FloatArray, counts: FloatArray) -> FloatArray:
     """Return the mean (FINE,) of every cell, interpolated where there are too few samples."""
     known = counts >= min(LEAST_IN_CELL, counts.max())
-    x = _middles()
-    return np.asarray(np.interp(x, x[known], sums[known] / counts[known]))
+    return np.asarray(np.interp(MIDDLES, MIDDLES[known], sums[known] / counts[known]))
 
 
 def _run(counts: FloatArray, span: tuple[float, float]) -> slice:
     """Return the cells around the centre, without a break inside ``span``, that have enough samples."""
-    x = _middles()
+    x, middle = MIDDLES, FINE // 2
     enough = (counts >= LEAST_IN_CELL) & (x > span[0]) & (x < span[1])
-    middle = FINE // 2
     right = middle + int(np.argmin(np.append(enough[middle:], False)))
     left = middle - int(np.argmin(np.append(enough[:middle][::-1], False)))
     return slice(left, right)
-
-
-def _without(sums: FloatArray, counts: FloatArray, curve: FloatArray) -> FloatArray:
-    """Return the curve without a group; that of all data where nothing else is left."""
-    return np.where(counts > 0, sums / np.where(counts > 0, counts, 1.0), curve)
 
 
 def _systematic(x: FloatArray, curve: FloatArray, state: HiddenState) -> FloatArray:
@@ -342,3 +325,49 @@ def _systematic(x: FloatArray, curve: FloatArray, state: HiddenState) -> FloatAr
         place = float(np.linalg.norm([JUMP_PLACE, unknown.jump_mean_std, of_gauge]))
         rows += [jumps_displaced(x, curve, middle, by) - curve for by in (place, -place)]
     return np.array(rows)
+
+
+STEEP = 3.0  # times the median slope
+LEAST_STEP = 0.12e-3  # m of R
+MOST_SPREAD = 0.08e-3  # m, std of the rise over y - d
+JUMP_REACH = 4.0e-3  # m of y - d: beyond are the flanges
+JUMP_SIDES = 1e-8  # m, from a jump to the points on both of its sides
+
+
+class Stepped(NamedTuple):
+    """A curve with points close to both sides of each jump."""
+
+    displacement: FloatArray  # (n,) m
+    difference: FloatArray  # (n,) m
+    jumps: FloatArray  # (j,) m, where they are
+
+
+def stepped(x: FloatArray, curve: FloatArray) -> Stepped:
+    """Return a curve (n,), m, at even distances of displacement, whose contact jumps are each in one place.
+
+    A contact point jumps at one displacement. What is left of the error of y - d spreads the step over some 0.1 mm,
+    evenly to both sides; so the jump is in the mean of the rise. A rise that is spread further is left as it is: wheels
+    have steep parts without any jump.
+    """
+    width = x[1] - x[0]
+    middles, rise = 0.5 * (x[1:] + x[:-1]), np.diff(curve)
+    near = np.abs(middles) < JUMP_REACH
+    usual = float(np.median(rise[near])) if near.any() else 0.0
+    steep = near & (rise > STEEP * max(usual, 0.0)) & (rise > 0.0)
+    beyond = np.where(steep, rise - usual, 0.0)
+    bounds = np.flatnonzero(np.diff(np.concatenate([[0], steep.astype(np.int64), [0]])))
+    places, steps = [], []
+    smooth = rise.copy()
+    for first, behind in bounds.reshape(-1, 2):
+        part = slice(first, behind)
+        step = float(beyond[part].sum())
+        place = float(beyond[part] @ middles[part]) / step
+        spread = np.sqrt(float(beyond[part] @ (middles[part] - place) ** 2) / step + width**2 / 12.0)
+        if step >= LEAST_STEP and spread <= MOST_SPREAD:
+            places.append(place)
+            steps.append(step)
+            smooth[part] -= beyond[part]
+    jumps, heights = np.array(places), np.array(steps)
+    points = np.sort(np.concatenate([x, jumps - JUMP_SIDES, jumps + JUMP_SIDES]))
+    base = np.interp(points, x, np.append(curve[0], curve[0] + np.cumsum(smooth)))
+    return Stepped(points, base + (points[:, None] > jumps) @ heights, jumps)

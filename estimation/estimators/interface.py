@@ -7,16 +7,27 @@ gets there (sums, mean and covariance of a filter, particles) is its own, in its
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Annotated, Protocol, TypeVar
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Protocol, TypeVar
 
 import numpy as np
 
-from estimation.geometry.conicity import CurveParameters
-from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
-from estimation.values.quantities import Estimate, Status
-from estimation.values.reasons import Reason
+from estimation.contact.conicity import equivalent_conicity, zero_crossing
+from estimation.geometry.conicity import (
+    NO_AMPLITUDE,
+    NO_OFFSET,
+    NO_ZERO,
+    CurveParameters,
+    at_reference_amplitude,
+    not_covered,
+    too_few_blocks,
+)
+from estimation.geometry.uncertainty import SCALE_UNCERTAINTY, ParameterUncertainty
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, bin_centres
+from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
+from estimation.values.quantities import Estimate, Status, jackknife_std, with_interval
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
@@ -94,23 +105,13 @@ def usable(motion: Motion) -> BoolArray:
 
 
 def counted(displacement: FloatArray, values: FloatArray | None = None) -> FloatArray:
-    """Return the number of samples, or the sum of values, (CELLS,) in each cell of ``WIDTH`` over +-``REACH``.
-
-    Args:
-        displacement: (n,) m, within the reach.
-        values: (n,) of any unit; None to count.
-    """
+    """Return the number of samples, or the sum of values (n,), (CELLS,) in each cell of ``WIDTH`` over +-``REACH``."""
     cell = np.floor((displacement + REACH) / WIDTH).astype(np.int64)
     return np.bincount(cell, values, minlength=CELLS).astype(np.float64)
 
 
 def beside(x: FloatArray, value: FloatArray, sums: FloatArray, counts: FloatArray) -> FloatArray:
-    """Return by how much the mean of each cell is above a curve, straight between cells: (n,).
-
-    Args:
-        x, value: (n,) m, the curve.
-        sums, counts: (CELLS,) by cell.
-    """
+    """Return by how much the mean of each cell is above a curve, straight between cells: (n,)."""
     middles = (np.arange(CELLS) + 0.5) * WIDTH - REACH
     known = (counts >= LEAST_SAMPLES) & (middles > x[0]) & (middles < x[-1])
     if not known.any():
@@ -119,12 +120,192 @@ def beside(x: FloatArray, value: FloatArray, sums: FloatArray, counts: FloatArra
     return np.asarray(np.interp(x, middles[known], apart))
 
 
-def covered_range(counts: FloatArray) -> tuple[float, float] | None:
-    """Return from where to where, m, every cell has ``LEAST_SAMPLES``, zero inside; None where there is no such run."""
+def covered_range(counts: FloatArray) -> tuple[float, float] | Reason:
+    """Return from where to where, m, every cell has ``LEAST_SAMPLES``, zero inside; why not without such a run."""
     enough = counts >= LEAST_SAMPLES
     middle = CELLS // 2
     right = middle + int(np.argmin(np.append(enough[middle:], False)))
     left = middle - int(np.argmin(np.append(enough[:middle][::-1], False)))
     if middle in {left, right}:
-        return None
+        return Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
     return left * WIDTH - REACH, right * WIDTH - REACH
+
+
+FEWEST_GROUPS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Replicates:
+    """A curve over ``displacement``: from all data, with each group left out, shifted by each uncertainty.
+
+    An estimator without groups gives none: then all that is uncertain is in ``shifted``, one standard deviation each.
+    What the scales of R and of y - d leave unknown is added to that for every estimator (``with_scales``).
+    ``own`` is a root of the covariance that the estimator itself states; it takes no part in the published intervals.
+    """
+
+    displacement: FloatArray  # (n,) m
+    all_data: FloatArray  # (n,) m
+    left_out: FloatArray  # (g, n) m; g may be 0
+    shifted: FloatArray  # (p, n) m
+    samples: int
+    stretches: int
+    own: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (q, n) m
+
+
+def nothing(reason: Reason, parameters: EstimatorParameters, samples: int, stretches: int) -> CurveEstimate:
+    """Return the estimate without any number, for one reason."""
+    amplitude = np.array(parameters.curve.amplitudes)
+    unknown = Estimate.unknown(reason, float(stretches))
+    empty = np.empty(0)
+    return CurveEstimate(
+        displacement=empty,
+        difference=empty,
+        difference_std=empty,
+        amplitude=amplitude,
+        conicity=(unknown,) * len(amplitude),
+        nonlinearity=unknown,
+        zero_crossing=unknown,
+        samples=samples,
+        stretches=stretches,
+        status=Status.UNESTIMATED,
+        reason=reason,
+        own_std=np.full(len(amplitude), np.nan),
+    )
+
+
+def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveEstimate:
+    """Return curve, conicity, NP and zero crossing, intervals from the spread of the replicates."""
+    g = len(curve.left_out)
+    if 0 < g < FEWEST_GROUPS:
+        return nothing(too_few_blocks(g), parameters, curve.samples, curve.stretches)
+    x, shifted = curve.displacement, with_scales(curve, parameters)
+    rows = np.concatenate([curve.all_data[None], curve.left_out, shifted])
+    amplitude = np.array(parameters.curve.amplitudes)
+    values = np.stack([equivalent_conicity(x, row, amplitude) for row in rows])
+    count = float(curve.stretches)
+    conicity = tuple(estimate_of(values[:, k], g, count, not_covered(a)) for k, a in enumerate(amplitude))
+    ends = (parameters.curve.nonlinearity_low, parameters.curve.nonlinearity_high)
+    low, high = (values[:, int(np.argmin(np.abs(amplitude - end)))] for end in ends)
+    nonlinearity = estimate_of((high - low) / (1e3 * (ends[1] - ends[0])), g, count, not_covered(ends[1]))
+    if parameters.band_limited:
+        crossing = Estimate.unknown(NO_OFFSET, count)
+    else:
+        zeros = np.array([zero_crossing(x, row) for row in rows])
+        crossing = estimate_of(zeros, g, count, NO_ZERO)
+    known = any(item.value is not None for item in conicity)
+    return CurveEstimate(
+        displacement=x,
+        difference=curve.all_data,
+        difference_std=np.hypot(_spread(rows, g), np.sqrt(((shifted - curve.all_data) ** 2).sum(axis=0))),
+        amplitude=amplitude,
+        conicity=conicity,
+        nonlinearity=nonlinearity,
+        zero_crossing=crossing,
+        samples=curve.samples,
+        stretches=curve.stretches,
+        status=Status.ESTIMATED if known else Status.UNESTIMATED,
+        reason=None if known else NO_AMPLITUDE,
+        own_std=_own_std(curve, values[0], amplitude),
+    )
+
+
+def with_scales(curve: Replicates, parameters: EstimatorParameters) -> FloatArray:
+    """Return what is uncertain of a curve (p + 2, n), m, with R and y - d larger by one std of their scales."""
+    x, R, unknown = curve.displacement, curve.all_data, parameters.uncertainty
+    stretch = np.hypot(SCALE_UNCERTAINTY if parameters.band_limited else 0.0, unknown.displacement)
+    return np.vstack([curve.shifted, R * (1.0 + unknown.scale), np.interp(x / (1.0 + stretch), x, R)])
+
+
+def _own_std(curve: Replicates, conicity: FloatArray, amplitude: FloatArray) -> FloatArray:
+    """Return the std (k,) of the conicity by the covariance that the estimator itself states; NaN without one."""
+    if not len(curve.own):
+        return np.full(len(amplitude), np.nan)
+    changed = [equivalent_conicity(curve.displacement, curve.all_data + row, amplitude) for row in curve.own]
+    return np.asarray(np.linalg.norm(np.array(changed) - conicity, axis=0))
+
+
+def estimate_of(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
+    """Return one number with its interval from its replicates.
+
+    Args:
+        values: (1 + groups + p,) from all data, with each group left out, and with each of p uncertain parameters
+            shifted by one std.
+    """
+    if not np.isfinite(values).all():
+        return Estimate.unknown(reason, count)
+    systematic = float(np.sqrt(((values[groups + 1 :] - values[0]) ** 2).sum()))
+    return with_interval(float(values[0]), float(_spread(values, groups)), systematic, max(groups, 2), count)
+
+
+def _spread(rows: FloatArray, groups: int) -> FloatArray:
+    """Return the jackknife's std of the first row; zero without groups."""
+    return jackknife_std(rows[: groups + 1]) if groups else np.zeros(rows.shape[1:])
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedBins:
+    """The bins in which the curve of an estimator is published, and the key of the parameters that shaped it."""
+
+    edges: FloatArray  # (b + 1,) m of y - d
+    parameter_key: str
+
+
+def geometry_from_motion(
+    estimator: Estimator[Any],
+    parameters: EstimatorParameters,
+    motions: Iterable[tuple[float, Motion]],
+    bins: PublishedBins,
+) -> WheelsetGeometry:
+    """Return the geometry that ``estimator`` finds from weight (at most 1) and motion of each window, oldest first."""
+    state = estimator.init(parameters)
+    samples = np.zeros(len(bins.edges) - 1)
+    for weight, motion in motions:
+        state = estimator.update(state, motion, weight)
+        samples += weight * np.histogram(motion.displacement[usable(motion)], bins.edges)[0]
+    return geometry_from_curve(estimator.result(state), parameters, samples, bins)
+
+
+def geometry_from_curve(
+    curve: CurveEstimate, parameters: EstimatorParameters, samples: FloatArray, bins: PublishedBins
+) -> WheelsetGeometry:
+    """Return a curve as the geometry of a wheelset.
+
+    Of the four combinations only rL - rR is estimated: at the centres of the bins, by linear interpolation of the curve
+    inside its range. The others are marked ``UNOBSERVABLE``.
+    """
+    best, amplitude = at_reference_amplitude(curve.amplitude, curve.conicity, parameters.curve)
+    if best.reason == NO_AMPLITUDE and curve.reason is not None:  # why there is no curve at all
+        best = replace(best, reason=curve.reason)
+    unknown = np.full(len(samples), np.nan)
+    nothing = BinValues(unknown, unknown, (BinStatus.UNOBSERVABLE,) * len(samples))
+    return WheelsetGeometry(
+        bin_edges=bins.edges,
+        samples=samples,
+        rolling_radius_sum=nothing,
+        rolling_radius_difference=_difference(curve, bins.edges),
+        contact_angle_sum=nothing,
+        contact_angle_difference=nothing,
+        amplitude=curve.amplitude,
+        conicity=curve.conicity,
+        reported_amplitude=amplitude,
+        equivalent_conicity=best,
+        nonlinearity=curve.nonlinearity,
+        zero_crossing=curve.zero_crossing,
+        windows=curve.stretches,
+        parameter_key=bins.parameter_key,
+        status=best.status,
+        reason=best.reason,
+    )
+
+
+def _difference(curve: CurveEstimate, edges: FloatArray) -> BinValues:
+    centres = bin_centres(edges)
+    known = np.isfinite(curve.difference) & np.isfinite(curve.difference_std)
+    if not known.any():
+        nothing = np.full(len(centres), np.nan)
+        return BinValues(nothing, nothing, (BinStatus.TOO_FEW,) * len(centres))
+    x = curve.displacement[known]
+    inside = (centres >= x[0]) & (centres <= x[-1])
+    value = np.where(inside, np.interp(centres, x, curve.difference[known]), np.nan)
+    std = np.where(inside, np.interp(centres, x, curve.difference_std[known]), np.nan)
+    return BinValues(value, std, tuple(BinStatus.ESTIMATED if yes else BinStatus.TOO_FEW for yes in inside))

@@ -6,27 +6,32 @@ blocks; beside the target stand its derivatives by the uncertain parameters.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from estimation.estimators.interface import (
     CELLS,
+    FEWEST_GROUPS,
     CurveEstimate,
     EstimatorParameters,
+    Replicates,
     beside,
     counted,
     covered_range,
+    curve_estimate,
+    nothing,
     usable,
 )
-from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 
 GROUPS = 16
@@ -63,19 +68,26 @@ def empty(parameters: EstimatorParameters, functions: int) -> SeriesState:
     )
 
 
+def grouped(
+    state: SeriesState | RecursionState, block: IntArray, weight: float, features: FloatArray, targets: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the sums of a state with samples (n,) added to the groups of their blocks."""
+    gram, cross, groups = state.gram.copy(), state.cross.copy(), group_of(block, GROUPS)
+    for group in np.unique(groups):
+        in_group = groups == group
+        weighted = weight * features[in_group].T
+        gram[group] += weighted @ features[in_group]
+        cross[group] += weighted @ targets[in_group]
+    return gram, cross
+
+
 def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> SeriesState:
     """Return the state with ``motion`` added."""
     keep = usable(motion)
     equations = regression(motion, state.parameters.vehicle)
     targets = equations.yaw_targets[keep] / equations.yaw[keep, -1:]
     functions = basis(motion.displacement[keep])
-    groups = group_of(motion.block[keep], GROUPS)
-    gram, cross = state.gram.copy(), state.cross.copy()
-    for group in np.unique(groups):
-        in_group = groups == group
-        weighted = weight * functions[in_group].T
-        gram[group] += weighted @ functions[in_group]
-        cross[group] += weighted @ targets[in_group]
+    gram, cross = grouped(state, motion.block[keep], weight, functions, targets)
     return replace(
         state,
         gram=gram,
@@ -96,9 +108,8 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
             equations.
     """
     span = covered_range(state.counts)
-    if span is None:
-        reason = Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
-        return nothing(reason, state.parameters, state.samples, state.stretches)
+    if isinstance(span, Reason):
+        return nothing(span, state.parameters, state.samples, state.stretches)
     present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
     if len(present) < FEWEST_GROUPS:  # what is left without one of them may not determine the functions
         return nothing(too_few_blocks(len(present)), state.parameters, state.samples, state.stretches)
@@ -110,7 +121,12 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
     left_out = [np.linalg.solve(gram - state.gram[g] + small, cross[:, 0] - state.cross[g, :, 0]) for g in present]
     functions = basis(x)
     value = functions @ theta
-    own = functions @ np.linalg.cholesky(_own_covariance(state, theta, gram + small))
+    # of least squares that takes every residual for independent
+    squares = max(float(state.squares - theta @ cross[:, 0]), 0.0)
+    count = max(float(state.counts.sum()) - len(theta), 1.0)
+    inverse = np.linalg.inv(gram + small)
+    covariance = 0.5 * (inverse + inverse.T) * max(squares / count, SMALLEST_VARIANCE)
+    own = functions @ np.linalg.cholesky(covariance)
     return curve_estimate(
         Replicates(
             x,
@@ -125,23 +141,38 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
     )
 
 
-def shifts(state: SeriesState, functions: FloatArray, ridge: float) -> FloatArray:
-    """Return what one std of each uncertain parameter changes of the curve (6, n), m.
+class SeriesFit(ABC):
+    """An estimator by least squares of a series of functions."""
 
-    Args:
-        functions: (n, m) the basis functions where the curve is given.
-    """
+    __slots__ = ()
+    ridge: ClassVar[float] = 0.0  # as of :func:`solved`
+
+    @abstractmethod
+    def basis(self, x: FloatArray) -> FloatArray:
+        """Return the functions (n, m) of y - d (n,), m."""
+
+    def init(self, parameters: EstimatorParameters) -> SeriesState:
+        """Return the empty sums."""
+        return empty(parameters, self.basis(np.zeros(1)).shape[1])
+
+    def update(self, state: SeriesState, motion: Motion, weight: float = 1.0) -> SeriesState:
+        """Return the state with ``motion`` added, ``weight`` times."""
+        return added(state, motion, self.basis, weight)
+
+    def result(self, state: SeriesState) -> CurveEstimate:
+        """Return the curve of the series and its conicity where there are data."""
+        return solved(state, self.basis, self.ridge)
+
+
+def shifts(state: SeriesState, functions: FloatArray, ridge: float) -> FloatArray:
+    """Return what one std of each uncertain parameter changes of the curve (6, n), m, by its basis functions (n, m)."""
     gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
     theta = np.linalg.solve(gram + _small(gram, ridge), cross[:, 1:])
     return np.asarray((functions @ theta).T * state.parameters.uncertainty.yaw()[:, None])
 
 
 def misfit(state: SeriesState, x: FloatArray, value: FloatArray) -> FloatArray:
-    """Return what the curve cannot follow (n,), m: by how much the mean of R is above it, cell by cell.
-
-    Args:
-        x, value: (n,) m, the curve.
-    """
+    """Return what the curve cannot follow (n,), m: by how much the mean of R is above it, cell by cell."""
     return beside(x, value, state.sums, state.counts)
 
 
@@ -149,10 +180,134 @@ def _small(gram: FloatArray, ridge: float) -> FloatArray:
     return np.asarray(ridge * np.trace(gram) / len(gram) * np.eye(len(gram)))
 
 
-def _own_covariance(state: SeriesState, theta: FloatArray, gram: FloatArray) -> FloatArray:
-    """Return the covariance (m, m) of least squares that takes every residual for independent."""
-    cross = state.cross.sum(axis=0)[:, 0]
-    squares = max(float(state.squares - theta @ cross), 0.0)
-    count = max(float(state.counts.sum()) - len(theta), 1.0)
-    inverse = np.linalg.inv(gram)
-    return np.asarray(0.5 * (inverse + inverse.T) * max(squares / count, SMALLEST_VARIANCE))
+UNKNOWNS = 3  # f11, f11 R0 and f11 2 lambda, in N, N mm and N
+MILLIMETRE = 1e-3
+LEAST_SHARE = 1e-9  # smallest to largest eigenvalue of scaled sums that still are solved
+LEAST_STIFF = 0.2  # of the creep coefficient on file: below, the moments beside creep say too little
+TARGETS = ("yaw_stiffness", "yaw_inertia", "spin_creep", "saturation")  # what is uncertain beside f11
+
+
+@dataclass(frozen=True, slots=True)
+class RecursionState(FrozenArrays):
+    """Sums over samples; states add up in any order."""
+
+    parameters: EstimatorParameters
+    gram: Annotated[FloatArray, "g", UNKNOWNS, UNKNOWNS]
+    cross: Annotated[FloatArray, "g", UNKNOWNS, 1 + len(TARGETS)]  # with the moments and their derivatives, N m
+    squares: float  # N2 m2, weighted
+    sums: Annotated[FloatArray, 2, CELLS]  # N m and m, weighted: the moments and 2 l^2 psi'/V, by displacement
+    counts: Annotated[FloatArray, CELLS]
+    samples: int
+    stretches: int
+
+
+@dataclass(frozen=True, slots=True)
+class KnownIrregularity:
+    """Conicity and creep coefficient of a linear wheelset by least squares, its irregularity known.
+
+    After Selamat and Yusof (2009), of whom the paper says so. Of the linear Eq. 2 both are unknown here::
+
+        I psi'' + (moments without longitudinal creep) = -f11 (2 l^2/V) psi' - f11 (l/r0) (R0 + 2 lambda (y - d))
+
+    so that the conicity does not rest on a creep coefficient on file, but on the yaw stiffness alone. By how much the
+    coefficient found differs from that on file is in the interval: what a line cannot follow, it takes for creep. Least
+    squares without forgetting is kept as its sums (docs/estimation.md), which equal the recursion of Eq. 10 to 14.
+    """
+
+    name: str = "known_irregularity"
+    title: str = "linear wheelset, creep unknown"
+
+    def init(self, parameters: EstimatorParameters) -> RecursionState:
+        """Return the empty sums."""
+        gram, cross = np.zeros((GROUPS, UNKNOWNS, UNKNOWNS)), np.zeros((GROUPS, UNKNOWNS, 1 + len(TARGETS)))
+        return RecursionState(parameters, gram, cross, 0.0, np.zeros((2, CELLS)), np.zeros(CELLS), 0, 0)
+
+    def update(self, state: RecursionState, motion: Motion, weight: float = 1.0) -> RecursionState:
+        """Return the state with ``motion`` added, ``weight`` times."""
+        keep = usable(motion)
+        features, targets = equations(motion, state.parameters.vehicle)
+        features, targets, x = features[keep], targets[keep], motion.displacement[keep]
+        sums = np.array([counted(x, targets[:, 0]), counted(x, -features[:, 0])])
+        gram, cross = grouped(state, motion.block[keep], weight, features, targets)
+        return replace(
+            state,
+            gram=gram,
+            cross=cross,
+            squares=state.squares + weight * float(targets[:, 0] @ targets[:, 0]),
+            sums=state.sums + weight * sums,
+            counts=state.counts + weight * counted(x),
+            samples=state.samples + int(keep.sum()),
+            stretches=state.stretches + 1,
+        )
+
+    def result(self, state: RecursionState) -> CurveEstimate:
+        """Return the straight line; nothing where the moments do not tell the creep coefficient."""
+        span = covered_range(state.counts)
+        present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
+        reason = span if isinstance(span, Reason) else _refusal(state, len(present))
+        if isinstance(span, Reason) or reason is not None:
+            assert reason is not None  # it is ``span``
+            return nothing(reason, state.parameters, state.samples, state.stretches)
+        x = np.linspace(*span, round((span[1] - span[0]) / SPACING) + 1)
+        gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
+        theta = np.linalg.solve(gram, cross)
+        value = _line(x, theta[:, 0])
+        left_out = [np.linalg.solve(gram - state.gram[g], cross[:, 0] - state.cross[g, :, 0]) for g in present]
+        of_yaw = state.parameters.uncertainty.yaw()
+        changes = theta[:, 1:] * np.array([of_yaw[YAW_TARGETS.index(name) - 1] for name in TARGETS])
+        variance = (state.squares - theta[:, 0] @ cross[:, 0]) / max(state.counts.sum() - UNKNOWNS, 1.0)
+        own = np.linalg.cholesky(np.linalg.inv(gram)) * np.sqrt(max(variance, 0.0))
+        moment, rate = state.sums
+        lever = state.parameters.vehicle.half_contact_distance / state.parameters.vehicle.nominal_radius
+        of_cell = -(moment / theta[0, 0] + rate) / lever
+        unfollowed = value + beside(x, value, of_cell, state.counts)
+        on_file = state.parameters.vehicle.longitudinal_creep_coefficient
+        creep_differs = value * (theta[0, 0] / on_file)
+        rows = [_line(x, theta[:, 0] + change) for change in changes.T]
+        shifted = np.array([*rows, unfollowed, creep_differs])
+        return curve_estimate(
+            Replicates(
+                x,
+                value,
+                np.array([_line(x, one) for one in left_out]),
+                shifted,
+                state.samples,
+                state.stretches,
+                np.array([_line(x, theta[:, 0] + one) - value for one in own.T]),
+            ),
+            state.parameters,
+        )
+
+
+def equations(motion: Motion, vehicle: VehicleParameters) -> tuple[FloatArray, FloatArray]:
+    """Return regressors (n, 3) of f11, f11 R0 and f11 2 lambda, and the moments (n, 5) with their derivatives, N m."""
+    half, r0 = vehicle.half_contact_distance, vehicle.nominal_radius
+    rate = 2 * half**2 * motion.yaw_rate / motion.speed
+    ones = np.full(len(motion), half / r0 * MILLIMETRE)
+    features = -np.column_stack([rate, ones, half / r0 * motion.displacement])
+    of_yaw = regression(motion, vehicle).yaw_targets
+    columns = [YAW_TARGETS.index(name) for name in TARGETS]
+    without_creep = -of_yaw[:, YAW_TARGETS.index("longitudinal_creep")]  # z2 less the moment of creep
+    return features, np.column_stack([without_creep, of_yaw[:, columns]])
+
+
+def _refusal(state: RecursionState, groups: int) -> Reason | None:
+    """Return why the sums tell no conicity; None where they do."""
+    if groups < FEWEST_GROUPS:
+        return too_few_blocks(groups)
+    gram = state.gram.sum(axis=0)
+    size = np.sqrt(np.diag(gram))
+    eigenvalues = np.linalg.eigvalsh(gram / np.outer(size, size))
+    if eigenvalues[0] < LEAST_SHARE:
+        return Reason(ReasonCode.NOT_FINITE, "yaw rate and displacement are proportional")
+    creep = float(np.linalg.solve(gram, state.cross.sum(axis=0)[:, 0])[0])
+    share = creep / state.parameters.vehicle.longitudinal_creep_coefficient
+    if not LEAST_STIFF < share < 1.0 / LEAST_STIFF:
+        text = f"the creep coefficient comes out as {share:.2f} times that on file"
+        return Reason(ReasonCode.DIVERGED, text)
+    return None
+
+
+def _line(x: FloatArray, theta: FloatArray) -> FloatArray:
+    """Return R (n,), m, of the unknowns (3,)."""
+    return np.asarray((theta[1] * MILLIMETRE + theta[2] * x) / theta[0])

@@ -1,4 +1,4 @@
-"""All jobs, in the order in which one hands its results to the next."""
+"""All stages and all jobs, in the order in which one hands its results to the next."""
 
 from __future__ import annotations
 
@@ -15,10 +15,47 @@ from estimation.jobs import (
     refresh_signatures,
     refresh_trends,
 )
+from estimation.jobs.compare_identities import IDENTITIES, JUMPS, SUSPENSIONS
+from estimation.jobs.estimate_windows import TABLES
+from estimation.jobs.evaluate_alerts import ALERTS, WORKLIST
 from estimation.jobs.job import Job, JobContext, Work, run_job
+from estimation.jobs.refresh_adhesion import FIRST, OF_SECTIONS, OF_VEHICLES
+from estimation.jobs.refresh_adhesion import OF_WINDOWS as CREEP
+from estimation.jobs.refresh_alignment import ALIGNMENT
+from estimation.jobs.refresh_geometry import GEOMETRY
+from estimation.jobs.refresh_rails import OF_ALL as RAILS
+from estimation.jobs.refresh_rails import OF_WHEELSETS as CELLS
+from estimation.jobs.refresh_signatures import OF_ALL as ANSWERS
+from estimation.jobs.refresh_trends import TREND
 from estimation.jobs.runner import work_of
-from estimation.jobs.stages import ALL_STAGES
+from estimation.jobs.stage import AnyStage
+from estimation.jobs.steps.due_windows import JUDGE, OUTDATED
+from estimation.jobs.steps.signature_windows import ASSUMED, OF_WINDOWS
 from estimation.values.runs import JobRun, JobTrigger
+
+ALL_STAGES: tuple[AnyStage, ...] = (
+    ALIGNMENT,
+    JUDGE,
+    OUTDATED,
+    TABLES,
+    GEOMETRY,
+    FIRST,
+    CREEP,
+    OF_VEHICLES,
+    OF_SECTIONS,
+    TREND,
+    JUMPS,
+    IDENTITIES,
+    SUSPENSIONS,
+    ALERTS,
+    WORKLIST,
+    CELLS,
+    RAILS,
+    ASSUMED,
+    OF_WINDOWS,
+    ANSWERS,
+)
+
 
 ALL_JOBS: tuple[Job, ...] = (
     refresh_alignment.JOB,
@@ -66,7 +103,6 @@ def run_all(context: JobContext, trigger: JobTrigger, jobs: Sequence[Job] = ALL_
 
     Args:
         context: What the jobs may touch; its ``stopping`` ends the series after the present job.
-        jobs: Which jobs, in their order; by default all.
     """
     runs = []
     for job in jobs:

@@ -7,7 +7,7 @@ it waits until that has looked at it; on a recording it does not.
 from __future__ import annotations
 
 import logging
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -18,15 +18,17 @@ from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
-from estimation.jobs.steps.likely_chosen import likely_chosen
-from estimation.jobs.steps.load_window import WindowLoader
-from estimation.jobs.steps.lost_windows import assemble_if_lost
-from estimation.jobs.steps.outdated_windows import OUTDATED
-from estimation.jobs.steps.plausibility import JUDGE
-from estimation.jobs.steps.refusals import count_of, refusals_text
+from estimation.jobs.steps.due_windows import JUDGE, OUTDATED
+from estimation.jobs.steps.load_window import (
+    BatchInputs,
+    TrackLookup,
+    WindowInputs,
+    WindowLoader,
+    assemble_if_lost,
+    inputs_of_batch,
+    tracks_of_batch,
+)
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
-from estimation.jobs.steps.window_inputs import BatchInputs, WindowInputs, inputs_of_batch
-from estimation.jobs.steps.window_tracks import TrackLookup, tracks_of_batch
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.parameters import WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
@@ -34,7 +36,7 @@ from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import cells_of_window
 from estimation.values.geometry import FilledCells, WindowTable
 from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.roll_up import RollingSums, WindowRollingSums
+from estimation.values.roll_up import MOST_CHOSEN, RollingSums, WindowRollingSums
 from estimation.values.runs import FAILED, TRIED_AGAIN, Quarantined, SubjectKind, code_of_error, first_line
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import (
@@ -42,12 +44,51 @@ from estimation.values.windows import (
     Window,
     WindowKey,
     WindowMark,
-    WindowPosition,
     WindowRecord,
     WindowState,
     key_of_text,
     text_of_key,
 )
+
+REFUSED = "refused_"
+"""Begin of the names under which a run counts refused windows by reason code."""
+
+
+def count_of(reason: Reason) -> str:
+    """Return the name under which a window is counted that was refused for a reason."""
+    return f"{REFUSED}{reason.code.value}"
+
+
+def refusals(counts: Mapping[str, int]) -> dict[ReasonCode, int]:
+    """Return how many windows a run has refused, by reason code, the most frequent first."""
+    known = {count_of(Reason(code, "")): code for code in ReasonCode}
+    found = {known[name]: count for name, count in counts.items() if name in known and count}
+    return dict(sorted(found.items(), key=lambda item: (-item[1], item[0].value)))
+
+
+def refusals_text(counts: Mapping[str, int]) -> str:
+    """Return what windows were refused for, with what to do; empty where none was."""
+    parts = []
+    for code, count in refusals(counts).items():
+        remedy = code.remedy.rstrip(".")
+        parts.append(f"{count} {code.value}" + (f" ({remedy})" if remedy else ""))
+    return ", ".join(parts)
+
+
+def likely_chosen(unit: UnitOfWork, records: Sequence[WindowRecord]) -> set[WindowKey]:
+    """Return which windows of a batch would be chosen beside those of the newest roll-up of their wheelset."""
+    of_wheelset: defaultdict[str, list[WindowRecord]] = defaultdict(list)
+    for record in records:
+        if not record.quality.hunting.sustained:
+            of_wheelset[record.wheelset].append(record)
+    stored = unit.roll_ups.newest_chosen(sorted(of_wheelset)) if of_wheelset else {}
+    found: set[WindowKey] = set()
+    for wheelset, several in of_wheelset.items():
+        digests = {*stored.get(wheelset, ()), *(record.content_digest for record in several)}
+        smallest = set(sorted(digests)[:MOST_CHOSEN])
+        found |= {record.key for record in several if record.content_digest in smallest}
+    return found
+
 
 JOB_NAME = "estimate_windows"
 _log = logging.getLogger(__name__)
@@ -98,7 +139,8 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
     """Return windows that wait or failed, with what they are estimated with; the others are left out."""
     standing = unit.windows.several([key_of_text(key) for key in keys])
     waiting = (one for one in standing if one.state is WindowState.PENDING or code_of(one.reason) in FAILED)
-    records = sorted(waiting, key=_running_order)
+    # the windows of a bogie next to each other: each needs the samples of the other
+    records = sorted(waiting, key=lambda record: (record.vehicle, record.start_ns, record.axle))
     if not records:
         return {}
     tracks = tracks_of_batch(unit, records)
@@ -106,11 +148,6 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
     loader = WindowLoader(unit, batch.vehicles, batch.records)
     reading = _Reading(loader, batch, tracks, likely_chosen(unit, records))
     return {text_of_key(*record.key): reading.of(record) for record in records}
-
-
-def _running_order(record: WindowRecord) -> tuple[str, int, int]:
-    """Return what puts the windows of a bogie next to each other: each needs the samples of the other."""
-    return record.vehicle, record.start_ns, record.axle
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +201,7 @@ def _estimated(inputs: TableInputs) -> Estimated | Reason:
     if position is not None and position.reason is not None and position.reason.code in TRIED_AGAIN:
         raise PassingFaultError(position.reason.text, code=position.reason.code)  # it is looked for again, too
     correction, misplaced = None, None
-    if position is not None and _placed(record, position):
+    if position is not None and position.content_digest == record.content_digest:  # found from these samples
         correction, misplaced = Correction(position.offset_m, position.scale, position.middle_m), position.reason
     parameters = assumed.windows
     cells = _cells(window, inputs, parameters, correction, misplaced)
@@ -172,11 +209,6 @@ def _estimated(inputs: TableInputs) -> Estimated | Reason:
         return cells
     rolling = rolling_sums(window, parameters.vehicle_class, parameters.signals) if inputs.rolls else None
     return Estimated(cells, rolling)
-
-
-def _placed(record: WindowRecord, position: WindowPosition) -> bool:
-    """Whether the position of a window was found from its samples."""
-    return position.content_digest == record.content_digest
 
 
 def _cells(

@@ -18,11 +18,6 @@ Inputs = Callable[[], str]
 _log = logging.getLogger(__name__)
 
 
-def no_inputs() -> str:
-    """Stand for inputs that are not known: only time and a command bring another attempt."""
-    return ""
-
-
 @dataclass(slots=True)
 class Isolation:
     """The quarantine of one stage during one run."""
@@ -59,7 +54,7 @@ class Isolation:
         """How many failed in this run or were left out because they are not due yet."""
         return len(self._kept_out)
 
-    def waits(self, kind: SubjectKind, key: str, inputs: Inputs = no_inputs) -> bool:
+    def waits(self, kind: SubjectKind, key: str, inputs: Inputs) -> bool:
         """Whether a thing failed before and is not due yet; it counts as quarantined then."""
         held = self._held.get((kind, key))
         if held is None or not held.waits(inputs(), self.context.clock.now_ns()):
@@ -72,11 +67,8 @@ class Isolation:
         return [item for (of, _), item in self._held.items() if of is kind]
 
     @contextmanager
-    def alone(self, kind: SubjectKind, key: str, inputs: Inputs = no_inputs) -> Iterator[None]:
+    def alone(self, kind: SubjectKind, key: str) -> Iterator[None]:
         """Do the work at one thing: an exception is kept in quarantine and not raised.
-
-        Args:
-            inputs: Gives a digest or counter of what it is made from: with another one it is due at once.
 
         Raises:
             StoppedError: The process is stopping.
@@ -87,7 +79,7 @@ class Isolation:
         except Exception as error:
             if not fails_alone(error):
                 raise
-            self.keep(kind, key, inputs(), error)
+            self.keep(kind, key, "", error)
         else:
             self.release(kind, key)
 

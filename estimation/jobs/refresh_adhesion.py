@@ -19,11 +19,18 @@ from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_findin
 from estimation.dampers.damper import DamperParameters, gear_damper
 from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.made_from import made_from
 from estimation.jobs.runner import run_all
-from estimation.jobs.stage import Counted, Outcome, Part, Stage
-from estimation.jobs.steps.pooled_friction import HOUR_NS, friction_parameters, pool_ends, pooled_ns
-from estimation.jobs.steps.window_creep import CreepInputs, CreepOfWindow, creep_inputs, creep_of_window
+from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
+from estimation.jobs.steps.window_creep import (
+    HOUR_NS,
+    CreepInputs,
+    CreepOfWindow,
+    creep_inputs,
+    creep_of_window,
+    friction_parameters,
+    pool_ends,
+    pooled_ns,
+)
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import CloseReason
 from estimation.values.geometry import GEOMETRY

@@ -16,13 +16,11 @@ from functools import partial
 
 from estimation.errors import ConflictError
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.made_from import made_from
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.stage import Counted, Outcome, Part, Stage
-from estimation.jobs.steps.due_epoch import Due, EpochSearch, Found, changed_from, otherwise_on_file
-from estimation.jobs.steps.epoch_inputs import FileLookup
-from estimation.jobs.steps.epoch_passes import EpochPasses, epoch_passes
+from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
+from estimation.jobs.steps.epoch_inputs import Due, EpochSearch, FileLookup, Found, changed_from, otherwise_on_file
+from estimation.jobs.steps.epoch_passes import EpochPasses, Solved, epoch_passes
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
 from estimation.jobs.steps.store_alignment import (
     Computed,
@@ -33,10 +31,8 @@ from estimation.jobs.steps.store_alignment import (
     survey_checked,
 )
 from estimation.jobs.steps.vehicle_classes import ClassLookup
-from estimation.jobs.steps.window_positions import Solved
 from estimation.storage import UnitOfWork
-from estimation.track.partition import Entry, newest_within
-from estimation.track.passes import Journey
+from estimation.track.passes import Entry, Journey, newest_within
 from estimation.track.results import place_alone
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import UpdateOutcome, update_alignment

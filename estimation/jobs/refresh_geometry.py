@@ -18,8 +18,7 @@ from estimation.jobs.steps.rolling import read_ahead, read_sums_ahead, rolled
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import GEOMETRY as GEOMETRIES
-from estimation.values.geometry import GeometryRecord, WheelsetGeometry
-from estimation.values.geometry_results import result_of_geometry
+from estimation.values.geometry import GeometryRecord, WheelsetGeometry, result_of_geometry
 from estimation.values.results import Facet
 from estimation.values.roll_up import RolledPart, RollUpState
 from estimation.values.trend import TREND

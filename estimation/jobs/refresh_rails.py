@@ -25,7 +25,7 @@ from estimation.rails.parameters import RailsParameters
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import GEOMETRY
-from estimation.values.rails import (
+from estimation.values.opinions import (
     CELLS,
     SECTION_RAILS,
     WHEELSET_RAILS,

@@ -20,8 +20,7 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.identities import identity_change, suspected
 from estimation.jobs.steps.signature_entries import Entries, EntryReader
 from estimation.jobs.steps.signature_windows import ASSUMED, JOB_NAME, OF_WINDOWS, usable
-from estimation.jobs.steps.vehicle_classes import ClassLookup
-from estimation.jobs.steps.vehicle_lookup import VehicleLookup
+from estimation.jobs.steps.vehicle_classes import ClassLookup, VehicleLookup
 from estimation.signatures.answer import compared, judged
 from estimation.signatures.library import Change, Libraries, Subject, current
 from estimation.signatures.parameters import SignatureParameters

@@ -12,12 +12,15 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from itertools import pairwise
 
+from estimation.adhesion.friction import section_adhesion
 from estimation.alerts.evaluation import findings, superseded
-from estimation.alerts.life_cycle import close, transition
+from estimation.alerts.life_cycle import close, section_transition, transition
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
+from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.alerts.rules.running_gear import SuspensionChangeRule, WeakDamperRule
 from estimation.alerts.rules.sensor_data import NoDataRule
@@ -25,11 +28,13 @@ from estimation.alerts.rules.standing import within_reach
 from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.wheelset_facts import hunted_beside, windows_wanted
+from estimation.jobs.steps.window_creep import friction_parameters, pool_ends, pooled_ns, section_length
 from estimation.storage import UnitOfWork
 from estimation.trend.steps import behind_step
 from estimation.trend.trend import TrendParameters
-from estimation.values.alerts import Alert, Condition
+from estimation.values.alerts import Alert, CloseReason, Condition
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
+from estimation.values.opinions import SectionAdhesion
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import IDENTITY, IdentityChange, TrendRecord, WearTrend, since_change
 from estimation.values.windows import WindowRecord, WindowState
@@ -234,3 +239,108 @@ def _silences(history: History, book: RuleBook, to_ns: int) -> set[int]:
             late = (begin + round(days * DAY_NS) + 1 for days in (rule.days, rule.critical_days))
             found |= {time for time in late if time <= end}
     return found
+
+
+class Change(StrEnum):
+    """What becomes of an alert by other rules."""
+
+    MORE = "more"  # only the other rules raise it
+    FEWER = "fewer"  # only the rules in force raise it
+    EARLIER = "earlier"  # opened earlier by the other rules
+    LATER = "later"
+    SHORTER = "shorter"  # opened at the same time, closed earlier
+    LONGER = "longer"
+    SEVERITY = "severity"  # the same times, another severity
+    SAME = "same"
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One alert by the rules in force and by the other rules; None where these do not raise it."""
+
+    change: Change
+    before: Alert | None
+    after: Alert | None
+
+
+def differences(before: Sequence[Alert], after: Sequence[Alert]) -> list[Difference]:
+    """Return how the alerts of one wheelset differ; two of a kind that were open at one time are the same alert."""
+    left = sorted(before, key=lambda one: one.opened_ns)
+    found: list[Difference] = []
+    for alert in sorted(after, key=lambda one: one.opened_ns):
+        same = next((one for one in left if one.kind == alert.kind and _meet(one, alert)), None)
+        if same is None:
+            found.append(Difference(Change.MORE, None, alert))
+        else:
+            left.remove(same)
+            found.append(Difference(_change(same, alert), same, alert))
+    found += [Difference(Change.FEWER, one, None) for one in left]
+    return sorted(found, key=lambda one: min(alert.opened_ns for alert in (one.before, one.after) if alert is not None))
+
+
+def _meet(one: Alert, other: Alert) -> bool:
+    """Return whether two alerts were open at one time."""
+    return _ends(one) >= other.opened_ns and _ends(other) >= one.opened_ns
+
+
+def _ends(alert: Alert) -> float:
+    return float("inf") if alert.closed_ns is None else alert.closed_ns
+
+
+def _change(before: Alert, after: Alert) -> Change:
+    if after.opened_ns != before.opened_ns:
+        return Change.EARLIER if after.opened_ns < before.opened_ns else Change.LATER
+    if _ends(after) != _ends(before):
+        return Change.SHORTER if _ends(after) < _ends(before) else Change.LONGER
+    return Change.SAME if after.severity is before.severity else Change.SEVERITY
+
+
+def section_replayed(unit: UnitOfWork, section: str, book: RuleBook, span: tuple[int, int]) -> list[Alert]:
+    """Return the alerts of low adhesion that rules would have raised about a section within a span of time, by opening.
+
+    Args:
+        span: From and to, ns UTC of the vehicles' clocks.
+    """
+    rule = book.rule(LowAdhesionRule)
+    pooled, length = pooled_ns(rule), section_length(unit, section)
+    standing: dict[str, Alert] = {}
+    closed: list[Alert] = []
+    for to_ns in pool_ends(unit.adhesion.starts_with_sums(section, *span), pooled):
+        passes = unit.adhesion.of_section(section, to_ns - pooled, to_ns)
+        found = section_adhesion(section, passes, friction_parameters(rule, unit, passes), length)
+        if found is not None:
+            fleets = {unit.registry.vehicle(code).fleet for code in {one.vehicle for one in passes}}
+            _evaluate_section(found, book, sorted({*fleets, *standing}), standing, closed)
+    published = [one for one in (*closed, *standing.values()) if one.condition is not Condition.PENDING]
+    return sorted(published, key=lambda one: (one.opened_ns, one.fleet))
+
+
+def _evaluate_section(
+    found: SectionAdhesion, book: RuleBook, fleets: Sequence[str], standing: dict[str, Alert], closed: list[Alert]
+) -> None:
+    """Bring the alerts of the fleets up to the end of a pooled span; those that end go to ``closed``."""
+    section, at_ns = found.track_section, found.to_ns
+    finding = section_finding(book.rule(LowAdhesionRule), found)
+    for fleet in fleets:
+        own = book.of(fleet, None).rule(LowAdhesionRule)
+        if not own.enabled:
+            if fleet in standing:
+                closed.append(close(standing.pop(fleet), CloseReason.RULE_DISABLED, at_ns).alert)
+            continue
+        change = section_transition(
+            standing.get(fleet),
+            finding,
+            at_ns,
+            fleet=fleet,
+            track_section=section,
+            delays=own.delays,
+            rules_version=book.version,
+        )
+        if change is None:
+            continue
+        if change.alert.closed_ns is None:
+            standing[fleet] = change.alert
+        else:
+            standing.pop(fleet, None)
+            if change.events:  # one that was never raised leaves nothing
+                closed.append(change.alert)

@@ -18,8 +18,7 @@ from estimation.errors import ConflictError, NotFiniteError, StoppedError, Tread
 from estimation.jobs.hand_out import hand_out, unit_size
 from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import JobContext, Work
-from estimation.jobs.made_from import made_from
-from estimation.jobs.stage import AnyStage, Outcome, Part
+from estimation.jobs.stage import AnyStage, Outcome, Part, made_from
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import BinStatus, BinValues
 from estimation.values.quantities import Estimate, Status

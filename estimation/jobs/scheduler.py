@@ -52,8 +52,6 @@ def serve_jobs(
     """Run the jobs on their schedules until ``stop_event`` is set; a job that is running then ends at its next batch.
 
     Args:
-        context: What the jobs may touch.
-        jobs: What to run, in the order in which one hands its results to the next.
         stop_event: Set by whoever ends the service, see :func:`estimation.jobs.stop_signals.stop_on_signals`.
         holder: Name that the refusal of a second scheduler contains, such as host and process number.
         every_s: Interval of a job where the deployment sets it apart from the job's default.
@@ -95,7 +93,7 @@ def _serve_while_owned(
     if abandoned:
         _log.warning("%d runs of a process that is gone were marked as abandoned", abandoned)
     over = Event()
-    scheduler = build_scheduler(replace(context, stopping=over.is_set), jobs, every_s or _default_interval)
+    scheduler = build_scheduler(replace(context, stopping=over.is_set), jobs, every_s or (lambda job: job.every_s))
     looked_ns = context.clock.now_ns()  # before the first job: the clock may be set while it runs
     scheduler.start()
     _log.info("scheduler started with %s", ", ".join(job.name for job in jobs))
@@ -144,13 +142,7 @@ def _make_due(scheduler: BackgroundScheduler, jobs: Sequence[Job]) -> None:
 
 
 def build_scheduler(context: JobContext, jobs: Sequence[Job], every_s: Callable[[Job], float]) -> BackgroundScheduler:
-    """Return a scheduler, not started, that runs every job at once and then at its interval.
-
-    Args:
-        context: What the jobs may touch.
-        jobs: What to run; jobs due at the same time run in this order.
-        every_s: Interval of a job, s.
-    """
+    """Return a scheduler, not started, that runs every job at once and then at its interval."""
     scheduler = BackgroundScheduler(
         jobstores={"default": MemoryJobStore()},
         executors={"default": ThreadPoolExecutor(1)},
@@ -170,10 +162,6 @@ def build_scheduler(context: JobContext, jobs: Sequence[Job], every_s: Callable[
             next_run_time=first + timedelta(milliseconds=place),  # due together, they go in order
         )
     return scheduler
-
-
-def _default_interval(job: Job) -> float:
-    return job.every_s
 
 
 def _scheduled(job: Job, context: JobContext) -> None:

@@ -7,13 +7,41 @@ from dataclasses import asdict, dataclass, field
 
 from estimation.alerts.rules.book import RuleBook
 from estimation.geometry.estimate import GeometryParameters
-from estimation.jobs.rails_settings import RailsSettings
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
+from estimation.rails.parameters import RailsParameters
 from estimation.signatures.parameters import SignatureParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.trend.trend import TrendParameters
 from estimation.values.fields import JsonValue
 from estimation.vehicle.vehicle_class import VehicleClass
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class KnownSection:
+    """A section whose rails are as on file: new, ground to their profile, or measured, on a day."""
+
+    code: str
+    on_ns: int  # begin of the day, ns UTC
+
+
+@dataclass(frozen=True, slots=True)
+class RailsSettings:
+    """Settings of ``refresh_rails``.
+
+    Attributes:
+        known_sections: Sections whose rails are as on file, each with the day for which that is known; all others are
+            compared with them. A section may have several days.
+        model: Parameters of the mixed model.
+    """
+
+    known_sections: frozenset[KnownSection] = frozenset()
+    model: RailsParameters = field(default_factory=RailsParameters)
+
+    @property
+    def period_days(self) -> float:
+        """Length of a period, in which rails hardly wear."""
+        return self.model.period_days
+
 
 _MOTION = ("signals", "gates", "interval_km")  # settings of the motion that alignments are made from
 

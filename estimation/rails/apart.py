@@ -18,8 +18,7 @@ from estimation.rails.component import Runs, islands
 from estimation.rails.parameters import Anchors, RailsParameters
 from estimation.rails.published import NEXT_TO_JUMP, AtAmplitude, TrendAt, on_rise
 from estimation.values.arrays import FloatArray
-from estimation.values.quantities import Estimate
-from estimation.values.rails import (
+from estimation.values.opinions import (
     RailKey,
     RailPart,
     RailsApart,
@@ -29,6 +28,7 @@ from estimation.values.rails import (
     WheelKey,
     WheelPart,
 )
+from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
 
 TWO = 2

@@ -13,8 +13,8 @@ from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.geometry import BinTable
+from estimation.values.opinions import RailKey, RailPart, RailsApart, SectionConicity, StoredCell, WheelKey, WheelPart
 from estimation.values.quantities import Estimate, Status, normal_equivalent, parts_of
-from estimation.values.rails import RailKey, RailPart, RailsApart, SectionConicity, StoredCell, WheelKey, WheelPart
 from estimation.values.reasons import Reason
 
 

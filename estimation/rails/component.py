@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from estimation.rails.cell import CellTable
 from estimation.rails.two_way import TwoWay
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-from estimation.values.rails import RailKey, WheelKey
+from estimation.values.opinions import RailKey, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 
 LEAST_CONICITY = 1e-3  # to which an error may be in proportion

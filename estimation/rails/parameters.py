@@ -13,7 +13,7 @@ from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays
-from estimation.values.rails import KnownWheel, RailKey
+from estimation.values.opinions import KnownWheel, RailKey
 from estimation.values.reasons import Reason, ReasonCode
 
 DIFFER = (ReasonCode.KNOWN_RAILS_DIFFER, ReasonCode.MEASURED_WHEELS_DIFFER)

@@ -21,8 +21,8 @@ from estimation.rails.component import Component
 from estimation.rails.parameters import RailsParameters, ReferenceWheel
 from estimation.rails.two_way import Parted, part
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.opinions import RailKey, RailsReference, WheelKey
 from estimation.values.quantities import Estimate, Status, with_interval
-from estimation.values.rails import RailKey, RailsReference, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 
 PARAMETERS = 2  # of a line

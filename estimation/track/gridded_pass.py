@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
-from estimation.track.passes import Journey, Pass, ProfileLife, apply_correction, gridded
+from estimation.track.passes import Journey, Pass, ProfileLife, gridded
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.track import Correction
 
@@ -41,11 +41,6 @@ class SectionGrid:
     def s(self) -> FloatArray:
         """Distance (n,) of the grid points, m."""
         return np.asarray(np.arange(self.points) * self.step, dtype=np.float64)
-
-    @property
-    def filter_reach(self) -> int:
-        """Grid points at each end of a pass that both filters together cannot use."""
-        return (len(self.kernel) + len(self.difference_kernel)) // 2
 
     def contains(self, points: IntArray) -> BoolArray:
         """Return which grid points (m,) are on the section (m,)."""
@@ -93,7 +88,7 @@ def grid_pass(item: Pass, grid: SectionGrid, ratio: float = 1.0) -> GriddedPass:
     first, displacement, difference = gridded(item, grid.step)
     points = np.arange(first, first + len(displacement), dtype=np.int64)
     nothing, nowhere = np.zeros(0), np.zeros(0, dtype=np.bool_)
-    if len(points) <= 2 * grid.filter_reach + 1:
+    if len(points) <= 2 * ((len(grid.kernel) + len(grid.difference_kernel)) // 2) + 1:  # the filters use it up
         none = np.zeros(0, dtype=np.int64)
         return GriddedPass(item, ratio, none, nothing, nothing, nothing, nothing, nothing, nowhere, nowhere)
     stiffness_term = (
@@ -151,9 +146,10 @@ def place(
     for journey, members in grouped.items():
         last = None if before is None else before.get(journey)
         if last is None or last.correction != corrections[journey]:
-            moved = apply_correction(members, corrections[journey])
+            correction = corrections[journey]
+            moved = [replace(item, at=correction.at(item.at)) for item in members]
             passes = tuple(grid_pass(item, grid, ratios.get(item.vehicle, 1.0)) for item in moved)
-            last = PlacedJourney(corrections[journey], passes)
+            last = PlacedJourney(correction, passes)
         placed[journey] = last
     return with_ratios(placed, ratios, grid)
 

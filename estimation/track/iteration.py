@@ -25,7 +25,7 @@ from estimation.track.gauge.wheel_functions import (
     total_gauge_shifts,
 )
 from estimation.track.gridded_pass import GriddedPass, Placed, all_passes, place, with_ratios
-from estimation.track.panel.basis import Panel
+from estimation.track.panel.basis import MeasuredCurve, Panel, PanelState, init, update
 from estimation.track.panel.instrumental_slope import (
     Ratio,
     SlopeCorrection,
@@ -37,8 +37,6 @@ from estimation.track.panel.instrumental_slope import (
     with_instrument,
     with_ratio_std,
 )
-from estimation.track.panel.measured_curves import MeasuredCurve
-from estimation.track.panel.normal_equations import PanelState, init, update
 from estimation.track.panel.solution import (
     PanelSolution,
     PriorAlignment,
@@ -50,7 +48,7 @@ from estimation.track.panel.solution import (
 from estimation.track.passes import Journey, Pass, PositionParameters
 from estimation.track.positions import compose, correlate_positions, refine, register
 from estimation.track.survey_positions import positions_on_survey
-from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.arrays import FloatArray
 from estimation.values.track import Convergence, Correction, Iterated
 
 Grouped = Mapping[Journey, Sequence[Pass]]
@@ -107,15 +105,6 @@ class IterationResult:
         """Passes of all journeys in order."""
         return all_passes(self.placed)
 
-    def restricted_to(self, covered: BoolArray) -> PanelState:
-        """Return the sums over the passes at some grid points (n,) alone."""
-        grid = self.panel.grid
-        kept = [
-            replace(item, inside=item.inside & covered[np.clip(item.points, 0, grid.points - 1)])
-            for item in self.passes
-        ]
-        return update(init(self.panel), kept)
-
     @property
     def corrections(self) -> dict[Journey, Correction]:
         """Corrections of the positions by journey."""
@@ -124,17 +113,18 @@ class IterationResult:
     @property
     def measured_curves(self) -> list[MeasuredCurve]:
         """Measured curves of the wheelsets that have passed."""
-        known = self.panel.measured
-        return [known[name] for name in self.solution.lives if name in known]
+        return [self.panel.measured[life] for life in self.solution.lives if life in self.panel.measured]
+
+    def at_rest(self, parameters: IterationParameters) -> bool:
+        """Return whether neither positions nor stiffness ratios move any more."""
+        return self.moved < parameters.position_tolerance and self.changed < parameters.ratio_tolerance
 
     def convergence(self, parameters: IterationParameters) -> tuple[Convergence, ...]:
         """Return how positions, stiffness ratios and gauge ended."""
         moved, changed = self.moved < parameters.position_tolerance, self.changed < parameters.ratio_tolerance
-        return (
-            Convergence(Iterated.POSITIONS, moved, self.rounds, self.moved),
-            Convergence(Iterated.STIFFNESS_RATIOS, changed, self.rounds, self.changed),
-            *self.gauge_convergence,
-        )
+        positions = Convergence(Iterated.POSITIONS, moved, self.rounds, self.moved)
+        ratios = Convergence(Iterated.STIFFNESS_RATIOS, changed, self.rounds, self.changed)
+        return positions, ratios, *self.gauge_convergence
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,9 +152,8 @@ def iterate(
     corrections = correlate_positions(grouped, panel.grid, positions, reference)
     first = first_rounds(setting, panel, corrections)
     setting = replace(setting, placed_on_survey=first.placed_on_survey)
-    if prior is not None and prior.gauge_known and not prior.gauge.any():
-        return first
-    if not (first.state.count >= FEWEST_PASSES).any():
+    constant = prior is not None and prior.gauge_known and not prior.gauge.any()
+    if constant or not (first.state.count >= FEWEST_PASSES).any():
         return first
     if (
         prior is None or not prior.gauge_known
@@ -178,8 +167,7 @@ def iterate(
     found = _rounds(setting, first.panel.with_gauge(prior.gauge, {}), corrections, ratios)
     for number in range(1, parameters.most_wheel_rounds + 1):
         found = _solved(setting, _repositioned(setting, found), _with_wheels(found))
-        at_rest = found.moved < parameters.position_tolerance and found.changed < parameters.ratio_tolerance
-        if number >= parameters.wheel_rounds and at_rest:
+        if number >= parameters.wheel_rounds and found.at_rest(parameters):
             break
     return replace(_finished(setting, found), first_noise=first.noise)
 
@@ -198,18 +186,14 @@ def first_rounds(
         return _rounds(setting, panel, corrections, {}, std=std)
     found = _rounds(setting, panel, corrections, {}, std=False)
     varies = prior.gauge_known and bool(prior.gauge.any())
-    fixed, tolerance = replace(setting, placed_on_survey=True), setting.parameters.survey_tolerance
+    fixed, grouped = replace(setting, placed_on_survey=True), setting.grouped
+    tolerance = setting.parameters.survey_tolerance
     for _ in range(setting.parameters.survey_rounds):
         on_survey = positions_on_survey(found.placed, prior, panel.grid)
-        if on_survey is None:
+        noisy = varies and not found.placed_on_survey
+        if on_survey is None or (noisy and _mean_move(grouped, found.corrections, on_survey) < tolerance):
             break
-        if (
-            varies
-            and not found.placed_on_survey
-            and _mean_move(setting.grouped, found.corrections, on_survey) < tolerance
-        ):
-            break
-        moved = _largest_move(setting.grouped, found.corrections, on_survey)
+        moved = _largest_move(grouped, found.corrections, on_survey)
         found = replace(_rounds(fixed, panel, on_survey, found.ratios, std=False), placed_on_survey=True)
         if moved < setting.parameters.survey_moved:
             break
@@ -229,7 +213,7 @@ def _moved_as_a_whole(fixed: Setting, found: IterationResult, survey: PriorAlign
     square = float(state.square.sum() - 2.0 * d @ state.displacement + d**2 @ state.passes)
     error = float(np.median(survey.std[np.isfinite(survey.std)])) ** 2
     flattened = error / (error + max(square, 0.0) / max(float(state.passes.sum()), 1.0))
-    left = 1.0 - _explained(fixed, found.state, found.solution, found.noise)
+    left = 1.0 - _explained(fixed, found)
     share = flattened / (flattened + fixed.parameters.curves_flatten * left)
     if step is None or abs(share * step) < fixed.parameters.survey_moved:
         return found
@@ -259,30 +243,18 @@ def _rounds(
     std: bool = True,
 ) -> IterationResult:
     """Refine positions and stiffness ratios until neither moves; ``std`` of what that ends at where it is asked for."""
-    p, noise = setting.parameters, setting.parameters.pass_std
-    moved, changed, done = np.inf, np.inf, 0
-    placed: Placed | None = None
-    while True:
-        done += 1
-        placed = place(setting.grouped, corrections, ratio_values(ratios), panel.grid, placed)
-        passes = all_passes(placed)
-        state = update(init(panel), passes)
-        last = (moved < p.position_tolerance and changed < p.ratio_tolerance) or done >= p.rounds
-        solution = result(_state_with_prior(state, setting, noise), std=last and std)
-        noise = max(residual_of_passes(state, solution), 0.1 * p.pass_std)
-        explained = _explained(setting, state, solution, noise)
-        if last:
-            known = with_ratio_std(ratios, passes, solution, panel, explained) if std else ratios
-            return IterationResult(panel, state, solution, placed, known, done, float(moved), float(changed), noise)
-        better = refine_ratios(ratios, passes, solution, panel, explained)
-        changed = _ratio_change(ratios, better)
-        ratios = better
-        before, corrections = corrections, _refined_corrections(setting, placed, ratios, state, solution)
-        moved = _largest_move(setting.grouped, before, corrections)
+    p, empty = setting.parameters, init(panel)
+    placed = place(setting.grouped, corrections, ratio_values(ratios), panel.grid)
+    nothing = result(empty, std=False)
+    found = IterationResult(panel, empty, nothing, placed, ratios, 0, float("inf"), float("inf"), p.pass_std)
+    while not (found.at_rest(p) or found.rounds >= p.rounds - 1):
+        found = _repositioned(setting, _solved(setting, found, panel))
+    found = _solved(setting, found, panel, std=std)
+    return _with_ratio_std(setting, found) if std else found
 
 
-def _explained(setting: Setting, state: PanelState, solution: PanelSolution, noise: float) -> float:
-    return slope_correction(_state_with_prior(state, setting, noise), solution).explained
+def _explained(setting: Setting, found: IterationResult) -> float:
+    return slope_correction(_state_with_prior(found.state, setting, found.noise), found.solution).explained
 
 
 def _state_with_prior(state: PanelState, setting: Setting, noise: float) -> PanelState:
@@ -316,9 +288,9 @@ def _with_searched_gauge(setting: Setting, first: IterationResult, searches: int
     for number in range(p.gauge_trial):
         found = _repositioned(setting, found) if number else found
         prior = replace(p.gauge, noise=max(min(p.gauge.noise, found.noise), 0.3 * p.gauge.noise))
-        step = gauge_step(found.passes, found.solution, found.panel, prior)
-        solve = Convergence(Iterated.GAUGE_STEP, step.converged, step.steps, float("nan"))
-        found = _solved(setting, found, found.panel.with_gauge(step.gauge))
+        gauge, converged, steps = gauge_step(found.passes, found.solution, found.panel, prior)
+        solve = Convergence(Iterated.GAUGE_STEP, converged, steps, float("nan"))
+        found = _solved(setting, found, found.panel.with_gauge(gauge))
         found = replace(found, gauge_convergence=(*found.gauge_convergence, solve))
     if found.noise > (1.0 - p.gauge_explains) * first.noise:
         return first
@@ -361,8 +333,7 @@ def _solved(setting: Setting, found: IterationResult, panel: Panel, *, std: bool
 
 def _repositioned(setting: Setting, found: IterationResult) -> IterationResult:
     """Return ``found`` with better positions and stiffness ratios, and the passes moved by them."""
-    explained = _explained(setting, found.state, found.solution, found.noise)
-    ratios = refine_ratios(found.ratios, found.passes, found.solution, found.panel, explained)
+    ratios = refine_ratios(found.ratios, found.passes, found.solution, found.panel, _explained(setting, found))
     state = replace(found.state, panel=found.panel)
     corrections = _refined_corrections(setting, found.placed, ratios, state, found.solution)
     return replace(
@@ -376,9 +347,12 @@ def _repositioned(setting: Setting, found: IterationResult) -> IterationResult:
 
 def _finished(setting: Setting, found: IterationResult) -> IterationResult:
     whole = _solved(setting, found, found.panel, std=True)
-    explained = _explained(setting, whole.state, whole.solution, whole.noise)
-    ratios = with_ratio_std(whole.ratios, whole.passes, whole.solution, whole.panel, explained)
-    return replace(whole, ratios=ratios, rounds=found.rounds)
+    return replace(_with_ratio_std(setting, whole), rounds=found.rounds)
+
+
+def _with_ratio_std(setting: Setting, found: IterationResult) -> IterationResult:
+    ratios = with_ratio_std(found.ratios, found.passes, found.solution, found.panel, _explained(setting, found))
+    return replace(found, ratios=ratios)
 
 
 def _register_by_gauge(

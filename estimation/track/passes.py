@@ -1,4 +1,12 @@
-"""A pass: the signals of one wheelset along a segment of a section."""
+"""A pass: the signals of one wheelset along a segment of a section; and the windows of a section in epochs.
+
+A window is looked at by itself: its sensors, its speed, how its positions go with its speed, which way its axes point.
+Where the position jumps the passes end; what is on both sides is judged against the rest of the journey later.
+
+An epoch is filled with whole journeys of vehicles in the order of their begin: a function of the set of windows, not of
+when they came. It ends before a journey that comes after a long pause, if it holds enough windows, and before one with
+which it would hold too many.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +28,11 @@ from estimation.motion.checks import (
 )
 from estimation.motion.integration import IntegratedWindow, bridged, integrate
 from estimation.motion.parameters import SignalParameters, WindowParameters
-from estimation.motion.rolling_radius_difference import MotionSignals, fuse, motion_signals
+from estimation.motion.rolling_radius_difference import fuse, motion_signals
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.registry import WheelsetRecord
-from estimation.values.track import Correction
+from estimation.values.track import OPEN_NS
 from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality, WindowRecord
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
@@ -101,36 +109,29 @@ def passes(
         at = bridged(window.distance[segment.part], segment.known)
         steps = np.diff(at)
         direction = 1 if steps.min() > 0 else -1 if steps.max() < 0 else 0
-        if direction:
-            signals = motion_signals(segment, vehicle, np.asarray(direction * at))
-            facing = -direction if window.backwards else direction
-            found += _placed(window, signals, vehicle, (direction, facing), -1 if mounted_reversed else 1)
-    return found
-
-
-def _placed(
-    window: Window, signals: MotionSignals, vehicle: VehicleParameters, ways: tuple[int, int], mounted: int
-) -> list[Pass]:
-    """Return the pass of one stretch, along the section's own direction; ways are those of running and of the axes."""
-    direction, facing = ways
-    if not (np.isfinite(signals.displacement).all() and np.isfinite(signals.difference).all()):
-        return []
-    grid = fuse(signals, vehicle)
-    if len(grid.run) < 2:  # noqa: PLR2004 - a pass has a length
-        return []
-    along = slice(None, None, direction)
-    return [
-        Pass(
-            ProfileLife(window.wheelset),
-            window.vehicle,
-            window.start_ns,
-            direction * grid.run[along],
-            facing * grid.displacement[along],
-            mounted * grid.difference[along],
-            facing * mounted,
-            mounted * grid.stiffness_term[along],
+        if not direction:
+            continue
+        signals = motion_signals(segment, vehicle, np.asarray(direction * at))
+        if not (np.isfinite(signals.displacement).all() and np.isfinite(signals.difference).all()):
+            continue
+        grid = fuse(signals, vehicle)
+        if len(grid.run) < 2:  # noqa: PLR2004 - a pass has a length
+            continue
+        facing, mounted = -direction if window.backwards else direction, -1 if mounted_reversed else 1
+        along = slice(None, None, direction)
+        found.append(
+            Pass(
+                ProfileLife(window.wheelset),
+                window.vehicle,
+                window.start_ns,
+                direction * grid.run[along],
+                facing * grid.displacement[along],
+                mounted * grid.difference[along],
+                facing * mounted,
+                mounted * grid.stiffness_term[along],
+            )
         )
-    ]
+    return found
 
 
 NANOSECONDS = 1_000_000_000
@@ -185,11 +186,6 @@ class PassOutcome:
     reason: Reason | None = None
 
 
-def apply_correction(passes: Sequence[Pass], correction: Correction) -> list[Pass]:
-    """Return the passes at their corrected positions."""
-    return [replace(item, at=correction.at(item.at)) for item in passes]
-
-
 @dataclass(frozen=True, slots=True)
 class Examined:
     """The passes of a window, and what became of it."""
@@ -230,11 +226,7 @@ MOST = 4  # windows; the pass of a longer run is cut, so that a window that come
 
 
 def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = MOST) -> list[list[Item]]:
-    """Return the items in groups that follow each other without a break.
-
-    Args:
-        keys: Of each item: what it must share with the one before, its start and its end, ns.
-    """
+    """Return the items in groups that follow each other; ``keys`` are what they must share, start and end, ns."""
     groups: list[list[Item]] = []
     last: tuple[Hashable, int] | None = None
     for number in sorted(range(len(items)), key=lambda i: (str(keys[i][0]), keys[i][1])):
@@ -247,10 +239,7 @@ def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], 
 
 
 def joined(windows: Sequence[Window]) -> Window:
-    """Return windows that follow each other, in order, as one.
-
-    The quality is the worst of each measure, shares are means.
-    """
+    """Return windows that follow each other, in order, as one; its quality is the worst of each, shares are means."""
     first = windows[0]
     if len(windows) == 1:
         return first
@@ -283,16 +272,111 @@ def _quality(parts: Sequence[WindowQuality]) -> WindowQuality:
         speed_max_m_s=max(part.speed_max_m_s for part in parts),
         position_quality=min(part.position_quality for part in parts),
         sensor_fault=any(part.sensor_fault for part in parts),
-        hunting=_hunting([part.hunting for part in parts]),
-        blows=_blows([part.blows for part in parts]),
+        hunting=_worst([part.hunting for part in parts]),
+        blows=_worst([part.blows for part in parts]),
     )
 
 
-def _hunting(parts: Sequence[Hunting]) -> Hunting:
-    most = max(parts, key=lambda part: part.share)
-    return replace(most, share=float(np.mean([part.share for part in parts])))
+Lasting = TypeVar("Lasting", Hunting, TurnBlows)
 
 
-def _blows(parts: Sequence[TurnBlows]) -> TurnBlows:
-    most = max(parts, key=lambda part: part.share)
-    return replace(most, share=float(np.mean([part.share for part in parts])))
+def _worst(parts: Sequence[Lasting]) -> Lasting:
+    """Return the part of the largest share, with the mean of the shares."""
+    return replace(max(parts, key=lambda part: part.share), share=float(np.mean([part.share for part in parts])))
+
+
+Entry = tuple[WindowRecord, ProfileLife]
+
+
+@dataclass(frozen=True, slots=True)
+class PartitionParameters:
+    """When an epoch ends."""
+
+    pause_h: float = 6.0  # hours without a window after which another epoch begins
+    least_windows: int = 12  # of an epoch that a pause ends: one short journey alone fixes nothing
+    journey_pause_s: float = 300.0  # a longer pause between windows of a vehicle begins a new journey
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Windows of an epoch by start and wheelset, and up to when another window would change which they are."""
+
+    entries: Sequence[Entry]
+    horizon_ns: int  # vehicle time; OPEN_NS while the epoch is the last
+
+
+@dataclass(slots=True)
+class _Journey:
+    entries: list[Entry]
+    vehicle: str
+    lives: set[ProfileLife]
+
+    @property
+    def first_ns(self) -> int:
+        return self.entries[0][0].start_ns
+
+    @property
+    def last_ns(self) -> int:
+        return self.entries[-1][0].start_ns
+
+
+def first_epoch(
+    entries: Sequence[Entry], most_windows: int, most_wheelsets: int, parameters: PartitionParameters | None = None
+) -> Group:
+    """Return the windows of the first epoch.
+
+    Args:
+        entries: Windows that no earlier epoch holds, by start and wheelset; at least one.
+        most_windows, most_wheelsets: Of an epoch; one journey may be more, by the windows of a vehicle at one time.
+    """
+    p = parameters or PartitionParameters()
+    pause_ns, journey_ns = round(p.pause_h * 3600 * NANOSECONDS), round(p.journey_pause_s * NANOSECONDS)
+    chosen: list[_Journey] = []
+    count, end_ns, horizon_ns = 0, 0, OPEN_NS
+    lives: set[ProfileLife] = set()
+    for journey in _journeys(entries, journey_ns, most_windows):
+        paused = count >= p.least_windows and journey.first_ns - end_ns > pause_ns
+        full = count + len(journey.entries) > most_windows or len(lives | journey.lives) > most_wheelsets
+        if chosen and (paused or full):
+            horizon_ns = max(
+                journey.last_ns if full else journey.first_ns, *(one.last_ns + journey_ns for one in chosen)
+            )
+            break
+        chosen.append(journey)
+        count += len(journey.entries)
+        lives |= journey.lives
+        end_ns = max(end_ns, journey.last_ns)
+    found = sorted(
+        (entry for journey in chosen for entry in journey.entries),
+        key=lambda entry: (entry[0].start_ns, entry[0].wheelset),
+    )
+    return Group(found, horizon_ns)
+
+
+def _journeys(entries: Sequence[Entry], pause_ns: int, most: int) -> list[_Journey]:
+    """Return the windows by vehicle and run, in order of their begin; a run of more than ``most`` windows is cut."""
+    found: list[_Journey] = []
+    last: dict[str, _Journey] = {}
+    for record, life in entries:
+        journey = last.get(record.vehicle)
+        together = journey is not None and record.start_ns - journey.last_ns <= pause_ns
+        if journey is None or not together or (len(journey.entries) >= most and record.start_ns > journey.last_ns):
+            journey = _Journey([], record.vehicle, set())
+            last[record.vehicle] = journey
+            found.append(journey)
+        journey.entries.append((record, life))
+        journey.lives.add(life)
+    return found
+
+
+def newest_within(entries: Sequence[Entry], most_windows: int, most_wheelsets: int) -> tuple[list[Entry], list[Entry]]:
+    """Return the newest windows that one solution holds, newest first, and the rest in the same order."""
+    ordered = sorted(entries, key=lambda entry: (-entry[0].start_ns, entry[0].wheelset))
+    chosen: list[Entry] = []
+    lives: set[ProfileLife] = set()
+    for entry in ordered[:most_windows]:
+        if entry[1] not in lives and len(lives) == most_wheelsets:
+            break
+        lives.add(entry[1])
+        chosen.append(entry)
+    return chosen, ordered[len(chosen) :]

@@ -68,10 +68,7 @@ def filtered_displacements(passes: Sequence[Pass], grid: SectionGrid) -> list[tu
 def clear_peaks(
     points: IntArray, y: FloatArray, reference: FloatArray, grid: SectionGrid, parameters: PositionParameters
 ) -> list[Peak]:
-    """Return the peaks of the pieces of a signal (m,) that agree with a reference (n,) on the grid clearly.
-
-    In pieces, because over a long pass an error of the scale moves the two ends against each other.
-    """
+    """Return where pieces of a signal (m,) agree with a reference (n,) clearly: over all of it scales may differ."""
     pieces = max(round(len(points) * grid.step / parameters.piece), 1)
     parts = [part for part in np.array_split(np.arange(len(points)), pieces) if len(part)]
     peaks = [peak(points[part], y[part], reference, grid, parameters) for part in parts]
@@ -223,10 +220,7 @@ def refine(
     for journey, one in placed.items():
         correction = one.correction
         normal, right = 1e-12 * np.eye(2), np.zeros(2)
-        for item in one.passes:
-            curve = solution.curve_of(item.life)
-            if item.empty or curve is None:
-                continue
+        for item, curve in solution.used(one.passes):
             at, own = item.used_points, pass_residual(item, curve, panel)[item.inside]
             residual = (own - np.nan_to_num(solution.alignment[at])) * certain[at]
             design = np.stack([slope[at], slope[at] * (at * panel.grid.step - correction.middle)]) * certain[at]

@@ -13,11 +13,10 @@ from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gauge.wheel_functions import contact_samples, gauge_sign, total_gauge_shifts
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.iteration import Grouped, IterationResult, Setting, first_rounds
-from estimation.track.panel.basis import Panel, unfiltered_residual
+from estimation.track.panel.basis import MeasuredCurve, Panel, unfiltered_residual
 from estimation.track.panel.instrumental_slope import PRIOR_STD
-from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.solution import PanelSolution, PriorAlignment, between_pass_std_ratio, prior_on_grid
-from estimation.track.passes import Journey, Pass, ProfileLife
+from estimation.track.passes import Journey, ProfileLife
 from estimation.track.positions import correlate_positions
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
@@ -28,43 +27,26 @@ from estimation.values.track import (
     AlignmentSource,
     Convergence,
     Correction,
-    GaugeShift,
     TrackAlignment,
     TrackFindings,
     TrackSectionRecord,
 )
 
 
-@dataclass(frozen=True, slots=True)
-class SectionResults:
-    """Findings, and the gauge deviation (n,), m, where it is estimated from the passes."""
-
-    findings: TrackFindings
-    gauge: FloatArray | None
-
-
-def findings(iterated: IterationResult, *, gauge_estimated: bool) -> SectionResults:
-    """Return what the passes show; ``gauge_estimated`` where the gauge of the panel came from them."""
+def findings(iterated: IterationResult, *, gauge_estimated: bool) -> tuple[TrackFindings, FloatArray | None]:
+    """Return what the passes show, and the gauge deviation (n,), m, where that of the panel came from them."""
     ratios = {vehicle: one.value for vehicle, one in iterated.ratios.items()}
     std = max((one.std for one in iterated.ratios.values()), default=0.0)
     gauge = iterated.panel.gauge
     if gauge is None:
-        return SectionResults(TrackFindings(ratios, std, {}), None)
+        return TrackFindings(ratios, std, {}), None
     panel = iterated.panel
     shifts = total_gauge_shifts(iterated.solution, panel)
     sign = gauge_sign(contact_samples(iterated.passes, iterated.solution, panel), shifts) if gauge_estimated else 1
     if sign < 0:
-        shifts = {name: _turned(one) for name, one in shifts.items()}
+        shifts = {name: replace(one, shift=one.shift[:, ::-1]) for name, one in shifts.items()}  # a symmetric grid
     latest = {life.wheelset: shifts[life] for life in sorted(shifts)}  # of several lives the latest
-    found = TrackFindings(ratios, std, latest)
-    if not gauge_estimated:
-        return SectionResults(found, None)
-    return SectionResults(found, sign * gauge)
-
-
-def _turned(shift: GaugeShift) -> GaugeShift:
-    """Return what a gauge of the other sign does; the grid is symmetric."""
-    return replace(shift, shift=shift.shift[:, ::-1])
+    return TrackFindings(ratios, std, latest), sign * gauge if gauge_estimated else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +67,7 @@ class JourneyReport:
 
 @dataclass(frozen=True, slots=True)
 class AlignmentReport:
-    """How an alignment was found, in figures; stored with it.
-
-    ``evidence`` names what was known besides the passes: the last version, a recorded alignment.
-    """
+    """How an alignment was found, in figures; ``evidence`` names what was known besides the passes."""
 
     status: Status
     reason: Reason | None
@@ -154,10 +133,7 @@ def long_wave_alignment(
     """Return the alignment, up to a cut-off wavelength, m, from ``passes`` with the curves of ``solution``."""
     weights = local_cubic_kernel(cutoff_wavelength, panel.grid.step)
     total, square, count, curves = np.zeros((4, panel.grid.points))
-    for item in passes:
-        curve = solution.curve_of(item.life)
-        if item.empty or curve is None:
-            continue
+    for item, curve in solution.used(passes):
         rest = unfiltered_residual(item, curve, panel)
         pass_residual, y = high_pass(np.stack([rest, item.displacement]), weights)
         inside = valid_support(item.certain, weights) & panel.grid.contains(item.points)
@@ -193,13 +169,13 @@ def merged_alignment(
     shared = np.maximum(found.passes + weight, 1e-12)
     d = (found.passes * found.alignment + weight * known.alignment) / shared
     certain = (found.passes >= p.panel.least_passes) | np.isfinite(known.std)
-    results = findings(iterated, gauge_estimated=not known.gauge_known)
-    gauge = known.gauge if results.gauge is None else results.gauge
-    gauge_std = _gauge_std(iterated, known, results)
-    profiles = _profile_uncertainty(iterated)
+    shown, shown_gauge = findings(iterated, gauge_estimated=not known.gauge_known)
+    gauge = known.gauge if shown_gauge is None else shown_gauge
+    gauge_std = _gauge_std(iterated, known, shown_gauge)
+    profile_std, profile_scale_std = _profile_uncertainty(iterated)
     slope_std = 0.0 if iterated.slope is None else min(iterated.slope.std, OPEN_SLOPE)
-    of_gauge = p.systematic_per_gauge[results.gauge is not None] * float(np.std(gauge))
-    systematic = p.systematic**2 + of_gauge**2 + profiles.std**2 + (slope_std * found.curves) ** 2
+    of_gauge = p.systematic_per_gauge[shown_gauge is not None] * float(np.std(gauge))
+    systematic = p.systematic**2 + of_gauge**2 + profile_std**2 + (slope_std * found.curves) ** 2
     std = _std(found, shared, iterated.solution.common_std, systematic)
     of_prior = 0.0 if prior is None else prior.scale_std * float(np.median(weight / shared))
     return TrackAlignment(
@@ -214,9 +190,9 @@ def merged_alignment(
         status=Status.ESTIMATED,
         source=AlignmentSource.FLEET,
         cutoff_wavelength=p.cutoff_wavelength,
-        scale_std=float(np.linalg.norm([_scale_std(results, p), profiles.scale_std, slope_std, of_prior])),
-        gauge_known=known.gauge_known and results.gauge is None,
-        findings=results.findings,
+        scale_std=float(np.linalg.norm([_scale_std(shown_gauge, p), profile_scale_std, slope_std, of_prior])),
+        gauge_known=known.gauge_known and shown_gauge is None,
+        findings=shown,
     )
 
 
@@ -227,7 +203,7 @@ def _std(found: LongWaveAlignment, shared: FloatArray, of_curves: FloatArray, sy
     return np.asarray(np.sqrt(std**2 + found.passes / shared * systematic))
 
 
-def _gauge_std(iterated: IterationResult, known: PriorAlignment, results: SectionResults) -> FloatArray:
+def _gauge_std(iterated: IterationResult, known: PriorAlignment, shown: FloatArray | None) -> FloatArray:
     """Return the std (n,), m, of the gauge deviation: as surveyed, or by what it does to passes that know none of it.
 
     Passes disagree by more than sensors make them where a gauge that is not modelled moves their wheelsets apart;
@@ -238,32 +214,25 @@ def _gauge_std(iterated: IterationResult, known: PriorAlignment, results: Sectio
     unexplained = float(np.sqrt(max(iterated.noise_without_gauge**2 - SENSOR_RESIDUAL**2, 0.0)))
     differing = min(between_pass_std_ratio(iterated.state) / WIDELY_DIFFERENT, 1.0)
     inferred = unexplained / (GAUGE_EFFECT * differing) if differing > 0.0 else 0.0
-    found = 0.0 if results.gauge is None else float(np.std(results.gauge))
+    found = 0.0 if shown is None else float(np.std(shown))
     return np.full_like(known.gauge_std, max(inferred, found))
 
 
-def _scale_std(results: SectionResults, p: SectionParameters) -> float:
-    return p.scale_error if results.gauge is None else float(np.hypot(p.scale_error, p.gauge_scale_error))
+def _scale_std(shown: FloatArray | None, p: SectionParameters) -> float:
+    return p.scale_error if shown is None else float(np.hypot(p.scale_error, p.gauge_scale_error))
 
 
-@dataclass(frozen=True, slots=True)
-class _ProfileUncertainty:
-    """What measured profiles leave open where only they determine the curves; else zero."""
-
-    std: float  # m
-    scale_std: float  # relative, of y - d: of the profiles, and of R by a stiffness that is as assumed
-
-
-def _profile_uncertainty(iterated: IterationResult) -> _ProfileUncertainty:
+def _profile_uncertainty(iterated: IterationResult) -> tuple[float, float]:
+    """Return the std, m, and the relative one of y - d that measured profiles leave where they alone fix curves."""
     if not iterated.solution.report.curves_fixed:
-        return _ProfileUncertainty(0.0, 0.0)
+        return 0.0, 0.0
     squares = np.array([(one.std, one.std / one.spread) for one in iterated.measured_curves]) ** 2
     std, scale = np.sqrt(squares.mean(axis=0))
     used = [item for item in iterated.passes if not item.empty]
     stiffness = sum(float(part @ part) for part in (item.stiffness_term[item.inside] for item in used))
     whole = sum(float(part @ part) for part in (item.difference[item.inside] for item in used))
     of_stiffness = PRIOR_STD * np.sqrt(stiffness / whole) if whole > 0.0 else 0.0
-    return _ProfileUncertainty(float(std), float(np.hypot(scale, of_stiffness)))
+    return float(std), float(np.hypot(scale, of_stiffness))
 
 
 def _nothing_known(grid: SectionGrid) -> PriorAlignment:
@@ -314,22 +283,12 @@ def place_alone(
     prior = prior_on_grid(alignment, panel.grid, parameters.panel.cutoff_wavelength)
     if not prior.has_alignment or (prior.gauge_known and prior.gauge.any()):
         return {}
-    found = {}
+    places = {}
     for journey, members in grouped.items():
-        correction = _placed(journey, members, prior, panel, parameters)
-        if correction is not None:
-            found[journey] = correction
-    return found
-
-
-def _placed(
-    journey: Journey, members: Sequence[Pass], prior: PriorAlignment, panel: Panel, p: SectionParameters
-) -> Correction | None:
-    """Return the correction of one journey; None where the rounds do not end."""
-    alone: Grouped = {journey: members}
-    setting = Setting(alone, prior, anchored=True, parameters=p.iteration)
-    start = correlate_positions(alone, panel.grid, p.positions, prior.alignment)
-    found = first_rounds(setting, panel, start, std=False)
-    if found.moved >= p.iteration.position_tolerance:
-        return None
-    return shrunk(found)[journey] if prior.surveyed else found.corrections[journey]
+        alone: Grouped = {journey: members}
+        setting = Setting(alone, prior, anchored=True, parameters=parameters.iteration)
+        start = correlate_positions(alone, panel.grid, parameters.positions, prior.alignment)
+        found = first_rounds(setting, panel, start, std=False)
+        if found.moved < parameters.iteration.position_tolerance:
+            places[journey] = shrunk(found)[journey] if prior.surveyed else found.corrections[journey]
+    return places

@@ -13,9 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.track.iteration import Grouped, IterationResult, iterate, with_slope
-from estimation.track.panel.basis import Panel, pass_residual
+from estimation.track.panel.basis import MeasuredCurve, Panel, pass_residual
 from estimation.track.panel.instrumental_slope import error_of_difference
-from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.solution import (
     LEAST_WHEELSETS,
     SINGLE_WHEELSET,
@@ -48,10 +47,7 @@ class Residuals:
     of_usual_wheelsets: Mapping[Journey, float] = field(default_factory=dict)  # lower median of those of a journey
 
     def weights(self) -> dict[ProfileLife, float]:
-        """Return by profile life how much a pass counts: 1 up to what is usual, less and less beyond.
-
-        Empty where none is so far off that it would matter.
-        """
+        """Return by profile life how much a pass counts where it is far off; empty where that would not matter."""
         known = [value for value in self.of_lives.values() if np.isfinite(value)]
         usual = max(USUAL_FACTOR * float(np.median(known)), LEAST_USUAL) if known else np.inf
         found = {life: (usual / value) ** POWER for life, value in self.of_lives.items() if value > usual}

@@ -60,13 +60,13 @@ class SurveyCheckParameters:
 class SurveyCheck:
     """The check of a surveyed alignment by the fleet; numbers are NaN where it cannot be assessed."""
 
-    usable: bool
-    reason: Reason | None  # why not; or why it cannot be assessed
+    reason: Reason | None  # why it is not usable; or why it cannot be assessed
     scale: float  # surveyed over measured, without its sign
     shift: float  # m: what is surveyed at s was measured at s + shift
     sign: int  # 1; -1 where left and right are exchanged; 0 where it cannot be assessed
     correlation: float  # at the best shift
     samples: float  # independent ones
+    usable: bool = True
 
 
 def check_survey(recorded: TrackAlignment, fleet: TrackAlignment, *, place_std: float = 0.0) -> SurveyCheck:
@@ -77,9 +77,11 @@ def check_survey(recorded: TrackAlignment, fleet: TrackAlignment, *, place_std: 
         place_std: Of the position of the fleet as a whole, m: a shift within it is not held against the survey.
     """
     p = SurveyCheckParameters()
+    nan = float("nan")
+    nothing = SurveyCheck(NOT_ASSESSABLE, nan, nan, 0, nan, 0.0)
     both = _on_one_grid(recorded, fleet)
     if both is None:
-        return _nothing(NOT_ASSESSABLE)
+        return nothing
     r, f, variance, step = both
     reach = int(p.largest_offset / step)
     score, factor = _by_lag(r, f, 1.0 / variance, reach)
@@ -88,25 +90,20 @@ def check_survey(recorded: TrackAlignment, fleet: TrackAlignment, *, place_std: 
     memory = _memory(r, f, step)
     samples = np.count_nonzero(f) * step / memory
     if samples < p.least_samples:
-        return _nothing(NOT_ASSESSABLE)
+        return nothing
     explained = min(float(score[k] ** 2), 1.0 - 1e-12)
     chance = log10_chance(-(samples - 3.0) * float(np.log1p(-explained)), 1)
     chance += float(np.log10(max(2.0 * p.largest_offset / memory, 1.0)))
-    found = SurveyCheck(
-        usable=True,
-        reason=None,
-        scale=float(np.abs(factor[k])),
-        shift=shift,
-        sign=int(np.sign(factor[k])),
-        correlation=float(np.sqrt(explained)),
-        samples=samples,
-    )
+    scale, sign, correlation = float(np.abs(factor[k])), int(np.sign(factor[k])), float(np.sqrt(explained))
+    found = SurveyCheck(None, scale, shift, sign, correlation, samples)
     if chance > p.log10_chance:
-        return _refused(found, Reason(ReasonCode.SURVEY_UNRELATED, _unrelated(found)))
+        text = (
+            "it has no more in common with what the fleet has measured than another section would"
+            f" (correlation {found.correlation:.2f} over {samples:.0f} independent samples)"
+        )
+        return replace(found, usable=False, reason=Reason(ReasonCode.SURVEY_UNRELATED, text))
     misplaced = combined(_misplaced(found, 1.0 + 4.0 * fleet.scale_std, 3.0 * place_std, p))
-    if misplaced is not None:
-        return _refused(found, misplaced)
-    return found
+    return found if misplaced is None else replace(found, usable=False, reason=misplaced)
 
 
 def worth_more(fleet: TrackAlignment, survey: TrackAlignment) -> bool:
@@ -122,10 +119,7 @@ def worth_more(fleet: TrackAlignment, survey: TrackAlignment) -> bool:
 
 
 def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: SurveyCheckParameters) -> list[Reason]:
-    """Return what is wrong with the unit, the sides and the place of a recording.
-
-    ``open_scale`` is the factor that the fleet leaves open, ``place_known``, m, the uncertainty of its place.
-    """
+    """Return what is wrong with unit, sides and place, beyond a factor and a shift, m, that the fleet leaves open."""
     reasons = []
     if not 1.0 / (p.most_factor * open_scale) <= found.scale <= p.most_factor * open_scale:
         reasons.append(Reason(ReasonCode.SURVEY_UNIT, _unit(found.scale)))
@@ -138,22 +132,6 @@ def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: Sur
         text = f"it is {abs(found.shift):.1f} m too far {direction}{within}"
         reasons.append(Reason(ReasonCode.SURVEY_DISPLACED, text))
     return reasons
-
-
-def _nothing(reason: Reason) -> SurveyCheck:
-    nan = float("nan")
-    return SurveyCheck(usable=True, reason=reason, scale=nan, shift=nan, sign=0, correlation=nan, samples=0.0)
-
-
-def _refused(found: SurveyCheck, reason: Reason) -> SurveyCheck:
-    return replace(found, usable=False, reason=reason)
-
-
-def _unrelated(found: SurveyCheck) -> str:
-    return (
-        "it has no more in common with what the fleet has measured than another section would"
-        f" (correlation {found.correlation:.2f} over {found.samples:.0f} independent samples)"
-    )
 
 
 def _unit(scale: float) -> str:
@@ -228,10 +206,7 @@ class GaugeLimits:
 def judge_gauge(
     iterated: IterationResult | None, survey: TrackAlignment, *, converged: bool, limits: GaugeLimits | None = None
 ) -> Reason | None:
-    """Return what is wrong with a surveyed gauge; None where nothing is, or where the passes cannot show it.
-
-    Until positions and stiffness ratios have ``converged`` nothing is refused.
-    """
+    """Return what is wrong with a surveyed gauge; None where nothing is, or what passes show is not certain yet."""
     p = limits or GaugeLimits()
     size = float(np.std(survey.gauge_deviation))
     if iterated is None or iterated.panel.gauge is None or not (converged and survey.gauge_known):
@@ -243,15 +218,12 @@ def judge_gauge(
     if expected < p.least_expected:
         return None
     if 1.0 - (after / before) ** 2 < p.least_explained * expected:
-        return Reason(ReasonCode.SURVEY_GAUGE_UNRELATED, _gauge_unrelated(before, after))
+        text = (
+            f"of the {1e3 * before:.2f} mm by which passes disagree {1e3 * after:.2f} mm remain with it;"
+            " it is that of another place, or displaced"
+        )
+        return Reason(ReasonCode.SURVEY_GAUGE_UNRELATED, text)
     factor, std = gauge_factor_with_std(contact_samples(iterated.passes, iterated.solution, iterated.panel))
     if abs(np.log(factor)) > np.log(p.most_scale) + p.stds * std:  # never where the std is not known
         return Reason(ReasonCode.SURVEY_GAUGE_UNIT, f"it is {1.0 / factor:.2g} times what the wheelsets show")
     return None
-
-
-def _gauge_unrelated(before: float, after: float) -> str:
-    return (
-        f"of the {1e3 * before:.2f} mm by which passes disagree {1e3 * after:.2f} mm remain with it;"
-        " it is that of another place, or displaced"
-    )

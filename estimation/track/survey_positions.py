@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
-from estimation.track.gridded_pass import GriddedPass, Placed, PlacedJourney, SectionGrid
+from estimation.track.gridded_pass import Placed, PlacedJourney, SectionGrid
 from estimation.track.panel.basis import basis_functions, knot_shares
 from estimation.track.panel.solution import PriorAlignment
 from estimation.track.passes import Journey, ProfileLife
@@ -49,10 +49,7 @@ class SurveyPositionParameters:
 def positions_on_survey(
     placed: Placed, survey: PriorAlignment, grid: SectionGrid, parameters: SurveyPositionParameters | None = None
 ) -> dict[Journey, Correction] | None:
-    """Return corrections of the positions of all journeys on a survey; None where none is found.
-
-    The journeys of a vehicle whose places are not found keep them. The first corrections are within a few metres.
-    """
+    """Return corrections of all journeys, placed within metres, on a survey; None where none of a vehicle is found."""
     p = parameters or SurveyPositionParameters()
     found = {journey: one.correction for journey, one in placed.items()}
     vehicles = 0
@@ -105,12 +102,16 @@ class _Vehicle:
         kernel = local_cubic_kernel(parameters.cutoff_wavelength, grid.step)
         lives: dict[ProfileLife, int] = {}
         covered = np.isfinite(survey.std)
-        passes = [
-            _on_survey(item, number, lives.setdefault(item.life, len(lives)), covered, grid, kernel)
-            for number, one in enumerate(members.values())
-            for item in one.passes
-            if not item.empty
-        ]
+        passes = []
+        for number, item in ((k, item) for k, one in enumerate(members.values()) for item in one.passes):
+            if item.empty:
+                continue
+            on = item.inside.copy()
+            on[item.inside] &= covered[item.used_points]
+            at = np.asarray(item.points * grid.step, dtype=np.float64)
+            y, R = high_pass(item.displacement, grid.kernel), high_pass(item.side * item.difference, kernel)
+            life = lives.setdefault(item.life, len(lives))
+            passes.append(_PassOnSurvey(number, life, at, y, R, valid_support(on, kernel)))
         return cls(passes, len(members), len(lives), survey, grid, kernel, parameters)
 
     def of_one_size(self) -> bool:
@@ -197,18 +198,3 @@ def _displaced(
     at = one.at + move[0] + move[1] * (one.at - 0.5 * grid.length)
     slope = np.gradient(survey.alignment, grid.step)
     return one.displacement - np.interp(at, grid.s, survey.alignment), np.interp(at, grid.s, slope)
-
-
-def _on_survey(
-    item: GriddedPass, journey: int, life: int, covered: BoolArray, grid: SectionGrid, kernel: FloatArray
-) -> _PassOnSurvey:
-    on = item.inside.copy()
-    on[item.inside] &= covered[item.used_points]
-    return _PassOnSurvey(
-        journey=journey,
-        life=life,
-        at=np.asarray(item.points * grid.step, dtype=np.float64),
-        displacement=high_pass(item.displacement, grid.kernel),
-        difference=high_pass(item.side * item.difference, kernel),
-        used=valid_support(on, kernel),
-    )

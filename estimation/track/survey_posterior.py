@@ -75,9 +75,10 @@ class SurveyBands:
     passes: FloatArray  # (n,) sum of their weights, in the shortest waves
     curves: float  # m, rms of the displacement y - d by the curves, which a scale error of them multiplies
 
-    def survey_std(self, longest: float = EDGES[0]) -> float:
-        """Return the std that the passes show of the survey, m, at wavelengths up to ``longest`` m."""
-        return float(np.sqrt(np.median(total_variance([one.survey_variance for one in self.up_to(longest)]))))
+    @property
+    def survey_std(self) -> float:
+        """Std that the passes show of the survey, m."""
+        return float(np.sqrt(np.median(total_variance([one.survey_variance for one in self.bands]))))
 
     def coherent_std(self, longest: float = EDGES[0]) -> float:
         """Return the rms, m, of what followed the motion at wavelengths up to ``longest`` m."""
@@ -93,11 +94,7 @@ class SurveyBands:
 
 
 def survey_bands(iterated: IterationResult, survey: TrackAlignment, systematic: float) -> SurveyBands | None:
-    """Return what a survey and the passes that were placed on it say, band by band; None where they do not meet.
-
-    Args:
-        systematic: m, std of the passes' alignment that their scatter does not show.
-    """
+    """Return what a survey and the passes on it say by band; None where they do not meet. ``systematic``: std, m."""
     grid = iterated.panel.grid
     on_grid, std, known = survey_on_grid(survey, grid)
     kernels = [local_cubic_kernel(edge, grid.step) for edge in EDGES]
@@ -160,10 +157,7 @@ def _passes(placed: Placed, solution: PanelSolution, panel: Panel, kernels: Sequ
     total, (count, journeys, squares, crossed, counted) = np.zeros((2, *shape)), np.zeros((5, *shape))
     for one in placed.values():
         summed, passed = np.zeros((2, *shape)), np.zeros(shape)
-        for item in one.passes:
-            curve = solution.curve_of(item.life)
-            if item.empty or curve is None:
-                continue
+        for item, curve in solution.used(one.passes):
             signals = np.stack([unfiltered_residual(item, curve, panel), item.displacement])
             weight, on = panel.weight_of(item.life), panel.grid.contains(item.points)
             for number, (band, kernel) in enumerate(zip(_bands_of(signals, kernels), kernels, strict=True)):
@@ -196,7 +190,8 @@ def _band(
     square = float(np.mean(rest[compared] ** 2))
     noise = np.full(len(survey), np.inf)
     noise[compared] = passes.variance[number] / passes.journeys[number, compared]
-    of_file = filed**2 * _white_share(number)
+    # errors on file are white down to the shortest wavelength
+    of_file = filed**2 * ((1.0 / shortest - 1.0 / EDGES[number]) / (1.0 / SHORTEST - 1.0 / EDGES[0]))
     if not np.isfinite(passes.variance[number]):
         noise[compared] = square + of_file
     noise += systematic**2
@@ -221,12 +216,6 @@ def _learnt(square: float, of_passes: float, systematic: float, of_file: float, 
     samples = trust * independent
     filed = min(of_file, square)
     return (samples * max(known, 0.0) + FILED_SAMPLES * filed) / (samples + FILED_SAMPLES)
-
-
-def _white_share(number: int) -> float:
-    """Return the share of a band in the variance of errors that are white down to the shortest wavelength."""
-    edges = (*EDGES, SHORTEST)
-    return (1.0 / edges[number + 1] - 1.0 / edges[number]) / (1.0 / SHORTEST - 1.0 / EDGES[0])
 
 
 def _coherent(
@@ -291,7 +280,7 @@ class SurveyPosterior:
     def std_factor(self) -> float:
         """Std of the survey that the passes show, over that on file."""
         filed = float(np.median(self.before.alignment_std[self.bands.known]))
-        return self.bands.survey_std() / max(filed, 1e-9)
+        return self.bands.survey_std / max(filed, 1e-9)
 
 
 def survey_posterior(
@@ -319,7 +308,9 @@ def survey_posterior(
         passes=np.rint(passes).astype(np.int64),
     )
     d = bands.long_waves + np.sum([one.posterior for one in bands.bands], axis=0)
-    std = np.hypot(bands.posterior_std(STATED), _of_positions(iterated, d))
+    positions = [one for one in position_std(iterated).values() if np.isfinite(one)]
+    of_positions = np.abs(np.gradient(d, grid.step)) * (float(np.median(positions)) if positions else 0.0)
+    std = np.hypot(bands.posterior_std(STATED), of_positions)
     ratios_known = error_of_difference(iterated.ratios, iterated.passes) <= MOST_DIFFERENCE_ERROR
     found = replace(
         before,
@@ -328,16 +319,9 @@ def survey_posterior(
         alignment_std=std + nothing,
         passes=before.passes + np.rint(bands.passes).astype(np.int64),
         scale_std=_scale_std(bands, iterated, survey, p),
-        findings=findings(iterated, gauge_estimated=False).findings if ratios_known else survey.findings,
+        findings=findings(iterated, gauge_estimated=False)[0] if ratios_known else survey.findings,
     )
     return SurveyPosterior(found, before, bands)
-
-
-def _of_positions(iterated: IterationResult, d: FloatArray) -> FloatArray:
-    """Return the std (n,), m, of y - d by the errors of the positions that windows are given."""
-    stds = list(position_std(iterated).values())
-    known = [one for one in stds if np.isfinite(one)]
-    return np.abs(np.gradient(d, iterated.panel.grid.step)) * (float(np.median(known)) if known else 0.0)
 
 
 def _scale_std(bands: SurveyBands, iterated: IterationResult, survey: TrackAlignment, p: SectionParameters) -> float:
@@ -348,7 +332,7 @@ def _scale_std(bands: SurveyBands, iterated: IterationResult, survey: TrackAlign
     slope_std = 0.0 if iterated.slope is None else iterated.slope.std
     of_passes = float(np.hypot(p.scale_error, slope_std))
     independent = max(np.count_nonzero(bands.compared) * iterated.panel.grid.step / INDEPENDENT, 1.0)
-    of_survey = bands.survey_std() / max(bands.curves, 1e-9) / np.sqrt(independent)
+    of_survey = bands.survey_std / max(bands.curves, 1e-9) / np.sqrt(independent)
     both = of_passes * of_survey / float(np.hypot(of_passes, of_survey))
     weights = np.array([np.mean(one.passes[bands.compared] ** 2) for one in bands.bands])
     share = np.array([np.mean(one.share[bands.compared]) for one in bands.bands])

@@ -10,13 +10,13 @@ may be wrong. Nothing is compared with an alignment that the fleet has found by 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
 
 from estimation.track.iteration import IterationResult
-from estimation.track.panel.normal_equations import PanelState, groups_of
+from estimation.track.panel.basis import PanelState, groups_of, init, update
 from estimation.track.panel.solution import PriorAlignment, curves_of_sum, prior_of_curves
 from estimation.track.passes import Journey
 from estimation.values.arrays import FloatArray, IntArray
@@ -50,9 +50,13 @@ class SurveyFit:
 
 def fit_survey(iterated: IterationResult, survey: PriorAlignment) -> SurveyFit | None:
     """Return how well a survey fits the passes that were placed on it; None where too little of it was passed."""
-    state = _on_survey(iterated, survey)
-    if state is None:
+    covered, passed = np.isfinite(survey.std), iterated.state.passes > 0
+    if not (covered & passed).any():
         return None
+    state, last = iterated.state, iterated.panel.grid.points - 1
+    if not (covered | ~passed).all():
+        kept = [replace(one, inside=one.inside & covered[np.clip(one.points, 0, last)]) for one in iterated.passes]
+        state = update(init(iterated.panel), kept)
     sums = _Sums.of(state, survey.alignment)
     present = np.flatnonzero(sums.square > 0.0)
     if len(present) < FEWEST_GROUPS:
@@ -61,24 +65,18 @@ def fit_survey(iterated: IterationResult, survey: PriorAlignment) -> SurveyFit |
     if not np.isfinite(factor):
         return None
     without = [sums.fit(present[present != group])[0] for group in present]
+    known, d = state.passes >= 1.0, survey.alignment
+    passes = state.passes[known]
+    rest = (state.displacement - curves_of_sum(state, iterated.solution.curves[0]))[known] / passes - d[known]
+    free = float(np.mean(iterated.noise**2 / passes))  # of sensors
     return SurveyFit(
         factor=factor,
         factor_std=float(jackknife_std(np.array([factor, *without]))),
         explained=explained,
         followed=followed,
-        error=_survey_error(state, iterated, survey.alignment),
-        size=float(np.sqrt(np.mean(survey.alignment[np.isfinite(survey.std)] ** 2))),
+        error=float(np.sqrt(max(float(np.mean(rest**2)) - free, 0.0))),
+        size=float(np.sqrt(np.mean(d[covered] ** 2))),
     )
-
-
-def _on_survey(iterated: IterationResult, survey: PriorAlignment) -> PanelState | None:
-    """Return the sums over the passes where the survey is known; None where that is not passed."""
-    covered = np.isfinite(survey.std)
-    if not (covered & (iterated.state.passes > 0)).any():
-        return None
-    if (covered | (iterated.state.passes == 0)).all():
-        return iterated.state
-    return iterated.restricted_to(covered)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,15 +114,6 @@ class _Sums:
         factor = along / own
         displacement = raw_square - 2.0 * factor * raw_along + factor**2 * raw_own
         return factor, min(along**2 / (own * square), 1.0), 1.0 - (square - factor * along) / displacement
-
-
-def _survey_error(state: PanelState, iterated: IterationResult, d: FloatArray) -> float:
-    """Return the rms, m, of what the mean of y - h(R) over the passes of a place differs from the survey by."""
-    known = state.passes >= 1.0
-    passes = state.passes[known]
-    rest = (state.displacement - curves_of_sum(state, iterated.solution.curves[0]))[known] / passes - d[known]
-    free = float(np.mean(iterated.noise**2 / passes))
-    return float(np.sqrt(max(float(np.mean(rest**2)) - free, 0.0)))
 
 
 CONFIRMED = "agrees with what the fleet has measured"
@@ -202,9 +191,14 @@ def survey_verdict(fit: SurveyFit | None, witnesses: Witnesses, filed_std: float
         )
         contradiction = Reason(ReasonCode.MODEL_CONTRADICTED, text)
         return SurveyVerdict(refused=False, reason=contradiction, contradicted=True, elsewhere=True)
-    other = _of_another(fit, filed_std, p)
-    if other is not None:
-        return SurveyVerdict(refused=True, reason=other, elsewhere=other is not MIRRORED)
+    mirrored = fit.factor + p.stds * fit.factor_std < 0.0
+    if mirrored or _unrelated(fit, filed_std, p):
+        text = (
+            f"it explains {fit.explained:.0%} of what the curves leave of the passes,"
+            f" and differs from them by {1e3 * fit.error:.2f} mm of its {1e3 * fit.size:.2f} mm"
+        )
+        reason = MIRRORED if mirrored else Reason(ReasonCode.SURVEY_UNRELATED, text)
+        return SurveyVerdict(refused=True, reason=reason, elsewhere=not mirrored)
     if not converged:
         return SurveyVerdict(refused=False, reason=None)
     if not fit.factor_std <= p.widest_factor * abs(fit.factor):
@@ -214,20 +208,12 @@ def survey_verdict(fit: SurveyFit | None, witnesses: Witnesses, filed_std: float
 
 
 def is_mirrored(
-    verdict: SurveyVerdict,
-    fit: SurveyFit | None,
-    image: SurveyVerdict,
-    image_fit: SurveyFit | None,
-    limits: VerdictLimits | None = None,
+    verdict: SurveyVerdict, fit: SurveyFit | None, image: SurveyVerdict, image_fit: SurveyFit | None
 ) -> bool:
-    """Return whether a survey that does not fit where it is said to be is the mirror image of its section.
-
-    Where the track has waves of one length, the mirror image half a wave away is not unlike the section.
-    """
-    p = limits or VerdictLimits()
+    """Return whether a survey that does not fit is a mirror image: waves may look alike half a wave away."""
     if fit is None or image_fit is None or image.refused or image.contradicted or image.elsewhere:
         return False
-    related = image_fit.factor > p.related * image_fit.factor_std
+    related = image_fit.factor > VerdictLimits().related * image_fit.factor_std
     return verdict.elsewhere and related and image_fit.explained > fit.explained
 
 
@@ -250,32 +236,14 @@ def _judged(fit: SurveyFit, witnesses: Witnesses, filed_std: float, p: VerdictLi
     return SurveyVerdict(refused=False, reason=Reason(ReasonCode.SURVEY_CONFIRMED, CONFIRMED))
 
 
-def _of_another(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> Reason | None:
-    """Return that a survey is the mirror image of this section, or of another one; None where it is neither."""
-    if fit.factor + p.stds * fit.factor_std < 0.0:
-        return MIRRORED
-    if not _unrelated(fit, filed_std, p):
-        return None
-    text = (
-        f"it explains {fit.explained:.0%} of what the curves leave of the passes,"
-        f" and differs from them by {1e3 * fit.error:.2f} mm of its {1e3 * fit.size:.2f} mm"
-    )
-    return Reason(ReasonCode.SURVEY_UNRELATED, text)
-
-
 def _unrelated(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:
     """Whether a survey follows the passes by less than one of this section would, be its std understated or not."""
-    if _nothing_in_common(fit, p):
+    below = min(p.related * fit.factor_std, p.least_factor - p.stds * fit.factor_std)
+    if fit.factor < below and fit.error > fit.size:  # a straight line would be nearer to it
         return True
     least = p.least_of_unlike if _explains_little(fit, filed_std, p) else p.least_factor
     share = min(p.understated * filed_std / fit.size, 1.0) if fit.size > 0.0 else 1.0
     return fit.factor + p.stds * fit.factor_std < least * (1.0 - share**2)
-
-
-def _nothing_in_common(fit: SurveyFit, p: VerdictLimits) -> bool:
-    """Whether a survey, however large its errors, is none of this section: a straight line would be nearer to it."""
-    below = min(p.related * fit.factor_std, p.least_factor - p.stds * fit.factor_std)
-    return fit.factor < below and fit.error > fit.size
 
 
 def _explains_little(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:

@@ -12,14 +12,20 @@ from enum import StrEnum
 import numpy as np
 
 from estimation.track.gauge.wheel_functions import LEAST_GAUGE
-from estimation.track.iteration import IterationResult
-from estimation.track.panel.measured_curves import MeasuredCurve
+from estimation.track.panel.basis import MeasuredCurve
 from estimation.track.panel.solution import prior_on_grid
 from estimation.track.passes import Pass, PassOutcome, PassStatus, ProfileLife
 from estimation.track.results import shrunk
 from estimation.track.screening.screen import Screened, screen
 from estimation.track.section import SectionEstimate, estimate_section
-from estimation.track.settings import AlignmentSettings, SectionParameters
+from estimation.track.settings import (
+    AlignmentSettings,
+    SectionParameters,
+    carry_over_findings,
+    changed_vehicles,
+    gauge_shift_changed,
+    requires_reestimation,
+)
 from estimation.track.survey_check import check_survey, judge_gauge, worth_more
 from estimation.track.survey_posterior import SurveyPosterior, survey_posterior
 from estimation.track.survey_verdict import (
@@ -32,7 +38,6 @@ from estimation.track.survey_verdict import (
     place_of,
     survey_verdict,
 )
-from estimation.track.versions import carry_over_findings, changed_vehicles, gauge_shift_changed, requires_reestimation
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, combined, prefixed
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
@@ -93,16 +98,13 @@ def update_alignment(
     survey_checked: bool,
     measured: Mapping[ProfileLife, MeasuredCurve] | None = None,
 ) -> AlignmentUpdate:
-    """Return what an epoch of passes makes of the alignment of a section.
-
-    Args:
-        survey_checked: Whether the survey in force has been confirmed: then it is not refused any more.
-    """
+    """Return what an epoch makes of an alignment; a confirmed survey (``survey_checked``) is not refused any more."""
     parameters = replace(settings.section, panel=replace(settings.section.panel, length=section.length_m))
     screened = screen(passes, in_force, replace(settings.screening, positions=parameters.positions))
-    epoch = _Epoch(section.code, screened, parameters, measured)
+    settings = replace(settings, section=parameters)
+    epoch = _Epoch(section.code, screened, settings, measured)
     if in_force is not None and in_force.source == AlignmentSource.RECORDED and np.isfinite(in_force.alignment).any():
-        return _with_survey(epoch, in_force, settings, survey_checked=survey_checked)
+        return _with_survey(epoch, in_force, survey_checked=survey_checked)
     return _without_surveyed_alignment(epoch, in_force, survey_checked=survey_checked)
 
 
@@ -113,18 +115,18 @@ class Weighed:
     estimate: SectionEstimate
     posterior: SurveyPosterior | None
 
-    def places_lost_in(self, other: Weighed) -> bool:
-        """Return whether another solution no longer has its journeys on the survey, where this one has."""
-        here, there = self.estimate.iterated, other.estimate.iterated
-        return here is not None and here.placed_on_survey and (there is None or not there.placed_on_survey)
-
 
 @dataclass(frozen=True, slots=True)
 class _Epoch:
     section: str
     screened: Screened
-    parameters: SectionParameters
+    settings: AlignmentSettings  # with the length of the section
     measured: Mapping[ProfileLife, MeasuredCurve] | None
+
+    @property
+    def parameters(self) -> SectionParameters:
+        """How an epoch of passes becomes an alignment."""
+        return self.settings.section
 
     @property
     def vehicles(self) -> dict[str, str]:
@@ -142,7 +144,9 @@ class _Epoch:
         if not 1.0 / SAME_STD <= factor <= SAME_STD:
             again = self._weighed(replace(survey, alignment_std=factor * survey.alignment_std), survey)
             # held less by the survey, the journeys of a wheelset alone may come to rest at another wave of the track
-            found = found if found.places_lost_in(again) else again
+            before, after = (one.estimate.iterated for one in (found, again))
+            lost = before is not None and before.placed_on_survey and (after is None or not after.placed_on_survey)
+            found = found if lost else again
         return found
 
     def _weighed(self, prior: TrackAlignment, survey: TrackAlignment) -> Weighed:
@@ -210,30 +214,28 @@ def _without_surveyed_alignment(
     return epoch.update(UpdateOutcome.NEW_VERSION, estimate, carry_over_findings(estimate.alignment, in_force), gauge)
 
 
-def _with_survey(
-    epoch: _Epoch, survey: TrackAlignment, settings: AlignmentSettings, *, survey_checked: bool
-) -> AlignmentUpdate:
+def _with_survey(epoch: _Epoch, survey: TrackAlignment, *, survey_checked: bool) -> AlignmentUpdate:
     """Return the survey with what the passes add to it, or the fleet's alignment where the survey is wrong."""
     weighed = epoch.weigh(survey)
     verdict = epoch.judge(weighed, survey)
     if verdict is None:
-        return _extended(epoch, weighed, survey, settings, None, SurveyVerdict(refused=False, reason=None))
+        return _extended(epoch, weighed, survey, None, SurveyVerdict(refused=False, reason=None))
     if verdict.refused and not survey_checked:
-        return _refused(epoch, weighed, survey, verdict, settings)
+        return _refused(epoch, weighed, survey, verdict)
     if verdict.contradicted:
         return _contradicted(epoch, weighed.estimate, survey, verdict.reason)
     reason = None if survey_checked else verdict.reason
     gauge = epoch.judge_gauge(weighed.estimate, survey)
     if gauge is not None and _confirmed(verdict):
-        return _without_gauge(epoch, survey, combined([gauge, _of_alignment(reason)]))
-    return _extended(epoch, weighed, survey, settings, reason, verdict, decided=survey_checked or _confirmed(verdict))
+        of_alignment = None if reason is None else prefixed("its alignment: ", reason)
+        return _without_gauge(epoch, survey, combined([gauge, of_alignment]))
+    return _extended(epoch, weighed, survey, reason, verdict, decided=survey_checked or _confirmed(verdict))
 
 
 def _extended(
     epoch: _Epoch,
     weighed: Weighed,
     survey: TrackAlignment,
-    settings: AlignmentSettings,
     reason: Reason | None,
     verdict: SurveyVerdict,
     *,
@@ -244,24 +246,20 @@ def _extended(
     Until it is decided on, it is kept as it is, but for a scale that is in doubt: then that of both is.
     """
     kept = epoch.update(UpdateOutcome.SURVEY_KEPT, _placed_on_survey(weighed.estimate), survey, survey=reason)
-    posterior, doubted = weighed.posterior, verdict.doubted_scale
+    posterior, doubted, settings = weighed.posterior, verdict.doubted_scale, epoch.settings
     if (decided or doubted > 0.0) and posterior is not None and weighed.estimate.report.converged:
         found = carry_over_findings(posterior.alignment, posterior.before)  # on one grid
         found = replace(found, scale_std=float(np.hypot(found.scale_std, doubted)))
         in_motion = replace(found, alignment=posterior.in_motion)
+        std, std_now = (float(np.nanmedian(one.alignment_std)) for one in (posterior.before, found))
+        first = not posterior.before.passes.any()
         if (
-            _sharper(posterior.before, found, settings)
+            (first and std > settings.same_least and std_now < SHARPER * std)
             or requires_reestimation(posterior.before, in_motion, settings)
             or posterior.before.scale_std < settings.same_std * doubted
         ):
             return replace(kept, outcome=UpdateOutcome.SURVEY_EXTENDED, alignment=found)
     return _with_gauge_shifts(kept, survey, epoch.vehicles, settings)
-
-
-def _sharper(file: TrackAlignment, found: TrackAlignment, settings: AlignmentSettings) -> bool:
-    """Whether what the first passes make of a file is more certain than it by what matters."""
-    std, std_now = (float(np.nanmedian(one.alignment_std)) for one in (file, found))
-    return not file.passes.any() and std > settings.same_least and std_now < SHARPER * std
 
 
 def _placed_on_survey(estimate: SectionEstimate) -> SectionEstimate:
@@ -307,13 +305,7 @@ def _confirmed(verdict: SurveyVerdict) -> bool:
     return code_of(verdict.reason) is ReasonCode.SURVEY_CONFIRMED
 
 
-def _of_alignment(verdict: Reason | None) -> Reason | None:
-    return None if verdict is None else prefixed("its alignment: ", verdict)
-
-
-def _refused(
-    epoch: _Epoch, weighed: Weighed, survey: TrackAlignment, verdict: SurveyVerdict, settings: AlignmentSettings
-) -> AlignmentUpdate:
+def _refused(epoch: _Epoch, weighed: Weighed, survey: TrackAlignment, verdict: SurveyVerdict) -> AlignmentUpdate:
     """Return the fleet's own alignment in place of a survey that is wrong; where it finds none, none is known.
 
     A survey whose zero point alone is wrong is then kept: all journeys are placed on it alike.
@@ -326,24 +318,21 @@ def _refused(
         return epoch.update(UpdateOutcome.NEW_VERSION, without, without.alignment, survey=refusal)
     if verdict.harmless and verdict.reason is not None:
         kept = prefixed("kept, with all positions on it, for the fleet finds none: ", verdict.reason)
-        return _extended(epoch, weighed, survey, settings, kept, verdict)
-    return epoch.update(UpdateOutcome.SURVEY_REFUSED, without, _unknown(survey), survey=refusal)
+        return _extended(epoch, weighed, survey, kept, verdict)
+    nothing = np.full(len(survey.s), np.nan)
+    unknown = replace(
+        survey, alignment=nothing, alignment_std=nothing, source=AlignmentSource.FLEET, status=Status.UNESTIMATED
+    )
+    return epoch.update(UpdateOutcome.SURVEY_REFUSED, without, unknown, survey=refusal)
 
 
 def _mistake(epoch: _Epoch, survey: TrackAlignment, without: SectionEstimate) -> Reason | None:
     """Return which mistake a wrong survey holds, by what the fleet finds without it; None where that shows none."""
     if without.iterated is None:
         return None
-    fleet = _as_found(epoch, without.iterated)
-    check = check_survey(survey, fleet, place_std=place_of(without.corrections)[1])
-    return None if check.usable else check.reason
-
-
-def _as_found(epoch: _Epoch, iterated: IterationResult) -> TrackAlignment:
-    """Return the alignment of a panel, good enough to be compared with even where it is too uncertain to be used."""
-    solution, grid = iterated.solution, iterated.panel.grid
+    solution, grid = without.iterated.solution, without.iterated.panel.grid
     zero = np.zeros(grid.points)
-    return TrackAlignment(
+    fleet = TrackAlignment(  # good enough to be compared with even where it is too uncertain to be used
         section=epoch.section,
         version=0,
         s=grid.s,
@@ -356,14 +345,8 @@ def _as_found(epoch: _Epoch, iterated: IterationResult) -> TrackAlignment:
         source=AlignmentSource.FLEET,
         cutoff_wavelength=epoch.parameters.panel.cutoff_wavelength,
     )
-
-
-def _unknown(survey: TrackAlignment) -> TrackAlignment:
-    """Return the alignment of a section of which nothing is known but the survey's gauge."""
-    nothing = np.full(len(survey.s), np.nan)
-    return replace(
-        survey, alignment=nothing, alignment_std=nothing, source=AlignmentSource.FLEET, status=Status.UNESTIMATED
-    )
+    check = check_survey(survey, fleet, place_std=place_of(without.corrections)[1])
+    return None if check.usable else check.reason
 
 
 def _with_gauge_shifts(
@@ -372,13 +355,9 @@ def _with_gauge_shifts(
     """Return the survey with what its gauge does to wheelsets, as a version of its own where that is new."""
     found = kept.estimate.alignment
     varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= LEAST_GAUGE
-    if (
-        not varies
-        or found is None
-        or not kept.estimate.report.converged
-        or found.findings is None
-        or not found.findings.gauge_shifts
-    ):
+    if not varies or not kept.estimate.report.converged:
+        return kept
+    if found is None or found.findings is None or not found.findings.gauge_shifts:
         return kept
     extended = carry_over_findings(replace(survey, findings=found.findings), survey)
     new = (

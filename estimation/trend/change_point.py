@@ -95,17 +95,14 @@ class Series(NamedTuple):
 def newest_change(series: Series, model: StepModel | None = None) -> ChangePoint | None:
     """Return the newest step; None where there is none."""
     model, begin, newest = model or StepModel(), 0, None
-    while (found := _change_of(series.part(begin, len(series.value)), model)) is not None:
+    while True:  # the newest of the steps among the largest changes of a stretch, then of what is behind it
+        stretch = series.part(begin, len(series.value))
+        judged = (_judged(stretch, place, model) for place in sorted(_places(stretch, model), reverse=True))
+        found = next((one for one in judged if one is not None), None)
+        if found is None:
+            return newest
         newest = replace(found, last=begin + found.last, first=begin + found.first)
         begin = newest.first
-    return newest
-
-
-def _change_of(series: Series, model: StepModel) -> ChangePoint | None:
-    """Return the newest of the steps among the largest changes of a stretch."""
-    places = _places(series, model)
-    found = (_judged(series, place, model) for place in sorted(places, reverse=True))
-    return next((one for one in found if one is not None), None)
 
 
 def _places(series: Series, model: StepModel) -> list[int]:

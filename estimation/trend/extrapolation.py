@@ -71,14 +71,6 @@ class Extrapolation:
         return NormalMixture(np.full(count, 1.0 / count), self.value + around, np.full(count, rest))
 
 
-def _estimates(geometry: WheelsetGeometry) -> list[tuple[float, Estimate]]:
-    """Return the amplitudes (m) of a geometry with the conicity at each, where that is estimated; increasing."""
-    pairs = list(zip((float(a) for a in geometry.amplitude), geometry.conicity, strict=True))
-    if np.isfinite(geometry.reported_amplitude):
-        pairs.append((geometry.reported_amplitude, geometry.equivalent_conicity))
-    return sorted(((a, e) for a, e in pairs if e.status is Status.ESTIMATED), key=lambda pair: pair[0])
-
-
 def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
     """Return the conicity that a limit is compared with: that at 3 mm.
 
@@ -86,7 +78,10 @@ def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
         Estimate: As the geometry has it; where the motion does not cover 3 mm extrapolated, with the reason
             ``amplitude_extrapolated``; unknown where neither is possible.
     """
-    known = _estimates(geometry)
+    pairs = list(zip(geometry.amplitude.tolist(), geometry.conicity, strict=True))
+    if np.isfinite(geometry.reported_amplitude):
+        pairs.append((geometry.reported_amplitude, geometry.equivalent_conicity))
+    known = sorted(((a, e) for a, e in pairs if e.status is Status.ESTIMATED), key=lambda pair: pair[0])
     covered = [e for a, e in known if abs(a - LIMIT_AMPLITUDE) < SAME_AMPLITUDE]
     if covered:
         return covered[-1]
@@ -100,31 +95,12 @@ def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
     if found is None:
         return Estimate.unknown(not_comparable(amplitude), count)
     low, high = (found.mixture().quantile(share) for share in (0.025, 0.975))
-    estimate = Estimate(found.value, found.std, low, high, count, Status.ESTIMATED)
-    return marked(estimate, amplitude)
+    return Estimate(found.value, found.std, low, high, count, Status.ESTIMATED, extrapolated_from(amplitude))
 
 
 def below_limit(geometry: WheelsetGeometry) -> list[KnownConicity]:
     """Return the conicities that are known at smaller amplitudes than the limit's, increasing."""
     return [one for one in known_conicities(geometry) if one.amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE]
-
-
-def marked(estimate: Estimate, amplitude: float) -> Estimate:
-    """Return an estimate with the reason that it is extrapolated.
-
-    Args:
-        estimate: At the limit's amplitude.
-        amplitude: From which it is extrapolated, m.
-    """
-    return Estimate(
-        estimate.value,
-        estimate.std,
-        estimate.low,
-        estimate.high,
-        estimate.count,
-        estimate.status,
-        extrapolated_from(amplitude),
-    )
 
 
 def extrapolated_from(amplitude: float) -> Reason:
@@ -140,12 +116,7 @@ def not_comparable(amplitude: float) -> Reason:
 
 
 def extrapolated(known: Sequence[KnownConicity], family: WornFamily | None = None) -> Extrapolation | None:
-    """Return the conicity at the limit's amplitude from those at smaller ones; None where it cannot be known.
-
-    Args:
-        known: At amplitudes below the limit's, increasing.
-        family: Curves of wheelsets like it; by default the new and worn design pairs.
-    """
+    """Return the conicity at the limit's amplitude from those at smaller ones; None where it cannot be known."""
     return _of_design_pairs(tuple(known)) if family is None else _extrapolated(tuple(known), family)
 
 
@@ -161,12 +132,15 @@ def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extra
     shown = [largest, *_below(known, family.amplitude[0])]
     if len(shown) == 1:
         return None
-    steps = _steps(len(shown))
+    # level and differences (n, n) of the conicities at falling amplitudes (n,)
+    steps = -np.eye(len(shown)) + np.eye(len(shown), k=-1)
+    steps[0, 0] = 1.0
     members = np.stack([_at(family, one.amplitude) for one in shown], axis=1)
     error = (members - [one.value for one in shown]) @ steps.T
     covariance = steps @ _covariance(shown) @ steps.T
-    stopped = _stopped(family, largest.amplitude, members[:, 0])
-    weighed = _alike(error, covariance, _width(largest.value, len(shown)), stopped)
+    # by how much level and slopes of a member may differ
+    alike = max(LEAST_ALIKE, ALIKE * largest.value) * np.array([1.0] + [SLOPE_ALIKE] * (len(shown) - 1))
+    weighed = _alike(error, covariance, alike, _stopped(family, largest.amplitude, members[:, 0]))
     if weighed is None:
         return None
     weight, width = weighed
@@ -186,13 +160,6 @@ def _below(known: Sequence[KnownConicity], least: float) -> list[KnownConicity]:
     return sorted(nearest, key=lambda one: -one.amplitude)
 
 
-def _steps(count: int) -> FloatArray:
-    """Return what makes level and differences (n, n) of the conicities at falling amplitudes (n,)."""
-    steps = -np.eye(count) + np.eye(count, k=-1)
-    steps[0, 0] = 1.0
-    return steps
-
-
 def _at(family: WornFamily, amplitude: float) -> FloatArray:
     """Return the conicity (m,) of the members at an amplitude, straight between those that are kept."""
     upper = min(max(int(np.searchsorted(family.amplitude, amplitude)), 1), len(family.amplitude) - 1)
@@ -201,14 +168,7 @@ def _at(family: WornFamily, amplitude: float) -> FloatArray:
     return np.asarray((1.0 - share) * family.conicity[:, upper - 1] + share * family.conicity[:, upper])
 
 
-def _width(conicity: float, count: int) -> FloatArray:
-    """Return by how much level and slopes (n,) of a member may differ."""
-    level = max(LEAST_ALIKE, ALIKE * conicity)
-    return level * np.array([1.0] + [SLOPE_ALIKE] * (count - 1))
-
-
 def _covariance(shown: Sequence[KnownConicity]) -> FloatArray:
-    """Return the covariance (n, n) of the errors of the conicities."""
     amplitude, std = (np.array([getattr(one, name) for one in shown]) for name in ("amplitude", "std"))
     near = np.exp(-np.abs(np.subtract.outer(amplitude, amplitude)) / NEAR)
     return np.asarray(np.outer(std, std) * (SHARED + (1.0 - SHARED) * near))
@@ -265,6 +225,7 @@ def _quantiles(left: FloatArray, weight: FloatArray) -> tuple[float, ...]:
 
 QUANTITY = "equivalent_conicity"  # at the limit's amplitude; at another one its name has the amplitude
 WANTED_SHARE = 0.75  # of the latest intervals that must cover an amplitude
+_PREFERRED = round(LIMIT_AMPLITUDE / SAME_AMPLITUDE)
 LATEST = 8  # intervals: an amplitude that a little worn wheelset did not reach long ago may be covered now
 
 _Covered = tuple[IntervalConicities, Mapping[int, KnownConicity]]  # with its conicities by amplitude in micrometres
@@ -294,9 +255,13 @@ def conicity_points(records: Sequence[IntervalConicities]) -> TrendPoints:
     that is not possible the points are at that amplitude, and no limit is compared with them. Conicity depends on
     amplitude, so values at different amplitudes are never mixed in one trend.
     """
-    covered = [{_key(one.amplitude): one for one in r.known} for r in records]
+    covered = [by_amplitude(record) for record in records]
     if not any(covered):
-        return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, (), _why_none(records))
+        given = ", ".join(sorted(map(str, {r.reason for r in records} - {None}))[:3])
+        why = Reason(ReasonCode.NO_CONICITY, f"no interval has an equivalent conicity: {given}")
+        if not records:
+            why = Reason(ReasonCode.NO_GEOMETRY_SINCE_REPROFILING, "no geometry since the last reprofiling")
+        return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, (), why)
     chosen = _amplitude([c for c in covered if c])
     having = [(r, c) for r, c in zip(records, covered, strict=True) if chosen in c]
     notes = []
@@ -306,31 +271,29 @@ def conicity_points(records: Sequence[IntervalConicities]) -> TrendPoints:
     if chosen == _PREFERRED:
         points = tuple(_point(r, c[chosen]) for r, c in having)
         return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, points, combined(notes))
-    return _extrapolated_points(having, chosen, notes) or _points_at(having, chosen, notes)
+    extrapolations = _extrapolated_points(having, chosen, notes)
+    if extrapolations is not None:
+        return extrapolations
+    amplitude, name = chosen * SAME_AMPLITUDE, f"{chosen / 1000:g}"
+    text = f"at {name} mm, the largest amplitude that most intervals cover"
+    note = combined([Reason(ReasonCode.OTHER_AMPLITUDE, text), *notes])
+    points = tuple(_point(r, c[chosen]) for r, c in having)
+    quantity = f"{QUANTITY}_{name}_mm"
+    return TrendPoints(quantity, amplitude, points, note, not_comparable=not_comparable(amplitude))
 
 
 def _extrapolated_points(having: Sequence[_Covered], chosen: int, notes: Sequence[Reason]) -> TrendPoints | None:
     """Return the points at 3 mm, extrapolated from the chosen amplitude; None where that is not possible for most."""
-    found = [(r, extrapolated(_up_to(c, chosen))) for r, c in having if chosen < _PREFERRED]
-    known = [(r, e) for r, e in found if e is not None]
+    found = []
+    for record, covered in having if chosen < _PREFERRED else ():
+        smaller = [covered[key]._replace(amplitude=key * SAME_AMPLITUDE) for key in sorted(covered) if key <= chosen]
+        found.append((record, extrapolated(smaller)))
+    known = [(record, one) for record, one in found if one is not None]
     if not known or found[-1][1] is None or len(known) < WANTED_SHARE * len(found):
         return None
-    points = tuple(TrendPoint(r.mileage_km, _middle_ns(r), e.value, e.std) for r, e in known)
+    points = tuple(_point(record, one) for record, one in known)
     note = combined([extrapolated_from(chosen * SAME_AMPLITUDE), *notes])
-    return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, points, note, max(e.spread for _, e in known))
-
-
-def _points_at(having: Sequence[_Covered], chosen: int, notes: Sequence[Reason]) -> TrendPoints:
-    points = tuple(_point(r, c[chosen]) for r, c in having)
-    text = f"at {chosen / 1000:g} mm, the largest amplitude that most intervals cover"
-    note = combined([Reason(ReasonCode.OTHER_AMPLITUDE, text), *notes])
-    amplitude = chosen * SAME_AMPLITUDE
-    quantity = f"{QUANTITY}_{chosen / 1000:g}_mm"
-    return TrendPoints(quantity, amplitude, points, note, not_comparable=not_comparable(amplitude))
-
-
-def _up_to(covered: Mapping[int, KnownConicity], chosen: int) -> list[KnownConicity]:
-    return [covered[key]._replace(amplitude=key * SAME_AMPLITUDE) for key in sorted(covered) if key <= chosen]
+    return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, points, note, max(one.spread for _, one in known))
 
 
 def _amplitude(covered: Sequence[Mapping[int, KnownConicity]]) -> int:
@@ -343,24 +306,10 @@ def _amplitude(covered: Sequence[Mapping[int, KnownConicity]]) -> int:
     return max(enough) if enough else max(counts, key=lambda key: (counts[key], key))
 
 
-def _key(amplitude: float) -> int:
-    return round(amplitude / SAME_AMPLITUDE)
+def by_amplitude(record: IntervalConicities) -> dict[int, KnownConicity]:
+    """Return the conicities of an interval by amplitude in ``SAME_AMPLITUDE``."""
+    return {round(one.amplitude / SAME_AMPLITUDE): one for one in record.known}
 
 
-_PREFERRED = _key(LIMIT_AMPLITUDE)
-
-
-def _point(record: IntervalConicities, conicity: KnownConicity) -> TrendPoint:
-    return TrendPoint(record.mileage_km, _middle_ns(record), conicity.value, conicity.std)
-
-
-def _middle_ns(record: IntervalConicities) -> int:
-    return (record.from_ns + record.to_ns) // 2
-
-
-def _why_none(records: Sequence[IntervalConicities]) -> Reason:
-    if not records:
-        return Reason(ReasonCode.NO_GEOMETRY_SINCE_REPROFILING, "no geometry since the last reprofiling")
-    reasons = {r.reason for r in records} - {None}
-    given = ", ".join(sorted(map(str, reasons))[:3])
-    return Reason(ReasonCode.NO_CONICITY, f"no interval has an equivalent conicity: {given}")
+def _point(record: IntervalConicities, conicity: KnownConicity | Extrapolation) -> TrendPoint:
+    return TrendPoint(record.mileage_km, (record.from_ns + record.to_ns) // 2, conicity.value, conicity.std)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
-from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, by_amplitude
 from estimation.trend.trend import NO_FORECAST
 from estimation.trend.wear_curve import POINTS_FOR_OUTLIERS
 from estimation.values.geometry import IntervalConicities, KnownConicity
@@ -32,12 +32,17 @@ def newest_step(records: Sequence[IntervalConicities]) -> TrendStep | None:
     a profile that was turned moves further than before.
     """
     model = StepModel()
-    covered = sorted(((r, _by_amplitude(r)) for r in records), key=lambda one: (one[0].mileage_km, one[0].from_ns))
+    covered = sorted(((r, by_amplitude(r)) for r in records), key=lambda one: (one[0].mileage_km, one[0].from_ns))
     amplitude = _amplitude([known for _, known in covered if known], 2 * model.least_points)
     having = [(r, known) for r, known in covered if amplitude in known]
     if len(having) < 2 * model.least_points:
         return None
-    series = _series(having, amplitude)
+    series = Series(
+        np.array([r.mileage_km for r, _ in having], dtype=np.float64),
+        np.array([0.5 * (r.from_ns + r.to_ns) for r, _ in having], dtype=np.float64),
+        np.array([known[amplitude].value for _, known in having], dtype=np.float64),
+        np.maximum([known[amplitude].std for _, known in having], SMALLEST_STD),
+    )
     found = newest_change(series, model)
     if found is None:
         return None
@@ -58,21 +63,12 @@ def newest_step(records: Sequence[IntervalConicities]) -> TrendStep | None:
 
 
 def behind_step(records: Sequence[IntervalConicities], step: TrendStep | None) -> list[IntervalConicities]:
-    """Return the intervals behind a step; all where there is none.
-
-    Args:
-        step: Its newest.
-    """
+    """Return the intervals behind a step; all where there is none."""
     return [record for record in records if step is None or record.from_ns >= step.after_ns]
 
 
 def with_step(trend: WearTrend, step: TrendStep) -> WearTrend:
-    """Return the trend of the points behind a step; where they are few it says so and forecasts nothing.
-
-    Args:
-        trend: Of the points behind it alone.
-        step: That it begins behind.
-    """
+    """Return the trend of the points behind a step; where they are few it says so and forecasts nothing."""
     if len(trend.value) >= ENOUGH_BEHIND:
         return replace(trend, step=step)
     text = f"{len(trend.value)} intervals behind a step at {step.after_km:,.0f} km, {ENOUGH_BEHIND} are enough"
@@ -104,10 +100,6 @@ def _shown_by(series: Series, found: ChangePoint, model: StepModel) -> int:
     return min(k, found.first + LOOKED_BACK) - 1
 
 
-def _by_amplitude(record: IntervalConicities) -> dict[int, KnownConicity]:
-    return {round(one.amplitude / SAME_AMPLITUDE): one for one in record.known}
-
-
 def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int) -> int:
     """Return the key of an amplitude that most intervals cover, the newest and those before alike.
 
@@ -119,15 +111,6 @@ def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int) -> i
     keys = {key for one in covered for key in one if key <= limit}
     enough = [key for key in keys if all(sum(key in one for one in s) >= COVERING * len(s) for s in sides)]
     return max(enough, key=lambda key: (sum(key in one for one in covered[-newest:]), key), default=0)
-
-
-def _series(having: Sequence[_Covered], amplitude: int) -> Series:
-    return Series(
-        np.array([r.mileage_km for r, _ in having], dtype=np.float64),
-        np.array([0.5 * (r.from_ns + r.to_ns) for r, _ in having], dtype=np.float64),
-        np.array([known[amplitude].value for _, known in having], dtype=np.float64),
-        np.maximum([known[amplitude].std for _, known in having], SMALLEST_STD),
-    )
 
 
 USUAL = {
@@ -161,8 +144,10 @@ class StepSurroundings:
 def explanations(step: TrendStep, around: StepSurroundings) -> tuple[StepExplanation, ...]:
     """Return the causes, the likeliest first.
 
-    Args:
-        around: What is known besides.
+    A cause predicts the conicity behind the step: turned wheels have that of their design, a wheelset that was turned
+    end for end keeps its own, a sensor of another scale changes all wheelsets of its node by one factor, damage only
+    raises it, and another wheelset may have any. Causes are weighed by the density of what was found under each, and by
+    how often each happens.
     """
     size, std = step.size.value or 0.0, step.size.std or 1.0
     found = {

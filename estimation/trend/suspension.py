@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
+from estimation.trend.change_point import Series, StepModel, newest_change
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.trend import SuspensionChange, SuspensionFinding
 
@@ -84,7 +84,10 @@ def suspension_histories(
     Computed as far as read. The other vehicles are as they are known now: late data of theirs count, too.
     """
     p = parameters or SuspensionParameters()
-    by_vehicle = _by_vehicle(findings, p)
+    own: dict[str, list[SuspensionFinding]] = {}
+    for item in findings:
+        own.setdefault(item.vehicle, []).append(item)
+    by_vehicle = {code: _series(own[code], p) for code in sorted(own)}
     sections = _by_section(by_vehicle)
     return {code: _history(code, series, sections, p) for code, series in by_vehicle.items()}
 
@@ -95,13 +98,6 @@ def _history(
     for count in range(len(series.findings), p.least_past + p.recent - 1, -1):
         known = _Series(series.findings[:count], series.level[:count], series.variance[:count], count - p.recent)
         yield _change(code, known, sections, p)
-
-
-def _by_vehicle(findings: Sequence[SuspensionFinding], p: SuspensionParameters) -> dict[str, _Series]:
-    own: dict[str, list[SuspensionFinding]] = {}
-    for item in findings:
-        own.setdefault(item.vehicle, []).append(item)
-    return {code: _series(own[code], p) for code in sorted(own)}
 
 
 def _series(own: Sequence[SuspensionFinding], p: SuspensionParameters) -> _Series:
@@ -136,7 +132,6 @@ class _Section:
 
 
 def _by_section(by_vehicle: Mapping[str, _Series]) -> dict[str, _Section]:
-    """Return the sections that vehicles with a past have run on."""
     rows: dict[str, list[tuple[int, int, str, float]]] = {}
     for code, series in by_vehicle.items():
         if series.past == 0:
@@ -144,14 +139,12 @@ def _by_section(by_vehicle: Mapping[str, _Series]) -> dict[str, _Section]:
         for item, level in zip(series.findings, series.level, strict=True):
             row = (item.from_ns, item.to_ns, code, float(level) - series.reference)
             rows.setdefault(item.section, []).append(row)
-    return {section: _section(sorted(listed)) for section, listed in rows.items()}
-
-
-def _section(rows: Sequence[tuple[int, int, str, float]]) -> _Section:
-    from_ns, to_ns = (np.array([row[k] for row in rows], dtype=np.int64) for k in (0, 1))
-    return _Section(
-        from_ns, to_ns, int((to_ns - from_ns).max()), tuple(row[2] for row in rows), np.array([row[3] for row in rows])
-    )
+    sections = {}
+    for section, listed in rows.items():
+        begins, ends, codes, shifts = zip(*sorted(listed), strict=True)
+        from_ns, to_ns = np.array(begins, dtype=np.int64), np.array(ends, dtype=np.int64)
+        sections[section] = _Section(from_ns, to_ns, int((to_ns - from_ns).max()), codes, np.array(shifts))
+    return sections
 
 
 def _change(code: str, series: _Series, sections: Mapping[str, _Section], p: SuspensionParameters) -> SuspensionChange:
@@ -165,7 +158,10 @@ def _change(code: str, series: _Series, sections: Mapping[str, _Section], p: Sus
         level[k] -= common
         friction[k] = common_variance
     weight = 1.0 / series.variance
-    step = _step(series, level, float(np.sqrt(friction.mean())))
+    # friction that is left makes the levels wander
+    at_ns = np.array([0.5 * (item.from_ns + item.to_ns) for item in series.findings])
+    points = Series(np.zeros(len(level)), at_ns, level, np.sqrt(series.variance))
+    step = newest_change(points, replace(STEP, wander_std=float(np.sqrt(friction.mean()))))
     past, first = (series.past, series.past) if step is None else (step.last + 1, step.first)
     sides = (slice(0, past), slice(first, None))
     before, now = (float(weight[side] @ level[side] / weight[side].sum()) for side in sides)
@@ -183,13 +179,6 @@ def _change(code: str, series: _Series, sections: Mapping[str, _Section], p: Sus
         step_probability=None if step is None else step.probability,
         since_ns=None if step is None else series.findings[step.first].from_ns,
     )
-
-
-def _step(series: _Series, level: FloatArray, friction_std: float) -> ChangePoint | None:
-    """Return the newest step of the levels, less what is common; friction that is left makes them wander."""
-    at_ns = np.array([0.5 * (item.from_ns + item.to_ns) for item in series.findings])
-    points = Series(np.zeros(len(level)), at_ns, level, np.sqrt(series.variance))
-    return newest_change(points, replace(STEP, wander_std=friction_std))
 
 
 def _common(shifts: Sequence[float], p: SuspensionParameters) -> tuple[float, float]:

@@ -92,9 +92,6 @@ def refresh(
     """Return the trend of the points, in whatever order they come.
 
     Args:
-        points: Values since the last reprofiling with their standard deviations; those that are not finite are left
-            out.
-        limit: The value not to be exceeded, in units of the points.
         shared_std: Standard deviation of an error that all points have in common, in their units.
         not_comparable: Why the points cannot be compared with the limit, which then nothing is said about; None where
             they can.
@@ -123,16 +120,14 @@ def refresh(
         trend = _estimated(columns, limit, params, quantity, note, shared_std)
     if note is not None and note.code is ReasonCode.AMPLITUDE_EXTRAPOLATED and trend.fitted.value is not None:
         trend = replace(trend, fitted=replace(trend.fitted, reason=note))
-    return trend if not_comparable is None else _without_limit(trend, not_comparable)
-
-
-def _without_limit(trend: WearTrend, reason: Reason) -> WearTrend:
+    if not_comparable is None:
+        return trend
     return replace(
         trend,
         distance_to_limit_km=NO_FORECAST,
         date_of_limit_ns=NO_FORECAST,
         probability_over_limit=None,
-        not_comparable=reason,
+        not_comparable=not_comparable,
     )
 
 
@@ -156,8 +151,9 @@ def _lacking(points: _Columns, params: TrendParameters) -> Reason | None:
     return None
 
 
-def _unestimated(points: _Columns, limit: float, quantity: str, reason: Reason) -> WearTrend:
-    unknown = Estimate.unknown(reason, len(points.value))
+def _unestimated(points: _Columns, limit: float, quantity: str, reason: Reason | None) -> WearTrend:
+    """Return a trend of which nothing is fitted; without a reason it is to be filled in."""
+    unknown = Estimate.unknown(reason or ONE_DATE, len(points.value))
     fitted, probability = unknown, None
     if len(points.value):
         fitted = with_interval(float(points.value[-1]), float(points.std[-1]))
@@ -185,39 +181,27 @@ def _estimated(
 ) -> WearTrend:
     by_distance = fit_recent(points.mileage_km, points.value, points.std).shifted(shared_std)
     count = float(by_distance.share.sum())
-    by_date = _fit_by_date(points, shared_std)
+    order = np.argsort(points.measured_ns, kind="stable")
+    since, by_date = points.measured_ns[order] - points.measured_ns.max(), None
     slope_per_year, date = Estimate.unknown(ONE_DATE, count), NO_FORECAST
-    if by_date is not None:
+    if since[0] != 0:
+        by_date = fit_recent(since / YEAR_NS, points.value[order], points.std[order]).shifted(shared_std)
         slope_per_year = by_date.slope_now().estimate(count)
         years = _forecast(by_date, limit, params.horizon_years)
         last = int(points.measured_ns.max())
         date = Forecast(*(None if y is None else last + round(y * YEAR_NS) for y in (years.p10, years.p50, years.p90)))
     level = by_distance.level_now()
-    return WearTrend(
-        quantity=quantity,
-        mileage_km=points.mileage_km,
-        measured_ns=points.measured_ns,
-        value=points.value,
-        std=points.std,
+    return replace(
+        _unestimated(points, limit, quantity, note),
         slope_per_1000_km=by_distance.slope_now().estimate(count).scaled(1000.0),
         slope_per_year=slope_per_year,
         fitted=level.estimate(count),
-        limit=limit,
         distance_to_limit_km=_forecast(by_distance, limit, params.horizon_km),
         date_of_limit_ns=date,
         probability_over_limit=level.above(limit),
         status=Status.ESTIMATED,
-        reason=note,
         converged=by_distance.converged and (by_date is None or by_date.converged),
     )
-
-
-def _fit_by_date(points: _Columns, shared_std: float) -> WearCurve | None:
-    order = np.argsort(points.measured_ns, kind="stable")
-    since = points.measured_ns[order] - points.measured_ns.max()
-    if since[0] == 0:
-        return None
-    return fit_recent(since / YEAR_NS, points.value[order], points.std[order]).shifted(shared_std)
 
 
 def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:

@@ -34,13 +34,7 @@ def as_slice(index: IntArray) -> IntArray | slice:
 def frozen_array(
     value: npt.ArrayLike, shape: tuple[int | None, ...], dtype: npt.DTypeLike = np.float64, *, name: str
 ) -> npt.NDArray[Any]:
-    """Return ``value`` as a read-only, C-contiguous array of ``dtype`` and ``shape``, None in it for any length.
-
-    An array that is still writable is copied, never modified.
-
-    Raises:
-        ValueError: The number of axes or a length differs.
-    """
+    """Return a read-only, C-contiguous array of a shape, None in it for any length; ValueError where it is another."""
     array = np.ascontiguousarray(value, dtype=dtype)
     wanted = len(shape)
     if array.ndim != wanted or any(
@@ -67,11 +61,7 @@ class FrozenArrays:
 
 
 def freeze(value: object) -> None:
-    """Check the annotated arrays and tuples of a frozen value as :class:`FrozenArrays` does; arrays become read-only.
-
-    Raises:
-        ValueError: The number of axes or a length of a field differs.
-    """
+    """Check the arrays and tuples of a value as :class:`FrozenArrays` does (ValueError); arrays become read-only."""
     lengths: dict[str, int] = {}
     for field in _annotated_fields(cast("Hashable", type(value))):
         item = getattr(value, field.name)

@@ -11,27 +11,21 @@ IN_MM = 1e3
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """Name, unit and words of a field, as metadata of its type.
+    """Name, unit and words of a field, as metadata of its type."""
 
-    Attributes:
-        text: What it says, for the reader of the API.
-        name: Where it is served under another name than its own; ``from_ns`` and ``to_ns`` are served as the times
-            ``measured_from`` and ``measured_to``, another ``x_ns`` as ``x_at``.
-        scale: From the unit that the value has into the one that the name says.
-        example: For the document of the API.
-        finite: Whether the number always is; where it need not be, null is served in place of NaN and infinity.
-    """
-
-    text: str = ""
-    name: str = ""
-    scale: float = 1.0
+    text: str = ""  # for the reader of the API
+    name: str = ""  # if not its own, or ``x_at`` for ``x_ns``, ``measured_from`` for ``from_ns``, ``_to`` for ``to_ns``
+    scale: float = 1.0  # from the unit that the value has into the one that the name says
     example: object = None
-    finite: bool = True
+    finite: bool = True  # where it need not be, null is served in place of NaN and infinity
+
+
+def in_mm(text: str, name: str, example: object = None) -> Served:
+    """Return how a length, m, that may not be known is served."""
+    return Served(text, name, IN_MM, example, finite=False)
 
 
 JsonValue = str | float | int | bool | None | list["JsonValue"] | dict[str, "JsonValue"]
-
-
 NEAREST = 4  # neighbours of the quotient that are tried, either way
 
 

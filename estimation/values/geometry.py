@@ -6,17 +6,17 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_centres, frozen_array
-from estimation.values.fields import IN_MM, JsonValue, Served
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_centres, freeze
+from estimation.values.fields import IN_MM, JsonValue, Served, in_mm
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason
-from estimation.values.results import ResultKind
+from estimation.values.results import Result, ResultKind
 from estimation.values.runs import SubjectKind
-from estimation.values.windows import WindowKey
+from estimation.values.windows import OfWindow
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,24 +53,19 @@ class FilledCells:
     """A bin table as it is stored: only its cells with samples, which are a tenth of all in a window of a minute."""
 
     parameter_key: str
-    edges: FloatArray  # (b + 1,) m
+    edges: Annotated[FloatArray, None]  # (b + 1,) m
     groups: int
-    cells: IntArray  # (k,) group * b + bin of each cell, increasing
-    weight: FloatArray  # (k,)
-    lateral: FloatArray  # (k, q)
-    yaw: FloatArray  # (k, r)
+    cells: Annotated[IntArray, "k"]  # group * b + bin of each cell, increasing
+    weight: Annotated[FloatArray, "k"]
+    lateral: Annotated[FloatArray, "k", None]
+    yaw: Annotated[FloatArray, "k", None]
     samples: int
     windows: int
 
     def __post_init__(self) -> None:
-        k = len(self.cells)
-        object.__setattr__(self, "edges", frozen_array(self.edges, (None,), name="edges"))
-        object.__setattr__(self, "cells", frozen_array(self.cells, (k,), np.int64, name="cells"))
-        object.__setattr__(self, "weight", frozen_array(self.weight, (k,), name="weight"))
-        object.__setattr__(self, "lateral", frozen_array(self.lateral, (k, None), name="lateral"))
-        object.__setattr__(self, "yaw", frozen_array(self.yaw, (k, None), name="yaw"))
+        freeze(self)
         count = self.groups * (len(self.edges) - 1)
-        if k and (self.cells[0] < 0 or self.cells[-1] >= count):
+        if len(self.cells) and (self.cells[0] < 0 or self.cells[-1] >= count):
             raise ValueError(f"cells {self.cells[0]} to {self.cells[-1]} of {count}")
 
     def table(self) -> BinTable:
@@ -83,19 +78,12 @@ class FilledCells:
             whole.flags.writeable = False
             return whole.reshape(groups, bins, *rows.shape[1:])
 
-        return BinTable(
-            parameter_key=self.parameter_key,
-            edges=self.edges,
-            weight=spread(self.weight),
-            lateral=spread(self.lateral),
-            yaw=spread(self.yaw),
-            samples=self.samples,
-            windows=self.windows,
-        )
+        weight, lateral, yaw = (spread(rows) for rows in (self.weight, self.lateral, self.yaw))
+        return BinTable(self.parameter_key, self.edges, weight, lateral, yaw, self.samples, self.windows)
 
 
 @dataclass(frozen=True, slots=True)
-class WindowTable:
+class WindowTable(OfWindow):
     """The bin table of a window, and what it was made from."""
 
     wheelset: str
@@ -103,11 +91,6 @@ class WindowTable:
     window_digest: str  # of the content of the window
     table: BinTable | FilledCells
     track_version: int | None = None  # of the alignment
-
-    @property
-    def key(self) -> WindowKey:
-        """Wheelset and start."""
-        return self.wheelset, self.start_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,11 +113,8 @@ class BinStatus(StrEnum):
 
 LEFT_OUT = "windows_left_out"
 """Key among the parameters of a current geometry: windows since the last reprofiling not believed, by reason."""
-
 PASSED_OVER = "windows_passed_over"
 """Key among the parameters of a geometry: windows that would be others today, and cannot be made again, by cause."""
-
-
 RADIUS_DOUBTED = "radius_doubted"
 """Key among the parameters of a geometry: what was in doubt of its radius on file, for when its samples are gone."""
 
@@ -152,21 +132,14 @@ class Centre:
 
     displacement: Annotated[
         float,
-        Served(
-            "Middle of the travel at `equivalent_conicity_amplitude_mm`, positive to the left.",
-            "displacement_mm",
-            IN_MM,
-            finite=False,
-        ),
+        in_mm("Middle of the travel at `equivalent_conicity_amplitude_mm`, positive to the left.", "displacement_mm"),
     ]
     std: Annotated[
         float,
-        Served(
+        in_mm(
             "Standard deviation of where both rolling radii are equal, against that: a bogie holds wheels "
             "of different diameters off it. What it changes is part of the intervals.",
             "rolling_line_std_mm",
-            IN_MM,
-            finite=False,
         ),
     ]
     origin: Annotated[CentreOrigin, Served("From where the displacement is counted.")]
@@ -206,8 +179,7 @@ class WheelsetGeometry(FrozenArrays):
     amplitude: Annotated[FloatArray, "n"]  # m
     conicity: Annotated[tuple[Estimate, ...], "n"]  # equivalent conicity at each amplitude
     reported_amplitude: Annotated[
-        float,
-        Served("3 mm, or the largest amplitude covered.", "equivalent_conicity_amplitude_mm", IN_MM, finite=False),
+        float, in_mm("3 mm, or the largest amplitude covered.", "equivalent_conicity_amplitude_mm")
     ]
     equivalent_conicity: Annotated[Estimate, Served(name="equivalent_conicity_1")]  # at reported_amplitude
     nonlinearity: Annotated[
@@ -249,13 +221,10 @@ class WheelsetGeometry(FrozenArrays):
         """Return the geometry of a wheelset that does not follow the equations: no number is published."""
         nothing, b = np.full(len(self.samples), np.nan), len(self.samples)
         unknown = Estimate.unknown(reason, float(self.windows), Status.MODEL_MISMATCH)
-        values = BinValues(nothing, nothing, (BinStatus.UNOBSERVABLE,) * b)
+        values: Any = BinValues(nothing, nothing, (BinStatus.UNOBSERVABLE,) * b)
         return replace(
             self,
-            rolling_radius_sum=values,
-            rolling_radius_difference=values,
-            contact_angle_sum=values,
-            contact_angle_difference=values,
+            **dict.fromkeys(COMBINATIONS, values),
             conicity=(unknown,) * len(self.conicity),
             equivalent_conicity=unknown,
             nonlinearity=unknown,
@@ -330,10 +299,7 @@ class KnownConicity(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class IntervalConicities:
-    """The known conicities of one interval of one wheelset, in the order of their amplitudes.
-
-    ``reason`` is why there is none; None where there is one.
-    """
+    """The known conicities of one interval of one wheelset by amplitude; ``reason`` is why there is none, else None."""
 
     baseline: int
     interval: int | None
@@ -379,4 +345,45 @@ def interval_conicities(record: GeometryRecord) -> IntervalConicities:
         code_version=record.code_version,
         known=known_conicities(geometry),
         reason=why_no_conicity(geometry),
+    )
+
+
+MOST_INTERVALS = 999_999
+"""To each side of a baseline; the order of the parts as texts is that of the intervals."""
+
+
+def part_of(baseline: int, interval: int | None) -> str:
+    """Return the part of a geometry; without a number of the interval of the current one of the baseline."""
+    return f"current.{baseline:04d}" if interval is None else f"{baseline:04d}.{interval + MOST_INTERVALS:07d}"
+
+
+def key_of_part(part: str) -> tuple[int, int | None]:
+    """Return baseline and interval; None is the current geometry."""
+    first, _, second = part.partition(".")
+    return (int(second), None) if first == "current" else (int(first), int(second) - MOST_INTERVALS)
+
+
+def result_of_geometry(record: GeometryRecord) -> Result[WheelsetGeometry]:
+    """Return a geometry as a result."""
+    geometry = record.geometry
+    why = why_no_conicity(geometry)
+    return Result(
+        subject=record.wheelset,
+        part=part_of(record.baseline, record.interval),
+        made_from=record.input_digest,
+        numerics=record.code_version,
+        recorded_ns=record.recorded_ns,
+        value=geometry,
+        status=geometry.status,
+        reason=geometry.reason,
+        head={
+            "mileage_km": None if math.isnan(record.mileage_km) else float(record.mileage_km),
+            "from_ns": record.from_ns,
+            "to_ns": record.to_ns,
+            "windows": geometry.windows,
+            "track_versions": {section: list(versions) for section, versions in record.track_versions.items()},
+            "conicities": [list(one) for one in known_conicities(geometry)],
+            "no_conicity": None if why is None else [why.code.value, why.text],
+        },
+        parameters=record.parameters,
     )

@@ -33,10 +33,7 @@ class MeaningEnum(StrEnum, metaclass=_CodesByName):
 
 
 class ReasonCode(MeaningEnum):
-    """Why a value is missing, restricted or no longer valid; stored and served beside its sentence.
-
-    A code never changes its meaning. ``meaning`` is what the code stands for, and what to do where that is known.
-    """
+    """Why a value is missing, restricted or not valid any more; a code never changes its ``meaning``."""
 
     @property
     def remedy(self) -> str:

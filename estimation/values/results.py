@@ -24,20 +24,13 @@ class History(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ResultKind(Generic[V]):
-    """Results of one stage.
+    """Results of one stage."""
 
-    Attributes:
-        stage: Name of the stage, and of the facet that its results are of their subjects.
-        value: The class of the value: its fields are what is stored.
-        one_in_force: Whether of all parts of a subject the one that was put last is in force, as of baselines; else
-            each part has its own, as mileage intervals have.
-    """
-
-    stage: str
+    stage: str  # and name of the facet that its results are of their subjects
     subject: SubjectKind
-    value: type[V]
+    value: type[V]  # its fields are what is stored
     history: History = History.APPENDED
-    one_in_force: bool = False
+    one_in_force: bool = False  # of all parts the one put last, as of baselines; else each part, as intervals, has one
 
     @property
     def head_facet(self) -> str:
@@ -47,28 +40,19 @@ class ResultKind(Generic[V]):
 
 @dataclass(frozen=True, slots=True)
 class Result(Generic[V]):
-    """A result of a subject, or of a part of it.
-
-    Attributes:
-        made_from: Digest of everything that it was made from, settings included.
-        numerics: Version of the numerics.
-        value: None where there is a reason only.
-        head: What is read of many results, without their values.
-        parameters: That shaped it, as they are shown.
-        number: Larger than that of every result that was put before; 0 until it is stored.
-    """
+    """A result of a subject, or of a part of it."""
 
     subject: str
-    made_from: str
-    numerics: str
+    made_from: str  # digest of everything, settings included
+    numerics: str  # version
     recorded_ns: int
-    value: V | None
+    value: V | None  # None where there is a reason only
     part: str = ""
     status: Status = Status.ESTIMATED
     reason: Reason | None = None
-    head: JsonValue = None
-    parameters: Mapping[str, JsonValue] = field(default_factory=dict)
-    number: int = field(default=0, compare=False)
+    head: JsonValue = None  # what is read of many results, without their values
+    parameters: Mapping[str, JsonValue] = field(default_factory=dict)  # that shaped it, as they are shown
+    number: int = field(default=0, compare=False)  # larger than that of every result put before; 0 until it is stored
 
 
 AnyResult = Result[Any]
@@ -99,37 +83,25 @@ class Facet(StrEnum):
 class StageInputs:
     """What a stage declares that it is made from.
 
-    Attributes:
-        facets: Of its subjects; none of a stage that goes by the windows that are due (``fleet_db.due``): of such a
-            stage of wheelsets those are due that have some, and it settles what it has seen itself.
-        common: Digest of what is the same for all subjects: settings and numerics.
-        together: Whether it looks at all subjects together, of whatever kind a facet is.
-        inline: Whether only other settings make it due: what is raised is followed by the transaction that raises it.
+    Without facets it goes by the windows that are due (``fleet_db.due``), and settles what it has seen itself.
     """
 
     stage: str
     kind: SubjectKind
-    facets: tuple[str, ...]
-    common: str
-    together: bool = False
-    inline: bool = False
+    facets: tuple[str, ...]  # of its subjects
+    common: str  # digest of what is the same for all subjects: settings and numerics
+    together: bool = False  # it looks at all subjects together, of whatever kind a facet is
+    inline: bool = False  # due by other settings only: what is raised is followed by the transaction that raises it
 
 
 @dataclass(frozen=True, slots=True)
 class Due:
-    """A subject that a stage has not seen as it is now.
+    """A subject that a stage has not seen as it is now."""
 
-    Attributes:
-        seen: Sum of the versions of its facets, in the transaction that reads its inputs.
-        made_from: Digest of the inputs that the stage has seen last; None where it is to compute whatever they are.
-        marked: Whether it has ever seen the subject.
-        again_ns: Our time from which the inputs that it has seen may say something else.
-    """
-
-    seen: int
-    made_from: str | None = None
-    marked: bool = False
-    again_ns: int | None = None
+    seen: int  # sum of the versions of its facets, in the transaction that reads its inputs
+    made_from: str | None = None  # digest of the inputs seen last; None where it is to compute whatever they are
+    marked: bool = False  # it has seen the subject before
+    again_ns: int | None = None  # our time from which the inputs that it has seen may say something else
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,14 +123,9 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """What a stage has seen of a subject.
-
-    Attributes:
-        again_ns: Our time from which the same inputs may say something else; None for never.
-        rests: Whether what the stage itself has raised of its own inputs is seen, too.
-    """
+    """What a stage has seen of a subject."""
 
     seen: int
     made_from: str
-    again_ns: int | None = None
-    rests: bool = True
+    again_ns: int | None = None  # our time from which the same inputs may say something else; None for never
+    rests: bool = True  # what the stage itself has raised of its own inputs is seen, too

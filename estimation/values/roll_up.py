@@ -68,10 +68,7 @@ class Member:
 
 @dataclass(frozen=True, slots=True)
 class RollUp:
-    """What is known of the windows of one key without their sums.
-
-    Like the sums it is made window by window, oldest first; ``content`` is the digest of all of them in this order.
-    """
+    """What is known of windows of one key without their sums; ``content`` is the digest of all, oldest first."""
 
     key: RollUpKey
     number: int | None = None  # under which it is stored
@@ -110,47 +107,32 @@ class RolledPart:
 def with_members(roll_up: RollUp, members: Iterable[Member]) -> RollUp:
     """Return the roll-up with more windows, oldest first, behind those that it has; a sealed one may get late ones."""
     for member in members:
-        roll_up = with_member(roll_up, member)
+        record, weight, version = member.window.record, member.forgetting, member.window.track_version
+        empty = roll_up.windows == 0
+        last = empty or record.start_ns > roll_up.last_ns
+        versions, chosen = roll_up.versions, roll_up.chosen
+        if record.track_section is not None and version is not None:
+            of_section = {*versions.get(record.track_section, ()), version}
+            versions = {**versions, record.track_section: tuple(sorted(of_section))}
+        if not record.quality.hunting.sustained:  # those of the smallest digests: any windows have the same chance
+            chosen = tuple(sorted({*chosen, (record.content_digest, member.start_ns)})[:MOST_CHOSEN])
+        roll_up = replace(
+            roll_up,
+            windows=roll_up.windows + 1,
+            content=hashlib.sha256(f"{roll_up.content} {member.line}".encode()).hexdigest(),
+            first_ns=record.start_ns if empty else min(roll_up.first_ns, record.start_ns),
+            last_ns=record.start_ns if last else roll_up.last_ns,
+            end_ns=record.start_ns + record.length_ns if last else roll_up.end_ns,
+            last_km=member.mileage_km if last else roll_up.last_km,
+            last_stored_km=record.mileage_km if last else roll_up.last_stored_km,
+            mileage_km=roll_up.mileage_km + member.mileage_km,
+            weight=roll_up.weight + weight,
+            weighted_km=roll_up.weighted_km + weight * member.mileage_km,
+            versions=versions,
+            vehicles=tuple(sorted({*roll_up.vehicles, record.vehicle})),
+            chosen=chosen,
+        )
     return roll_up
-
-
-def with_member(roll_up: RollUp, member: Member) -> RollUp:
-    """Return the roll-up with one more window, as :func:`with_members` does."""
-    record, weight = member.window.record, member.forgetting
-    empty = roll_up.windows == 0
-    last = empty or record.start_ns > roll_up.last_ns
-    return replace(
-        roll_up,
-        windows=roll_up.windows + 1,
-        content=hashlib.sha256(f"{roll_up.content} {member.line}".encode()).hexdigest(),
-        first_ns=record.start_ns if empty else min(roll_up.first_ns, record.start_ns),
-        last_ns=record.start_ns if last else roll_up.last_ns,
-        end_ns=record.start_ns + record.length_ns if last else roll_up.end_ns,
-        last_km=member.mileage_km if last else roll_up.last_km,
-        last_stored_km=record.mileage_km if last else roll_up.last_stored_km,
-        mileage_km=roll_up.mileage_km + member.mileage_km,
-        weight=roll_up.weight + weight,
-        weighted_km=roll_up.weighted_km + weight * member.mileage_km,
-        versions=_with_version(roll_up.versions, record.track_section, member.window.track_version),
-        vehicles=tuple(sorted({*roll_up.vehicles, record.vehicle})),
-        chosen=_with_chosen(roll_up.chosen, member),
-    )
-
-
-def _with_version(
-    versions: Mapping[str, tuple[int, ...]], section: str | None, version: int | None
-) -> Mapping[str, tuple[int, ...]]:
-    if section is None or version is None or version in versions.get(section, ()):
-        return versions
-    return {**versions, section: tuple(sorted({*versions.get(section, ()), version}))}
-
-
-def _with_chosen(chosen: tuple[tuple[str, int], ...], member: Member) -> tuple[tuple[str, int], ...]:
-    """Return the windows of the smallest digests: any windows have the same chance."""
-    if member.window.record.quality.hunting.sustained:
-        return chosen
-    digest = member.window.record.content_digest
-    return tuple(sorted({*chosen, (digest, member.start_ns)})[:MOST_CHOSEN])
 
 
 @dataclass(frozen=True, slots=True)

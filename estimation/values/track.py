@@ -73,10 +73,7 @@ class TrackFindings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackAlignment(FrozenArrays):
-    """Lateral alignment and gauge deviation of a track section against distance, each with its std.
-
-    Two of them are equal if they are the same object, which makes them keys of caches.
-    """
+    """Lateral alignment and gauge deviation of a section with their std; a key of caches: equal if the same object."""
 
     section: str
     version: int
@@ -181,10 +178,7 @@ class AlignmentRecord:
 
 @dataclass(frozen=True, slots=True)
 class SectionStanding:
-    """Which versions a section has: what is in force, and what the operator registered last; None where there is none.
-
-    ``layout`` is the newest version of its layout.
-    """
+    """Versions of a section: in force, registered last, and of its newest layout; None where there is none."""
 
     in_force: AlignmentRecord | None = None
     registered: int | None = None

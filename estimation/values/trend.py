@@ -13,7 +13,7 @@ from typing import Annotated, Protocol, TypeVar
 
 from estimation.values.alerts import Alert
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
-from estimation.values.fields import IN_MM, JsonValue, Served
+from estimation.values.fields import JsonValue, Served, in_mm
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason
 from estimation.values.results import History, ResultKind
@@ -31,7 +31,7 @@ class TrendStep:
     found_ns: int  # end of the data that showed it first
     size: Annotated[Estimate, Served("By how much the indicator has changed, at `amplitude_mm`.", "size_1")]
     level_before: Annotated[float, Served("The indicator before it.", "level_before_1", finite=False)]
-    amplitude: Annotated[float, Served("Amplitude that size and level are of.", "amplitude_mm", IN_MM, finite=False)]
+    amplitude: Annotated[float, in_mm("Amplitude that size and level are of.", "amplitude_mm")]
     probability: Annotated[float, Served("That there is a step there.", "probability_1", finite=False)]
     before: Annotated[int, Served("Intervals before it.", "intervals_before")]
     behind: Annotated[int, Served("Intervals behind it.", "intervals_behind")]
@@ -98,10 +98,7 @@ class TrendRecord:
 
 @dataclass(frozen=True, slots=True)
 class SuspensionFinding:
-    """Yaw stiffness over longitudinal creep coefficient of a vehicle, from its passes of one section in one epoch.
-
-    ``ratio`` is relative to ``assumed``, that of the vehicle's parameters at the time. Key: (vehicle, section, to_ns).
-    """
+    """Yaw stiffness over longitudinal creep coefficient of a vehicle, by one section in one epoch, over ``assumed``."""
 
     vehicle: str
     section: str

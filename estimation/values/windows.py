@@ -156,6 +156,19 @@ class WindowPosition:
 WindowKey = tuple[str, int]  # wheelset and start of a window, in vehicle time
 
 
+class OfWindow:
+    """What is of one window of a wheelset."""
+
+    __slots__ = ()
+    wheelset: str
+    start_ns: int
+
+    @property
+    def key(self) -> WindowKey:
+        """Wheelset and start."""
+        return self.wheelset, self.start_ns
+
+
 def text_of_key(wheelset: str, start_ns: int) -> str:
     """Return the key of a window as text."""
     return f"{wheelset}@{start_ns}"
@@ -168,7 +181,7 @@ def key_of_text(text: str) -> WindowKey:
 
 
 @dataclass(frozen=True, slots=True)
-class WindowRecord:
+class WindowRecord(OfWindow):
     """A stored window without its samples. Key: (wheelset, start_ns)."""
 
     wheelset: str
@@ -186,25 +199,15 @@ class WindowRecord:
     implausible: Reason | None = None  # why its mileage is not believed
     samples_purged: bool = False
 
-    @property
-    def key(self) -> WindowKey:
-        """Wheelset and start."""
-        return self.wheelset, self.start_ns
-
 
 @dataclass(frozen=True, slots=True)
-class WindowMark:
+class WindowMark(OfWindow):
     """A window and the state that it is to have."""
 
     wheelset: str
     start_ns: int
     state: WindowState
     reason: Reason | None = None  # of a refusal
-
-    @property
-    def key(self) -> WindowKey:
-        """Wheelset and start."""
-        return self.wheelset, self.start_ns
 
 
 ReadingSpan = tuple[str, int, int]
@@ -261,16 +264,6 @@ class Motion(FrozenArrays):
 
     def __len__(self) -> int:
         return len(self.valid)
-
-    @property
-    def yaw_deflection(self) -> FloatArray:
-        """Angle (n,) of the yaw spring, rad: yaw less that of the frame."""
-        return self.yaw if self.frame_yaw is None else self.yaw - self.frame_yaw
-
-    @property
-    def yaw_deflection_rate(self) -> FloatArray:
-        """Rate (n,) of that angle, rad/s."""
-        return self.yaw_rate if self.frame_yaw_rate is None else self.yaw_rate - self.frame_yaw_rate
 
 
 @dataclass(frozen=True, slots=True)

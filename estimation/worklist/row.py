@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
@@ -30,14 +29,13 @@ from estimation.values.alerts import (
 )
 from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.reasons import Reason, ReasonCode, code_of, utc_text
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.results import Facet
 from estimation.values.trend import TREND, TrendRecord
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
 
-FORM = 1
-"""Grows with every change of what a row says, so that all rows are made again."""
+FORM = 1  # grows with every change of what a row says, so that all rows are made again
 STAGE = "worklist"
 FACETS = (Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, GEOMETRY.stage, TREND.stage)
 """What a row is made from: whoever raises one of these makes it again in the same transaction."""
@@ -69,6 +67,7 @@ FAR_KM = 1e9  # stands for a distance that is not known, behind all that are
 BAND_KM = 1e10  # from one class of urgency to the next
 ADVICE = {rule.kind: rule.advice for rule in ALERT_RULES if rule.advice}
 HIDING = {rule.kind: rule.hides_wear for rule in ALERT_RULES if rule.hides_wear is not None}
+NOWHERE = Forecast(None, None, None)
 OF_LIMIT = (ConicityLimitRule.kind, LimitForecastRule.kind)
 
 
@@ -79,6 +78,8 @@ class Ahead:
     distance_km: Forecast
     probability_over_limit: float | None
     reason: Reason | None
+    date_ns: Forecast = NOWHERE
+    since_trend_km: float | None = None  # run since the last point of the trend
 
     @property
     def known(self) -> bool:
@@ -86,22 +87,10 @@ class Ahead:
         return self.reason is None or self.reason.code is ReasonCode.BEYOND_HORIZON
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """How urgent, and why."""
-
-    urgency: Urgency
-    reasons: tuple[Reason, ...]
-
-
 def judged(
     *, mounted: bool, ahead: Ahead, alerts: Sequence[OpenAlert], last_ns: int | None, refused: bool = False
-) -> Verdict:
-    """Return how urgent a wheelset is.
-
-    Args:
-        last_ns: End of its newest usable data, ns UTC; None where there are none.
-    """
+) -> tuple[Urgency, tuple[Reason, ...]]:
+    """Return how urgent a wheelset is, and why."""
     standing = [alert for alert in alerts if alert.condition in {Condition.ACTIVE, Condition.UNKNOWN}]
     found: list[tuple[Urgency, Reason]] = []
     if not mounted:
@@ -112,9 +101,9 @@ def judged(
     if not ahead.known and ahead.reason is not None and not exceeded:
         found.append((Urgency.UNKNOWN, ahead.reason))
     if not mounted:
-        return Verdict(Urgency.NOT_MOUNTED, tuple(reason for _, reason in found))
+        return Urgency.NOT_MOUNTED, tuple(reason for _, reason in found)
     ordered = sorted(found, key=lambda pair: pair[0].rank)
-    return Verdict(ordered[0][0], tuple(reason for _, reason in ordered))
+    return ordered[0][0], tuple(reason for _, reason in ordered)
 
 
 def urgency_key(state: WorklistState) -> float:
@@ -143,7 +132,6 @@ def distance_key(state: WorklistState) -> float | None:
 
 
 def _of_limit(ahead: Ahead, alerts: Sequence[OpenAlert]) -> list[tuple[Urgency, Reason]]:
-    """Return what the limit makes urgent, one reason."""
     exceeded = next((alert for alert in alerts if alert.kind == ConicityLimitRule.kind), None)
     forecast = next((alert for alert in alerts if alert.kind == LimitForecastRule.kind), None)
     probability, distance = ahead.probability_over_limit, ahead.distance_km
@@ -183,7 +171,7 @@ def _km(distance_km: float) -> str:
 def _of_alert(alert: OpenAlert, last_ns: int | None, *, refused: bool) -> tuple[Urgency, Reason]:
     hides = HIDING.get(alert.kind)
     if alert.kind == NoDataRule.kind and hides is not None:
-        since = "ever" if last_ns is None else f"since {_day(last_ns)}"
+        since = "ever" if last_ns is None else f"since {utc_text(last_ns)[:10]}"
         text = f"no usable data {since}" if refused else f"no data {since}"
         return Urgency.UNKNOWN, Reason(hides.code, text)
     if hides is not None:
@@ -197,10 +185,6 @@ def _of_alert(alert: OpenAlert, last_ns: int | None, *, refused: bool) -> tuple[
     return urgency, Reason(ReasonCode.ALERT_OPEN, text)
 
 
-def _day(t_ns: int) -> str:
-    return f"{datetime.fromtimestamp(t_ns // 1_000_000_000, UTC):%Y-%m-%d}"
-
-
 NO_GEOMETRY = Reason(ReasonCode.NO_GEOMETRY, "there is no geometry yet")
 REPROFILED = Reason(ReasonCode.NO_GEOMETRY_SINCE_REPROFILING, "there is no geometry since the last reprofiling")
 WITHOUT_GEOMETRY = (NO_GEOMETRY.code, REPROFILED.code)
@@ -208,7 +192,6 @@ NO_TREND = Reason(ReasonCode.TOO_FEW_POINTS, "there is no trend since the last r
 NOT_FINITE = Reason(ReasonCode.NOT_FINITE, "the calculation gave no finite number")
 BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
 REFUSALS_NAMED = 2
-_NOWHERE = Forecast(None, None, None)
 _SEVERITIES = list(Severity)
 
 
@@ -234,15 +217,17 @@ def _position(inputs: WorklistInputs) -> AxlePosition | None:
 
 def _state(inputs: WorklistInputs) -> WorklistState:
     conicity = _conicity(inputs)
-    trend = _current_trend(inputs)
+    trend = inputs.trend
+    if trend is not None and trend.baseline != len(inputs.wheelset.reprofilings):
+        trend = None  # of a profile that the wheelset has no more
     ahead = _ahead(inputs, trend, conicity)
-    alerts = tuple(sorted(inputs.alerts, key=_worst_first))
+    worst_first = sorted(inputs.alerts, key=lambda alert: (-_SEVERITIES.index(alert.severity), alert.alert_id))
     ends = [inputs.last_window_ns, None if inputs.geometry is None else inputs.geometry.to_ns]
     last_data_ns = max((end for end in ends if end is not None), default=None)
-    verdict = judged(
+    urgency, reasons = judged(
         mounted=inputs.wheelset.mounting is not None,
-        ahead=ahead.ahead,
-        alerts=alerts,
+        ahead=ahead,
+        alerts=worst_first,
         last_ns=last_data_ns,
         refused=bool(inputs.refused),
     )
@@ -251,23 +236,22 @@ def _state(inputs: WorklistInputs) -> WorklistState:
         status=conicity.status,
         conicity=conicity,
         measured_until_ns=inputs.geometry.to_ns if inputs.geometry is not None and has_geometry else None,
-        slope_per_1000_km=_slope(trend),
+        slope_per_1000_km=Estimate.unknown(NO_TREND) if trend is None else _published(trend.trend.slope_per_1000_km),
         limit=None if trend is None else _finite(trend.trend.limit),
-        probability_over_limit=ahead.ahead.probability_over_limit,
-        distance_to_limit_km=ahead.ahead.distance_km,
+        probability_over_limit=ahead.probability_over_limit,
+        distance_to_limit_km=ahead.distance_km,
         since_trend_km=ahead.since_trend_km,
         date_of_limit_ns=ahead.date_ns,
-        forecast_reason=ahead.ahead.reason,
+        forecast_reason=ahead.reason,
         mileage=inputs.mileage,
         last_data_ns=last_data_ns,
-        alerts=alerts,
-        urgency=verdict.urgency,
-        reasons=verdict.reasons,
+        alerts=tuple(worst_first),
+        urgency=urgency,
+        reasons=reasons,
     )
 
 
 def _conicity(inputs: WorklistInputs) -> Estimate:
-    """Return the conicity at 3 mm of the profile that the wheelset has now."""
     geometry = inputs.geometry
     if inputs.failure is not None:
         return Estimate.unknown(inputs.failure, status=Status.INVALID)
@@ -288,28 +272,10 @@ def _with_refusals(reason: Reason, inputs: WorklistInputs) -> Reason:
     return replace(reason, text=f"windows refused: {refusals}{f', {rest} other' if rest else ''}; {reason.text}")
 
 
-def _current_trend(inputs: WorklistInputs) -> TrendRecord | None:
-    """Return the trend, where it is of the profile that the wheelset has now."""
-    trend = inputs.trend
-    return trend if trend is not None and trend.baseline == len(inputs.wheelset.reprofilings) else None
-
-
-def _slope(trend: TrendRecord | None) -> Estimate:
-    return Estimate.unknown(NO_TREND) if trend is None else _published(trend.trend.slope_per_1000_km)
-
-
-@dataclass(frozen=True, slots=True)
-class _AheadWithDate:
-    ahead: Ahead
-    date_ns: Forecast
-    since_trend_km: float | None
-
-
-def _ahead(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Estimate) -> _AheadWithDate:
-    """Return how far the limit is from where the wheelset is now."""
+def _ahead(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Estimate) -> Ahead:
     unknown = _why_unknown(inputs, trend, conicity)
     if trend is None or unknown is not None:
-        return _AheadWithDate(Ahead(_NOWHERE, None, unknown or NO_TREND), _NOWHERE, None)
+        return Ahead(NOWHERE, None, unknown or NO_TREND)
     found = trend.trend
     since = None
     if inputs.mileage is not None and len(found.mileage_km):
@@ -317,12 +283,10 @@ def _ahead(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Estimate
     distance = _each(found.distance_to_limit_km, since or 0.0)
     date = _each(found.date_of_limit_ns, 0.0)
     missing = None in (distance.p10, distance.p50, distance.p90)
-    ahead = Ahead(distance, _finite(found.probability_over_limit), BEYOND if missing else None)
-    return _AheadWithDate(ahead, date, since)
+    return Ahead(distance, _finite(found.probability_over_limit), BEYOND if missing else None, date, since)
 
 
 def _why_unknown(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Estimate) -> Reason | None:
-    """Return why nothing is known of the limit; None where something is."""
     if inputs.failure is not None:
         return inputs.failure
     if code_of(conicity.reason) in WITHOUT_GEOMETRY or conicity.status is Status.MODEL_MISMATCH:
@@ -352,7 +316,3 @@ def _published(estimate: Estimate) -> Estimate:
         return estimate
     status = Status.INVALID if estimate.status is Status.ESTIMATED else estimate.status
     return Estimate.unknown(estimate.reason or NOT_FINITE, _finite(estimate.count) or 0.0, status)
-
-
-def _worst_first(alert: OpenAlert) -> tuple[int, int]:
-    return -_SEVERITIES.index(alert.severity), alert.alert_id

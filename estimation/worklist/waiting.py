@@ -38,13 +38,7 @@ class SectionFacts:
 def waits_for(
     section: SectionFacts | None, no_class: Reason | None, last_run: JobRun | None, *, placed: bool
 ) -> Reason:
-    """Return what a window waits for.
-
-    Args:
-        section: That it is on; None where that is not known.
-        no_class: That the class of its vehicle is not on file; None where it is.
-        last_run: Newest run of :data:`ESTIMATION`; None where it has never run.
-    """
+    """Return what a window waits for; None is a section not known, a class on file, a job that has never run."""
     if no_class is not None:
         return no_class
     if section is not None and not section.aligned:
@@ -63,30 +57,20 @@ def no_alignment(section: SectionFacts) -> Reason:
 
 
 def tried_again(reason: Reason, failed: Quarantined | None) -> Reason:
-    """Return a reason with when it is tried again.
-
-    Args:
-        failed: What is kept of the failure; None where nothing is.
-    """
+    """Return a reason with when it is tried again, where a failure is kept."""
     if failed is None:
         return reason
     return replace(reason, text=f"{reason.text}; {_again(failed)}")
 
 
 def no_geometry_yet(last_run: JobRun | None, failed: Quarantined | None) -> Reason:
-    """Return why estimated windows have given no geometry.
-
-    Args:
-        last_run: Newest run of :data:`GEOMETRY`; None where it has never run.
-        failed: What is kept of its last failure at the wheelset; None where nothing is.
-    """
+    """Return why estimated windows have given no geometry."""
     if failed is not None:
         return Reason(failed.code, f"{GEOMETRY} failed at it: {failed.error}; {_again(failed)}")
     return Reason(ReasonCode.NO_GEOMETRY, f"the geometry waits for {_next_run(GEOMETRY, last_run)}")
 
 
 def _looked(section: SectionFacts) -> str:
-    """Return what the last look at the passes of a section has found."""
     if section.failed is not None:
         return f"{ALIGNMENT} failed at it: {section.failed.error}; {_again(section.failed)}"
     if section.found is not None:

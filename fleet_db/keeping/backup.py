@@ -2,35 +2,37 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Column, Connection, Engine, Integer, Table, bindparam, delete, func, insert, select, text, update
+from sqlalchemy import Connection, Engine, Integer, Table, delete, func, insert, select, text, update
 
 from estimation.errors import InputError, StorageError
-from fleet_db.atomic_files import write_atomically
-from fleet_db.keeping.exclusive import keeping_alone
+from fleet_db.atomic_files import sha256_of, write_atomically
 from fleet_db.keeping.kept_files import (
     RAW,
+    Holdings,
+    Kept,
     KeptFile,
     KeptRecording,
-    copy_kept,
-    copy_recording,
+    Progress,
+    copy_all,
     kept_files,
     kept_recordings,
+    lines_of,
     not_listed,
-    write_digests,
 )
 from fleet_db.migrate import check_head, head, upgrade
-from fleet_db.raw import RawStore
+from fleet_db.process_locks import keeping_alone
+from fleet_db.raw import RawStore, recording_name
 from fleet_db.raw_files import FileRawStore
+from fleet_db.rows import key_given, key_of
 from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, translate_errors
 from fleet_db.storage import SqlStorage
 from fleet_db.tables import Base
@@ -41,7 +43,7 @@ PREFIX, SUFFIX = "backup-", ".json"
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """One backup in a backup folder; recordings and windows are shared with the others of the folder."""
+    """One backup of a folder, whose recordings and windows they share; written last: one without it never counts."""
 
     name: str  # the time of the backup, which is in the names of its files
     migration: str  # of the database
@@ -61,23 +63,16 @@ class Manifest:
         return folder / f"database-{self.name}.sqlite3"
 
 
-def digests_file(folder: Path, name: str) -> Path:
-    """Return where the digests of the recordings are that a backup does not hold."""
-    return folder / f"recordings-{name}.sha256"
-
-
 def backup_name(now_ns: int) -> str:
     """Return the name of a backup of this time, in the order of time."""
     seconds, rest = divmod(now_ns, 1_000_000_000)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%dT%H%M%S}.{rest // 1_000_000:03d}Z"
 
 
-def write_manifest(folder: Path, manifest: Manifest) -> Path:
-    """Write the manifest of a backup that is whole; return its file."""
-    path = folder / f"{PREFIX}{manifest.name}{SUFFIX}"
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write the manifest of a backup that is whole."""
     content = json.dumps({"format": FORMAT, **asdict(manifest)}, indent=1).encode()
-    write_atomically(path, content + b"\n", durable=True)
-    return path
+    write_atomically(folder / f"{PREFIX}{manifest.name}{SUFFIX}", content + b"\n", durable=True)
 
 
 def read_manifest(folder: Path, name: str | None = None) -> Manifest:
@@ -98,12 +93,6 @@ def read_manifest(folder: Path, name: str | None = None) -> Manifest:
     if found != FORMAT:
         raise InputError(f"has format {found!r}; this version reads {FORMAT!r}", file=path)
     return manifest
-
-
-def sha256_of(path: Path) -> str:
-    """Return the sha256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 BATCH = 2000
@@ -130,35 +119,22 @@ def copy_rows(source: Connection, target: Connection) -> dict[str, int]:
 
 def _copy_table(source: Connection, target: Connection, table: Table) -> int:
     """Copy one table; references of its rows to each other are filled in when all rows are there."""
-    own = [column for column in table.columns if any(key.column.table is table for key in column.foreign_keys)]
+    own = [column.name for column in table.columns if any(key.column.table is table for key in column.foreign_keys)]
+    statement = select(table).order_by(*table.primary_key)
+    found = source.execution_options(stream_results=True, yield_per=BATCH).execute(statement)
     count = 0
     later: list[dict[str, Any]] = []
-    for batch in _batches(source, table):
-        count += len(batch)
-        later += [_reference(table, own, row) for row in batch if any(row[column.name] is not None for column in own)]
-        target.execute(insert(table), [row | {column.name: None for column in own} for row in batch])
-    if later:
-        key = [column == _parameter(column) for column in table.primary_key]
-        target.execute(update(table).where(*key), later)
-    return count
-
-
-def _batches(source: Connection, table: Table) -> Iterator[list[dict[str, Any]]]:
-    found = source.execution_options(stream_results=True, yield_per=BATCH).execute(
-        select(table).order_by(*table.primary_key)
-    )
     for rows in found.mappings().partitions():
-        yield [dict(row) for row in rows]
-
-
-def _reference(table: Table, own: list[Column[Any]], row: Mapping[str, Any]) -> dict[str, Any]:
-    return {f"key_{column.name}": row[column.name] for column in table.primary_key} | {
-        column.name: row[column.name] for column in own
-    }
-
-
-def _parameter(column: Column[Any]) -> Any:  # noqa: ANN401 - SQLAlchemy's own expression
-    return bindparam(f"key_{column.name}", type_=column.type)
+        count += len(rows)
+        later += [
+            key_of(table, dict(row)) | {name: row[name] for name in own}
+            for row in rows
+            if any(row[name] is not None for name in own)
+        ]
+        target.execute(insert(table), [{**row, **dict.fromkeys(own)} for row in rows])
+    if later:
+        target.execute(update(table).where(key_given(table)), later)
+    return count
 
 
 def _continue_numbers(target: Connection, table: Table) -> None:
@@ -173,9 +149,6 @@ def _continue_numbers(target: Connection, table: Table) -> None:
         target.execute(
             text("SELECT setval(CAST(:sequence AS regclass), :last)"), {"sequence": sequence, "last": largest}
         )
-
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,15 +171,9 @@ def back_up(
     refer to them, and only a purge deletes them, which waits for a backup. Files that an earlier backup of the folder
     has already are not copied again.
 
-    Args:
-        folder: Of the backups; made if it is not there.
-        progress: Called with (done, total) files.
-
     Raises:
         ConflictError: Another backup, restore or purge is running.
         MigrationError: The database is not at the migration of this version.
-        StorageError, PassingFaultError: The database, a file or a recording cannot be read or written; the folder holds
-            no manifest then.
     """
     check_head(storage.engine)
     name = backup_name(now_ns)
@@ -225,11 +192,16 @@ def back_up(
                 leftover.unlink()
         rows, recordings, files = _contents(database, windows=plan.windows)
         copied = raw.saved_by_backup if plan.recordings is None else plan.recordings
-        missing = _recordings(recordings, raw, folder, name, progress) if not copied else []
-        to_copy: list[KeptRecording | KeptFile] = [*(recordings if copied else ()), *files]
-        for done, one in enumerate(to_copy, start=1):
-            missing += _copied_or_not(one, storage.data_dir, raw, folder)
-            progress(done, len(to_copy))
+        wrong: list[tuple[Kept, str]] = []
+        if not copied:
+            progress(0, len(recordings))
+            wrong += not_listed(recordings, raw)
+            listed = "".join(f"{one.digest}  {recording_name(one.digest, one.suffix)}\n" for one in recordings)
+            # as `sha256sum --check` reads it
+            write_atomically(folder / f"recordings-{name}.sha256", listed.encode(), durable=True)
+        to_copy: list[Kept] = [*(recordings if copied else ()), *files]
+        here = Holdings(storage.data_dir, raw)
+        wrong += copy_all(to_copy, here, Holdings(folder, FileRawStore(folder / RAW)), progress)
         manifest = Manifest(
             name=name,
             migration=head(),
@@ -240,7 +212,7 @@ def back_up(
             window_files=len(files),
             file_bytes=sum(one.size for one in to_copy),
             windows_kept=plan.windows,
-            missing=tuple(missing),
+            missing=lines_of(wrong, here),
             recordings_kept=copied,
             raw_store=raw.url,
         )
@@ -257,8 +229,14 @@ def _snapshot(engine: Engine, target: Path) -> None:
             driver.backup(copy)
     else:
         _copied(engine, target)
-    with closing(sqlite3.connect(target)) as copy:
-        copy.execute("PRAGMA journal_mode = DELETE")
+    without_log(target)
+
+
+def without_log(database: Path) -> Path:
+    """Return the file after its write-ahead log went into it."""
+    with closing(sqlite3.connect(database)) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+    return database
 
 
 def _copied(engine: Engine, target: Path) -> None:
@@ -287,22 +265,3 @@ def _contents(database: Path, *, windows: bool) -> tuple[dict[str, int], list[Ke
             return row_counts(connection), list(kept_recordings(connection)), files
     finally:
         engine.dispose()
-
-
-def _copied_or_not(one: KeptRecording | KeptFile, data_dir: Path, raw: RawStore, folder: Path) -> list[str]:
-    """Copy a recording or file; return a line for one that is not there, or damaged."""
-    if isinstance(one, KeptFile):
-        place, fault = str(one.path), copy_kept(one, data_dir, folder)
-    else:
-        place, fault = raw.place(one.digest, one.suffix), copy_recording(one, raw, FileRawStore(folder / RAW))
-    return [] if fault is None else [f"{place} {fault} ({one.owner})"]
-
-
-def _recordings(
-    recordings: Sequence[KeptRecording], raw: RawStore, folder: Path, name: str, progress: Progress
-) -> list[str]:
-    """Write down the digests of recordings that are not copied; return a line for each that their store lacks."""
-    progress(0, len(recordings))
-    wrong = not_listed(recordings, raw)
-    write_digests(digests_file(folder, name), recordings)
-    return [f"{raw.place(kept.digest, kept.suffix)} {fault} ({kept.owner})" for kept, fault in wrong]

@@ -1,28 +1,36 @@
-"""The samples of windows that the rows of a database refer to, as files."""
+"""The files and recordings that the rows of a database refer to, and those that no row does."""
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sqlalchemy import Connection, select
 
 from estimation.errors import DamagedError, StorageError
-from fleet_db.atomic_files import sync_directory, write_atomically
-from fleet_db.raw import LostRecordingError, RawItem, RawStore, recording_name
+from fleet_db.atomic_files import sync_directory, synchronise
+from fleet_db.raw import LostRecordingError, RawItem, RawStore
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables.recordings import ChunkRow
 from fleet_db.tables.windows import WindowRow
 from fleet_db.telemetry import WindowFiles, unpack_window, window_digest
 
-WINDOWS = table_of(WindowRow)
+WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
 SAMPLES = "windows"  # folder of them in a data folder or backup
+RAW = "raw"  # folder of recordings in a backup
+
+
+@dataclass(frozen=True, slots=True)
+class Holdings:
+    """Where kept files are, in a deployment or a backup: those of windows in a folder, recordings in a store."""
+
+    folder: Path
+    raw: RawStore
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,21 +42,98 @@ class KeptFile:
     path: Path  # relative to the data folder
     owner: str  # whose it is, for messages
 
-    def fault(self, folder: Path) -> str | None:
-        """Return what is wrong with this file in a data folder or backup, None where nothing is."""
-        place = folder / self.path
+    def at(self, _place: Holdings) -> str:
+        """Return where it is, for messages."""
+        return str(self.path)
+
+    def fault(self, place: Holdings) -> str | None:
+        """Return what is wrong with it, None where nothing is; raises StorageError where it cannot be read now."""
+        file = place.folder / self.path
         try:
-            found = place.stat().st_size
+            found = file.stat().st_size
             if found != self.size:
                 return f"has {found} bytes, not {self.size}"
-            whole = window_digest(unpack_window(place.read_bytes(), where=str(place))) == self.digest
+            whole = window_digest(unpack_window(file.read_bytes(), where=str(file))) == self.digest
         except FileNotFoundError:
             return "is missing"
         except DamagedError:
             return "is damaged"
         except OSError as error:
-            raise StorageError(f"{place}: cannot be read: {error.strerror}") from error
+            raise StorageError(f"{file}: cannot be read: {error.strerror}") from error
         return None if whole else "holds other content than its name says"
+
+    def copy(self, source: Holdings, target: Holdings) -> str | None:
+        """Copy it durably unless it is there whole; return what is wrong with the copy."""
+        if self.fault(target) is None:
+            return None
+        file = target.folder / self.path
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(prefix=".copying-", dir=file.parent) as folder:
+                part = Path(folder) / file.name
+                shutil.copyfile(source.folder / self.path, part)
+                fault = replace(self, path=Path(file.name)).fault(replace(target, folder=Path(folder)))
+                if fault is not None:
+                    return fault
+                synchronise(part)
+                part.replace(file)
+            sync_directory(file.parent)
+            sync_directory(file.parent.parent)
+        except FileNotFoundError:
+            return "is missing"
+        except OSError as error:
+            raise StorageError(f"{self.path}: cannot be copied: {error.strerror}") from error
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class KeptRecording:
+    """A recording that a row refers to."""
+
+    digest: str
+    suffix: str
+    size: int  # bytes
+    owner: str  # whose it is, for messages
+
+    def at(self, place: Holdings) -> str:
+        """Return where it is, for messages."""
+        return place.raw.place(self.digest, self.suffix)
+
+    def fault(self, place: Holdings) -> str | None:
+        """Return what is wrong with it, None where nothing is; raises PassingFaultError as ``RawStore.check``."""
+        fault = place.raw.fault(self.digest, self.suffix, self.size)
+        return None if fault is None else fault.reason
+
+    def copy(self, source: Holdings, target: Holdings) -> str | None:
+        """Copy it unless it is there whole; return what is wrong with the copy."""
+        if target.raw.holds(self.digest, self.suffix) and self.fault(target) is None:
+            return None
+        try:
+            with source.raw.whole(self.digest, self.suffix, self.size) as path:
+                target.raw.put_file(path)
+        except LostRecordingError as fault:
+            return fault.reason
+        return self.fault(target)
+
+
+Kept = KeptFile | KeptRecording
+Progress = Callable[[int, int], None]
+"""Called with (done, total) files."""
+
+
+def copy_all(kept: Sequence[Kept], source: Holdings, target: Holdings, progress: Progress) -> list[tuple[Kept, str]]:
+    """Copy files and recordings; return those that are missing or damaged, each with what is wrong."""
+    wrong: list[tuple[Kept, str]] = []
+    for done, one in enumerate(kept, start=1):
+        fault = one.copy(source, target)
+        wrong += [] if fault is None else [(one, fault)]
+        progress(done, len(kept))
+    return wrong
+
+
+def lines_of(wrong: Sequence[tuple[Kept, str]], place: Holdings) -> tuple[str, ...]:
+    """Return a line for each that is missing or damaged."""
+    return tuple(f"{one.at(place)} {fault} ({one.owner})" for one, fault in wrong)
 
 
 def kept_files(connection: Connection) -> Iterator[KeptFile]:
@@ -65,63 +150,6 @@ def kept_files(connection: Connection) -> Iterator[KeptFile]:
         last = row.content_digest
 
 
-def copy_kept(file: KeptFile, source: Path, target: Path) -> str | None:
-    """Copy a file between data folder and backup, durably, unless it is there; return what is wrong with the copy."""
-    place = target / file.path
-    if file.fault(target) is None:
-        return None
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".copying-", dir=place.parent) as folder:
-            copy = KeptFile(file.digest, file.size, Path(place.name), file.owner)
-            part = Path(folder) / place.name
-            shutil.copyfile(source / file.path, part)
-            fault = copy.fault(Path(folder))
-            if fault is not None:
-                return fault
-            _synchronise(part)
-            part.replace(place)
-        sync_directory(place.parent)
-        sync_directory(place.parent.parent)
-    except FileNotFoundError:
-        return "is missing"
-    except OSError as error:
-        raise StorageError(f"{file.path}: cannot be copied: {error.strerror}") from error
-    return None
-
-
-def _synchronise(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-CHUNKS = table_of(ChunkRow)
-RAW = "raw"  # folder of them in a backup
-
-
-@dataclass(frozen=True, slots=True)
-class KeptRecording:
-    """A recording that a row refers to."""
-
-    digest: str
-    suffix: str
-    size: int  # bytes
-    owner: str  # whose it is, for messages
-
-    @property
-    def name(self) -> str:
-        """In its store, with its folder."""
-        return recording_name(self.digest, self.suffix)
-
-    def fault(self, raw: RawStore) -> str | None:
-        """Return what is wrong with it in a store, None where nothing is; raises PassingFaultError as its ``check``."""
-        fault = raw.fault(self.digest, self.suffix, self.size)
-        return None if fault is None else fault.reason
-
-
 def kept_recordings(connection: Connection) -> Iterator[KeptRecording]:
     """Yield every recording that the rows refer to."""
     chunks = select(CHUNKS.c.digest, CHUNKS.c.suffix, CHUNKS.c.size_bytes, CHUNKS.c.vehicle)
@@ -130,22 +158,10 @@ def kept_recordings(connection: Connection) -> Iterator[KeptRecording]:
         yield KeptRecording(row.digest, row.suffix, row.size_bytes, owner)
 
 
-def copy_recording(kept: KeptRecording, source: RawStore, target: RawStore) -> str | None:
-    """Copy a recording between stores unless it is there whole; return what is wrong with the copy."""
-    if target.holds(kept.digest, kept.suffix) and kept.fault(target) is None:
-        return None
-    try:
-        with source.whole(kept.digest, kept.suffix, kept.size) as path:
-            target.put_file(path)
-    except LostRecordingError as fault:
-        return fault.reason
-    return kept.fault(target)
-
-
-def not_listed(recordings: Sequence[KeptRecording], raw: RawStore) -> list[tuple[KeptRecording, str]]:
+def not_listed(recordings: Sequence[KeptRecording], raw: RawStore) -> list[tuple[Kept, str]]:
     """Return the recordings that a store does not list with their size, each with what is wrong; nothing is read."""
     sizes = {item.digest: item.size_bytes for item in raw.listed() if item.digest}
-    wrong = []
+    wrong: list[tuple[Kept, str]] = []
     for kept in recordings:
         found = sizes.get(kept.digest)
         if found is None:
@@ -153,11 +169,6 @@ def not_listed(recordings: Sequence[KeptRecording], raw: RawStore) -> list[tuple
         elif found != kept.size:
             wrong.append((kept, f"has {found} bytes, not {kept.size}"))
     return wrong
-
-
-def write_digests(path: Path, recordings: Sequence[KeptRecording]) -> None:
-    """Write digest and name of recordings as ``sha256sum --check`` reads them, durably."""
-    write_atomically(path, "".join(f"{one.digest}  {one.name}\n" for one in recordings).encode(), durable=True)
 
 
 LEAST_AGE_S = 3600.0  # a file may be older than its row by the length of the transaction that stores it

@@ -5,48 +5,100 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
-from sqlalchemy import (
-    Column,
-    ColumnElement,
-    Connection,
-    Row,
-    and_,
-    bindparam,
-    delete,
-    exists,
-    func,
-    insert,
-    or_,
-    select,
-    update,
-)
+from sqlalchemy import Column, ColumnElement, Connection, Row, and_, delete, exists, func, insert, or_, select, update
 
 from estimation.jobs.job import Job, JobContext
 from estimation.values.reasons import ReasonCode
+from estimation.values.roll_up import APART
 from estimation.values.runs import TRIED_AGAIN, JobOutcome
 from estimation.values.windows import DueStage, WindowState
-from fleet_db.due import is_due
-from fleet_db.keeping.exclusive import keeping_alone
-from fleet_db.keeping.expired_tables import expired_tables, seal
+from fleet_db.due import DUE, is_due
 from fleet_db.keeping.kept_files import LEAST_AGE_S, SAMPLES, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
+from fleet_db.process_locks import keeping_alone
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import unlink_old
-from fleet_db.rows import table_of
-from fleet_db.storage import SqlStorage
+from fleet_db.receipts import ChunkRecord
+from fleet_db.rows import replace_all, table_of
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.tables.alerts import WebhookDeliveryRow
 from fleet_db.tables.operation import AuditRow, IdempotencyRow, JobRunRow
 from fleet_db.tables.recordings import PurgeRow
 from fleet_db.tables.results import ResultRow
-from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, TrackReportRow
-from fleet_db.tables.windows import WindowBinTableRow, WindowRow
+from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, TrackReportRow, WindowPositionRow
+from fleet_db.tables.windows import RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 from fleet_db.telemetry import WindowFiles
 from fleet_db.webhook_records import DeliveryState
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 EPOCHS, MEMBERS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow)
+ROLL_UPS, STATES, POSITIONS = table_of(RollUpRow), table_of(RollUpStateRow), table_of(WindowPositionRow)
+OF_ROLL_UP = and_(
+    TABLES.c.wheelset == ROLL_UPS.c.wheelset,
+    TABLES.c.start_ns.between(ROLL_UPS.c.first_ns, ROLL_UPS.c.last_ns),
+    or_(
+        ROLL_UPS.c.table_key == TABLES.c.parameter_key, ROLL_UPS.c.table_key.like(TABLES.c.parameter_key + f"{APART}%")
+    ),
+)
+OF_TABLE = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
+
+
+def expired_tables(connection: Connection, before_ns: int, number: int | None = None) -> Sequence[int]:
+    """Return the numbers of roll-ups whose tables may go, in their order.
+
+    Such a roll-up is over: a later one has begun. All its windows are older, and none has samples from which it could
+    be estimated again. Its sums are whole: no window of its wheelset from before is due, and it has as many windows as
+    there are tables.
+    """
+    later = ROLL_UPS.alias("later")
+    over = exists().where(later.c.wheelset == ROLL_UPS.c.wheelset, later.c.first_ns > ROLL_UPS.c.last_ns)
+    with_samples = exists().where(OF_ROLL_UP, OF_TABLE, WINDOWS.c.samples_purged_ns.is_(None))
+    of_stage = (DUE.c.stage == DueStage.SUMS.value, DUE.c.wheelset == ROLL_UPS.c.wheelset)
+    due = exists().where(*of_stage, DUE.c.start_ns < before_ns)
+    made = exists().where(STATES.c.wheelset == ROLL_UPS.c.wheelset, STATES.c.rules != "")
+    tables = select(func.count()).select_from(TABLES).where(OF_ROLL_UP).scalar_subquery()
+    statement = select(ROLL_UPS.c.number).where(~ROLL_UPS.c.sealed, ROLL_UPS.c.last_ns < before_ns, over, made)
+    statement = statement.where(~due, ~with_samples, tables == ROLL_UPS.c.windows)
+    if number is not None:
+        statement = statement.where(ROLL_UPS.c.number == number)
+    return list(connection.scalars(statement.order_by(ROLL_UPS.c.number)))
+
+
+def seal(connection: Connection, roll_up: int, now_ns: int) -> int:
+    """Delete the tables of a roll-up, which holds their sums from now on alone; return how many.
+
+    Where its windows were, and of which epochs, goes with them: no alignment is computed from them again.
+    """
+    this = ROLL_UPS.c.number == roll_up
+    row = connection.execute(select(ROLL_UPS.c.wheelset, ROLL_UPS.c.first_ns, ROLL_UPS.c.last_ns).where(this)).one()
+    own = exists().where(this, OF_ROLL_UP)
+    of_it = (WINDOWS.c.wheelset == row.wheelset, exists().where(OF_TABLE, this, OF_ROLL_UP))
+    connection.execute(update(ROLL_UPS).where(this).values(sealed=True))
+    connection.execute(update(WINDOWS).where(*of_it).values(table_purged_ns=now_ns))
+    count = int(connection.execute(delete(TABLES).where(TABLES.c.wheelset == row.wheelset, own)).rowcount)
+    _forget_places(connection, row.wheelset, row.first_ns, row.last_ns)
+    return count
+
+
+def _forget_places(connection: Connection, wheelset: str, first_ns: int, last_ns: int) -> None:
+    """Delete where windows were that cannot be estimated again, and of which epochs; an epoch counts the others."""
+    ended = or_(WINDOWS.c.table_purged_ns.is_not(None), WINDOWS.c.state == WindowState.REFUSED.value)
+    purged = (WINDOWS.c.samples_purged_ns.is_not(None), ended)
+    for table in (MEMBERS, POSITIONS):
+        of_window = (WINDOWS.c.wheelset == table.c.wheelset, WINDOWS.c.start_ns == table.c.start_ns)
+        within = (table.c.wheelset == wheelset, table.c.start_ns.between(first_ns, last_ns))
+        gone = and_(*within, exists().where(*of_window, *purged))
+        if table is MEMBERS:
+            epoch = (MEMBERS.c.section, MEMBERS.c.epoch)
+            held = connection.execute(select(*epoch, func.count()).where(gone).group_by(*epoch)).all()
+            for section, number, count in held:
+                same = (EPOCHS.c.section == section, EPOCHS.c.number == number)
+                connection.execute(update(EPOCHS).where(*same).values(windows=EPOCHS.c.windows - count))
+        connection.execute(delete(table).where(gone))
+
+
 WAITING = (ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.CLASS_UNKNOWN, ReasonCode.FILE_DAMAGED, *TRIED_AGAIN)
 """Reasons for which a window was refused until something comes that it needs its samples for."""
 
@@ -56,9 +108,6 @@ def expired_samples(connection: Connection, before_ns: int, limit: int) -> Seque
 
     A window is estimated and its table summed, or it is refused for good. It is of no epoch of an alignment that may be
     computed again when a recording comes late: nor of one that identified nothing, until a later one has.
-
-    Args:
-        before_ns: They start before it, ns UTC.
     """
     summed = and_(WINDOWS.c.state == WindowState.ESTIMATED.value, ~is_due(DueStage.SUMS, WINDOWS))
     waits = WINDOWS.c.reason_code.in_([code.value for code in WAITING])
@@ -79,13 +128,6 @@ def expired_samples(connection: Connection, before_ns: int, limit: int) -> Seque
     ).all()
 
 
-def mark_purged(connection: Connection, windows: Sequence[Row[Any, Any, Any, Any]], now_ns: int) -> None:
-    """Store that the samples of windows are gone, in the transaction that found them."""
-    same = (WINDOWS.c.wheelset == bindparam("of_wheelset"), WINDOWS.c.start_ns == bindparam("of_start_ns"))
-    keys = [{"of_wheelset": one.wheelset, "of_start_ns": one.start_ns} for one in windows]
-    connection.execute(update(WINDOWS).where(*same).values(samples_purged_ns=now_ns), keys)
-
-
 RUNS, KEYS, PURGES = table_of(JobRunRow), table_of(IdempotencyRow), table_of(PurgeRow)
 ENTRIES, DELIVERIES = table_of(AuditRow), table_of(WebhookDeliveryRow)
 RESULTS, REPORTS = table_of(ResultRow), table_of(TrackReportRow)
@@ -104,6 +146,7 @@ BY_DATA = frozenset(
 """Kinds whose age ends a day after the newest data: a clock of ours that is ahead makes nothing old."""
 
 Checkpoint = Callable[[], None]
+V = TypeVar("V")
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,14 +163,8 @@ def purge(
 ) -> list[Purged]:
     """Delete what has been kept long enough; return how much of each kind.
 
-    Every batch is a transaction of its own with its record, so that a purge which ends early has done a part.
-
-    Args:
-        checkpoint: Called between batches; it may raise to end the purge.
-
-    Raises:
-        ConflictError: A backup, restore or other purge is running.
-        StorageError, PassingFaultError: The database, a directory or the store of raw recordings cannot be used.
+    Every batch is a transaction of its own with its record, so that a purge which ends early, by ``checkpoint``, has
+    done a part. ConflictError: a backup, restore or other purge is running.
     """
     with keeping_alone(storage.engine):
         with storage.read() as unit:
@@ -137,35 +174,8 @@ def purge(
             counted_ns = now_ns if newest_ns is None or kind not in BY_DATA else min(now_ns, newest_ns + DAY_NS)
             before_ns = retention.before_ns(kind, counted_ns)
             if before_ns is not None:
-                found.append(_purge_kind(storage, raw, kind, before_ns, now_ns, checkpoint))
+                found.append(_Purge(storage, raw, kind, before_ns, now_ns, checkpoint).run())
         return found
-
-
-def _purge_kind(
-    storage: SqlStorage, raw: RawStore, kind: Kept, before_ns: int, now_ns: int, checkpoint: Checkpoint
-) -> Purged:
-    if kind is Kept.ORPHANED_FILES:
-        return _purge_orphans(storage, raw, before_ns, now_ns)
-    if kind is Kept.RECORDINGS:
-        return _purge_recordings(storage, raw, before_ns, now_ns, checkpoint)
-    if kind is Kept.WINDOW_SAMPLES:
-        return _purge_samples(storage, before_ns, now_ns, checkpoint)
-    if kind is Kept.EVERY_ESTIMATE:
-        return _thin_estimates(storage, before_ns, now_ns, checkpoint)
-    if kind is Kept.WINDOW_BIN_TABLES:
-        return _purge_tables(storage, before_ns, now_ns, checkpoint)
-    items = 0
-    for expired in _expired(kind, before_ns):
-        while True:
-            checkpoint()
-            with storage.write() as unit:
-                count = _delete(unit.connection, expired)
-                if count:
-                    record_purge(unit.connection, Purged(kind, count), before_ns, now_ns)
-            items += count
-            if count < BATCH:
-                break
-    return Purged(kind, items)
 
 
 def record_purge(connection: Connection, purged: Purged, before_ns: int, now_ns: int) -> None:
@@ -181,122 +191,148 @@ def purged_before(connection: Connection, kind: Kept) -> int | None:
 
 
 @dataclass(frozen=True, slots=True)
-class _Expired:
-    """Rows of a table to delete: its key, and which of them."""
+class _Purge:
+    """The purge of one kind: what is of before a time."""
 
-    key: Column[Any]
-    where: ColumnElement[bool]
+    storage: SqlStorage
+    raw: RawStore
+    kind: Kept
+    before_ns: int
+    now_ns: int
+    checkpoint: Checkpoint
+
+    def run(self) -> Purged:
+        """Delete it all."""
+        if self.kind is Kept.ORPHANED_FILES:
+            return self._orphans()
+        if self.kind is Kept.RECORDINGS:
+            return self._batches(self._recordings, lambda one: one.size_bytes, self._remove_recording)
+        if self.kind is Kept.WINDOW_SAMPLES:
+            return self._batches(self._samples, lambda one: int(one.sample_bytes), self._remove_samples)
+        if self.kind is Kept.EVERY_ESTIMATE:
+            return self._thin_estimates()
+        if self.kind is Kept.WINDOW_BIN_TABLES:
+            return self._tables()
+        key, expired = _expired(self.kind, self.before_ns)
+        return self._batches(partial(_delete, key, expired), lambda _: 0, lambda _: None)
+
+    def _batches(
+        self,
+        take: Callable[[SqlUnitOfWork], Sequence[V]],
+        bytes_of: Callable[[V], int],
+        remove: Callable[[V], object],
+    ) -> Purged:
+        """Delete batches until one is not full: first the rows say so, then the bytes go."""
+        items = size = 0
+        while True:
+            self.checkpoint()
+            with self.storage.write() as unit:
+                batch = take(unit)
+                part = Purged(self.kind, len(batch), sum(map(bytes_of, batch)))
+                if batch:
+                    record_purge(unit.connection, part, self.before_ns, self.now_ns)
+            for one in batch:
+                remove(one)
+            items, size = items + part.items, size + part.item_bytes
+            if len(batch) < BATCH:
+                return Purged(self.kind, items, size)
+
+    def _recordings(self, unit: SqlUnitOfWork) -> Sequence[ChunkRecord]:
+        return unit.chunks.purge(self.before_ns, self.now_ns, BATCH)
+
+    def _remove_recording(self, record: ChunkRecord) -> None:
+        self.raw.remove(record.digest, record.suffix)
+
+    def _samples(self, unit: SqlUnitOfWork) -> Sequence[Row[Any, Any, Any, Any]]:
+        windows = expired_samples(unit.connection, self.before_ns, BATCH)
+        gone = [
+            {"wheelset": one.wheelset, "start_ns": one.start_ns, "samples_purged_ns": self.now_ns} for one in windows
+        ]
+        replace_all(unit.connection, WINDOWS, gone)
+        return windows
+
+    def _remove_samples(self, window: Row[Any, Any, Any, Any]) -> None:
+        """Delete a file; one that was used again meanwhile stays, and goes as an orphan where no row refers to it."""
+        unlink_old(WindowFiles(self.storage.data_dir / SAMPLES).path(window.content_digest), LEAST_AGE_S)
+
+    def _tables(self) -> Purged:
+        """Delete the bin tables of roll-ups that are whole and old, one roll-up a transaction."""
+        items = 0
+        with self.storage.read() as unit:
+            found = expired_tables(unit.connection, self.before_ns)
+        for number in found:
+            self.checkpoint()
+            with self.storage.write() as unit:
+                # something may have been added to it meanwhile
+                if not expired_tables(unit.connection, self.before_ns, number):
+                    continue
+                count = seal(unit.connection, number, self.now_ns)
+                record_purge(unit.connection, Purged(self.kind, count), self.before_ns, self.now_ns)
+            items += count
+        return Purged(self.kind, items)
+
+    def _thin_estimates(self) -> Purged:
+        """Delete estimates of whole days, but the last of each day; days that were thinned before are not looked at."""
+        before_ns = self.before_ns - self.before_ns % DAY_NS
+        items = 0
+        with self.storage.read() as unit:
+            thinned_ns = purged_before(unit.connection, self.kind) or 0
+            numbers = replaced_within_a_day(unit.connection, thinned_ns, before_ns)
+        batches = [numbers[first : first + BATCH] for first in range(0, len(numbers), BATCH)]
+        for place, batch in enumerate(batches, start=1):
+            self.checkpoint()
+            with self.storage.write() as unit:
+                count = unit.connection.execute(delete(RESULTS).where(RESULTS.c.result_id.in_(batch))).rowcount
+                done_ns = before_ns if place == len(batches) else thinned_ns
+                record_purge(unit.connection, Purged(self.kind, count), done_ns, self.now_ns)
+            items += count
+        return Purged(self.kind, items)
+
+    def _orphans(self) -> Purged:
+        """Delete files that no row refers to, what killed processes left, and recordings that were purged."""
+        age_s = max((self.now_ns - self.before_ns) / DAY_NS * 86_400.0, LEAST_AGE_S)
+        with self.storage.read() as unit:
+            gone = unit.chunks.purged()  # others that no row refers to may be those of a newer database
+        found = orphaned_recordings(self.storage, self.raw, age_s)
+        sizes = [unlink_old(self.storage.data_dir / path, age_s) for path in orphaned_samples(self.storage, age_s)]
+        sizes += [self.raw.remove_old(one, age_s) for one in found if not one.digest or one.digest in gone]
+        deleted = [size for size in sizes if size is not None]
+        purged = Purged(self.kind, len(deleted), sum(deleted))
+        if deleted:
+            with self.storage.write() as unit:
+                record_purge(unit.connection, purged, self.before_ns, self.now_ns)
+        return purged
 
 
-def _delete(connection: Connection, expired: _Expired) -> int:
-    """Delete one batch; return how many rows it was."""
-    keys = list(connection.scalars(select(expired.key).where(expired.where).limit(BATCH)))
+def _delete(key: Column[Any], expired: ColumnElement[bool], unit: SqlUnitOfWork) -> Sequence[Any]:
+    """Delete one batch of the rows of a table, which has this key; return their keys."""
+    keys = list(unit.connection.scalars(select(key).where(expired).limit(BATCH)))
     if keys:
-        connection.execute(delete(expired.key.table).where(expired.key.in_(keys)))
-    return len(keys)
+        unit.connection.execute(delete(key.table).where(key.in_(keys)))
+    return keys
 
 
-def _expired(kind: Kept, before_ns: int) -> Sequence[_Expired]:
-    """Return the expired rows of a kind, by table."""
+def _expired(kind: Kept, before_ns: int) -> tuple[Column[Any], ColumnElement[bool]]:
+    """Return the key of the table of a kind, and which of its rows have expired."""
     if kind is Kept.IDEMPOTENCY_KEYS:
-        return [_Expired(KEYS.c.key, KEYS.c.recorded_ns < before_ns)]
+        return KEYS.c.key, KEYS.c.recorded_ns < before_ns
     if kind is Kept.AUDIT:
-        return [_Expired(ENTRIES.c.entry_id, ENTRIES.c.at_ns < before_ns)]
+        return ENTRIES.c.entry_id, ENTRIES.c.at_ns < before_ns
     if kind is Kept.WEBHOOK_DELIVERIES:
         ended = and_(DELIVERIES.c.state != DeliveryState.WAITING.value, DELIVERIES.c.last_ns < before_ns)
-        return [_Expired(DELIVERIES.c.delivery_id, ended)]
+        return DELIVERIES.c.delivery_id, ended
     if kind in {Kept.JOB_RUNS, Kept.FAILED_JOB_RUNS}:
         later = RUNS.alias("later")
         same = (later.c.job == RUNS.c.job, later.c.outcome == RUNS.c.outcome)
         good = RUNS.c.outcome == JobOutcome.SUCCEEDED.value
         ended = and_(good if kind is Kept.JOB_RUNS else ~good, RUNS.c.finished_ns < before_ns)
-        return [_Expired(RUNS.c.run_id, and_(ended, exists().where(*same, later.c.run_id > RUNS.c.run_id)))]
-    if kind is Kept.TRACK_REPORTS:
-        return [_replaced(REPORTS.c.report_id, ("section", "version"), before_ns)]
-    return [_Expired(RESULTS.c.result_id, RESULTS.c.superseded_ns < before_ns)]
-
-
-def _replaced(number: Column[Any], key: Sequence[str], before_ns: int) -> _Expired:
-    """Return the rows that a later one of the same key had replaced before a time."""
-    table = number.table
-    later = table.alias("later")
-    same = [later.c[name].is_not_distinct_from(table.c[name]) for name in key]
-    return _Expired(number, exists().where(*same, later.c[number.name] > number, later.c.recorded_ns < before_ns))
-
-
-def _purge_recordings(
-    storage: SqlStorage, raw: RawStore, before_ns: int, now_ns: int, checkpoint: Checkpoint
-) -> Purged:
-    """Delete the raw bytes of decoded recordings: first the rows say so, then the bytes go."""
-    items = size = 0
-    while True:
-        checkpoint()
-        with storage.write() as unit:
-            batch = unit.chunks.purge(before_ns, now_ns, BATCH)
-            part = Purged(Kept.RECORDINGS, len(batch), sum(record.size_bytes for record in batch))
-            if batch:
-                record_purge(unit.connection, part, before_ns, now_ns)
-        for record in batch:
-            raw.remove(record.digest, record.suffix)
-        items, size = items + part.items, size + part.item_bytes
-        if len(batch) < BATCH:
-            return Purged(Kept.RECORDINGS, items, size)
-
-
-def _purge_samples(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint: Checkpoint) -> Purged:
-    """Delete the sample files of windows: first the rows say so, then the files go.
-
-    A file that was used again meanwhile stays; where no row refers to it, it goes as an orphan.
-    """
-    files = WindowFiles(storage.data_dir / SAMPLES)
-    items = size = 0
-    while True:
-        checkpoint()
-        with storage.write() as unit:
-            batch = expired_samples(unit.connection, before_ns, BATCH)
-            part = Purged(Kept.WINDOW_SAMPLES, len(batch), sum(one.sample_bytes for one in batch))
-            if batch:
-                mark_purged(unit.connection, batch, now_ns)
-                record_purge(unit.connection, part, before_ns, now_ns)
-        for one in batch:
-            unlink_old(files.path(one.content_digest), LEAST_AGE_S)
-        items, size = items + part.items, size + part.item_bytes
-        if len(batch) < BATCH:
-            return Purged(Kept.WINDOW_SAMPLES, items, size)
-
-
-def _purge_tables(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint: Checkpoint) -> Purged:
-    """Delete the bin tables of roll-ups that are whole and old, one roll-up a transaction."""
-    items = 0
-    with storage.read() as unit:
-        found = expired_tables(unit.connection, before_ns)
-    for number in found:
-        checkpoint()
-        with storage.write() as unit:
-            if not expired_tables(unit.connection, before_ns, number):  # something has been added to it meanwhile
-                continue
-            count = seal(unit.connection, number, now_ns)
-            record_purge(unit.connection, Purged(Kept.WINDOW_BIN_TABLES, count), before_ns, now_ns)
-        items += count
-    return Purged(Kept.WINDOW_BIN_TABLES, items)
-
-
-def _thin_estimates(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint: Checkpoint) -> Purged:
-    """Delete estimates of whole days, but the last of each day; days that were thinned before are not looked at."""
-    before_ns -= before_ns % DAY_NS
-    items = 0
-    with storage.read() as unit:
-        thinned_ns = purged_before(unit.connection, Kept.EVERY_ESTIMATE) or 0
-        numbers = replaced_within_a_day(unit.connection, thinned_ns, before_ns)
-    batches = [numbers[first : first + BATCH] for first in range(0, len(numbers), BATCH)]
-    for place, batch in enumerate(batches, start=1):
-        checkpoint()
-        with storage.write() as unit:
-            count = unit.connection.execute(delete(RESULTS).where(RESULTS.c.result_id.in_(batch))).rowcount
-            done_ns = before_ns if place == len(batches) else thinned_ns
-            record_purge(unit.connection, Purged(Kept.EVERY_ESTIMATE, count), done_ns, now_ns)
-        items += count
-    return Purged(Kept.EVERY_ESTIMATE, items)
+        return RUNS.c.run_id, and_(ended, exists().where(*same, later.c.run_id > RUNS.c.run_id))
+    if kind is Kept.TRACK_REPORTS:  # those that a later one of the same section and version had replaced
+        other = REPORTS.alias("later")
+        same = (other.c.section == REPORTS.c.section, other.c.version.is_not_distinct_from(REPORTS.c.version))
+        followed = exists().where(*same, other.c.report_id > REPORTS.c.report_id, other.c.recorded_ns < before_ns)
+        return REPORTS.c.report_id, followed
+    return RESULTS.c.result_id, RESULTS.c.superseded_ns < before_ns
 
 
 def replaced_within_a_day(connection: Connection, from_ns: int, before_ns: int) -> Sequence[int]:
@@ -305,21 +341,6 @@ def replaced_within_a_day(connection: Connection, from_ns: int, before_ns: int) 
     within = (RESULTS.c.recorded_ns >= from_ns, RESULTS.c.recorded_ns < before_ns)
     found = select(RESULTS.c.result_id).where(*within, RESULTS.c.superseded_ns < end_of_day)
     return list(connection.scalars(found.order_by(RESULTS.c.result_id)))
-
-
-def _purge_orphans(storage: SqlStorage, raw: RawStore, before_ns: int, now_ns: int) -> Purged:
-    """Delete files of windows that no row refers to, what killed processes left, and recordings that were purged."""
-    age_s = max((now_ns - before_ns) / DAY_NS * 86_400.0, LEAST_AGE_S)
-    with storage.read() as unit:
-        gone = unit.chunks.purged()  # others that no row refers to may be those of a newer database
-    recordings = [one for one in orphaned_recordings(storage, raw, age_s) if not one.digest or one.digest in gone]
-    sizes = [unlink_old(storage.data_dir / path, age_s) for path in orphaned_samples(storage, age_s)]
-    deleted = [size for size in (*sizes, *(raw.remove_old(one, age_s) for one in recordings)) if size is not None]
-    purged = Purged(Kept.ORPHANED_FILES, len(deleted), sum(deleted))
-    if deleted:
-        with storage.write() as unit:
-            record_purge(unit.connection, purged, before_ns, now_ns)
-    return purged
 
 
 EVERY_S = 86_400.0

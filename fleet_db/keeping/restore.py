@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import sqlite3
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from sqlalchemy import Connection, Engine, exists, inspect, select
 
 from estimation.errors import ConflictError, InputError, StorageError
-from fleet_db.atomic_files import sync_directory
-from fleet_db.keeping.backup import Manifest, copy_rows, read_manifest, row_counts, sha256_of
-from fleet_db.keeping.exclusive import keeping_alone
+from fleet_db.atomic_files import sha256_of, sync_directory, synchronise
+from fleet_db.keeping.backup import Manifest, copy_rows, read_manifest, row_counts, without_log
 from fleet_db.keeping.kept_files import (
     RAW,
+    Holdings,
+    Kept,
     KeptFile,
-    KeptRecording,
-    copy_kept,
-    copy_recording,
+    Progress,
+    copy_all,
     kept_files,
     kept_recordings,
+    lines_of,
     not_listed,
 )
 from fleet_db.migrate import check_upgradable, known_revisions, refusal, upgrade
+from fleet_db.process_locks import keeping_alone
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import FileRawStore
 from fleet_db.rows import table_of
@@ -39,7 +39,6 @@ from fleet_db.tables import Base
 from fleet_db.tables.windows import WindowRow
 
 WINDOWS = table_of(WindowRow)
-Progress = Callable[[int, int], None]
 CONTENT = ("fleets", "vehicles", "wheelsets", "track_sections", "chunks")
 CAUSE = "restored without the files of its windows"
 
@@ -67,17 +66,13 @@ class Installation:
 def restore(into: Installation, folder: Path, name: str | None = None, *, progress: Progress) -> Restored:
     """Restore a backup; files first, then all rows in one step, so that an interrupted restore can be repeated.
 
-    Args:
-        into: The database must be without content, SQLite or PostgreSQL whatever the backup was made of. Files in the
-            data folder and recordings in the store stay.
-        name: Of the backup; the newest where left out.
-        progress: Called with (done, total) files.
+    The database must be without content, SQLite or PostgreSQL whatever the backup was made of. Files in the data folder
+    and recordings in the store stay. Without a name it is the newest backup.
 
     Raises:
         InputError: There is no such backup, its database is damaged, or it is of a version that no upgrade leads from.
         ConflictError: The database has content, or another backup, restore or purge is running.
         MigrationError: No upgrade of this version leads from the migration of the database.
-        StorageError, PassingFaultError: The database, a file or a recording cannot be read or written.
     """
     manifest = read_manifest(folder, name)
     _check(manifest, folder)
@@ -124,13 +119,16 @@ def _restored(engine: Engine, into: Installation, folder: Path, manifest: Manife
             with translate_errors(), reading.connect() as source:
                 recordings = list(kept_recordings(source))
                 files = list(kept_files(source)) if manifest.windows_kept else []
-                lost = _copied(recordings, files, into, folder, manifest, progress)
+                lost = [] if manifest.recordings_kept else not_listed(recordings, into.raw)
+                skipped = 0 if manifest.recordings_kept else len(recordings)
+                to_copy: list[Kept] = [*recordings[skipped:], *files]
+                here, saved = Holdings(into.data_dir, into.raw), Holdings(folder, FileRawStore(folder / RAW))
+                lost += copy_all(to_copy, saved, here, lambda done, total: progress(done + skipped, total + skipped))
                 stale = _stale(source, manifest, [one for one, _ in lost if isinstance(one, KeptFile)])
                 rows = _store_rows(engine, into.url, source, database, stale)
         finally:
             reading.dispose()
-    missing = tuple(f"{_place(one, into.raw)} {fault} ({one.owner})" for one, fault in lost)
-    return Restored(manifest, rows, len(recordings) + len(files) - len(lost), missing, stale)
+    return Restored(manifest, rows, len(recordings) + len(files) - len(lost), lines_of(lost, here), stale)
 
 
 @contextmanager
@@ -140,42 +138,7 @@ def _at_this_version(manifest: Manifest, folder: Path, data_dir: Path) -> Iterat
         database = Path(name) / "database.sqlite3"
         shutil.copyfile(manifest.database_file(folder), database)
         upgrade(f"sqlite:///{database.resolve()}")
-        yield _without_log(database)
-
-
-def _without_log(database: Path) -> Path:
-    """Return the file after its write-ahead log went into it."""
-    with closing(sqlite3.connect(database)) as connection:
-        connection.execute("PRAGMA journal_mode = DELETE")
-    return database
-
-
-def _copied(
-    recordings: list[KeptRecording],
-    files: list[KeptFile],
-    into: Installation,
-    folder: Path,
-    manifest: Manifest,
-    progress: Progress,
-) -> list[tuple[KeptRecording | KeptFile, str]]:
-    """Copy what the backup holds; return what is not there after that, each with what is wrong."""
-    saved, total = FileRawStore(folder / RAW), len(recordings) + len(files)
-    lost: list[tuple[KeptRecording | KeptFile, str]] = []
-    if not manifest.recordings_kept:
-        lost += not_listed(recordings, into.raw)
-    for done, kept in enumerate(recordings if manifest.recordings_kept else (), start=1):
-        fault = copy_recording(kept, saved, into.raw)
-        lost += [] if fault is None else [(kept, fault)]
-        progress(done, total)
-    for done, file in enumerate(files, start=len(recordings) + 1):
-        fault = copy_kept(file, folder, into.data_dir)
-        lost += [] if fault is None else [(file, fault)]
-        progress(done, total)
-    return lost
-
-
-def _place(one: KeptRecording | KeptFile, raw: RawStore) -> str:
-    return str(one.path) if isinstance(one, KeptFile) else raw.place(one.digest, one.suffix)
+        yield without_log(database)
 
 
 def _stale(source: Connection, manifest: Manifest, lost: list[KeptFile]) -> tuple[str, ...]:
@@ -206,25 +169,16 @@ def _store_rows(engine: Engine, url: str, source: Connection, database: Path, st
                 rows = _finished(target, stale)
         finally:
             new.dispose()
-        _without_log(part)
-        _into_place(part, file)
+        synchronise(without_log(part))
+        for leftover in ("-wal", "-shm"):
+            file.with_name(f"{file.name}{leftover}").unlink(missing_ok=True)
+        part.replace(file)
+        sync_directory(file.parent)
     except OSError as error:
         raise StorageError(f"{file}: cannot be written: {error.strerror}") from error
     finally:
         part.unlink(missing_ok=True)
     return rows
-
-
-def _into_place(part: Path, file: Path) -> None:
-    handle = os.open(part, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-    for leftover in ("-wal", "-shm"):
-        file.with_name(f"{file.name}{leftover}").unlink(missing_ok=True)
-    part.replace(file)
-    sync_directory(file.parent)
 
 
 def _finished(target: Connection, stale: tuple[str, ...]) -> dict[str, int]:

@@ -33,31 +33,20 @@ class Kept(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Retention:
-    """Days that each kind is kept; None for ever.
+    """Days that each kind is kept; None for ever."""
 
-    Args:
-        job_runs, failed_job_runs: After their end.
-        superseded_estimates: After the estimate that replaced it: so far back ``as_of`` answers.
-        every_estimate: After it was recorded; then the last of each day, UTC, is kept: ``as_of`` answers to the day.
-        recordings: After they were received; not below ``LEAST_DAYS_OF_RECORDINGS``, for those beside them may still
-            come.
-        window_samples: After the start of the window; not below ``LEAST_DAYS_OF_SAMPLES``.
-        window_bin_tables: After the start of the newest window of their roll-up; those of windows that have samples
-            stay.
-    """
-
-    job_runs: float | None = 14.0
+    job_runs: float | None = 14.0  # after their end, as those that failed
     failed_job_runs: float | None = 180.0
     idempotency_keys: float | None = 7.0
-    superseded_estimates: float | None = 730.0
-    every_estimate: float | None = 31.0
+    superseded_estimates: float | None = 730.0  # after the one that replaced it: so far back ``as_of`` answers
+    every_estimate: float | None = 31.0  # after it was recorded; then the last of each day, UTC, is kept
     track_reports: float | None = 730.0
-    recordings: float | None = None
+    recordings: float | None = None  # after they were received; those beside them may still come for a month
     audit: float | None = 730.0
     webhook_deliveries: float | None = 30.0
     orphaned_files: float | None = 1.0
-    window_samples: float | None = 31.0
-    window_bin_tables: float | None = 92.0
+    window_samples: float | None = 31.0  # after the start of the window
+    window_bin_tables: float | None = 92.0  # after the start of the newest window of their roll-up
 
     def __post_init__(self) -> None:
         for kind in Kept:

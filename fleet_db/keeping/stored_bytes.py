@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from sqlalchemy import (
@@ -59,44 +58,32 @@ class DatabaseSize:
     free_bytes: int
 
 
+_SIZES = text("""
+    SELECT c.relname AS name, CASE WHEN c.reltuples < 0 THEN coalesce(s.n_live_tup, 0) ELSE c.reltuples END,
+           pg_table_size(c.oid), pg_indexes_size(c.oid)
+    FROM pg_class c JOIN pg_namespace n ON n.oid = c.relnamespace LEFT JOIN pg_stat_user_tables s ON s.relid = c.oid
+    WHERE c.relkind = 'r' AND n.nspname = current_schema()
+""")
+
+
 def database_size(connection: Connection, exact_bytes: int = EXACT_BYTES) -> DatabaseSize:
     """Return the size of every table.
 
     PostgreSQL keeps sizes and row counts itself. In SQLite the pages of a small file are counted; of a large one a
     few rows are read at even distances, and their mean is scaled to the size of the file.
-
-    Args:
-        exact_bytes: Largest SQLite file of which every page is counted.
     """
     if connection.dialect.name == "postgresql":
-        return _of_postgresql(connection)
-    pages, size, free = (int(connection.scalar(text(f"PRAGMA {name}")) or 0) for name in _PRAGMAS)
-    if pages * size <= exact_bytes:
-        found = _by_page(connection)
-        if found is not None:
-            return DatabaseSize(found, free * size)
+        sizes = [row for row in connection.execute(_SIZES) if row[0] in Base.metadata.tables]
+        found = {
+            name: TableSize(int(rows), int(table), int(indexes), estimated=True) for name, rows, table, indexes in sizes
+        }
+        return DatabaseSize(found, 0)
+    pragmas = ("page_count", "page_size", "freelist_count")
+    pages, size, free = (int(connection.scalar(text(f"PRAGMA {name}")) or 0) for name in pragmas)
+    counted = _by_page(connection) if pages * size <= exact_bytes else None
+    if counted is not None:
+        return DatabaseSize(counted, free * size)
     return DatabaseSize(_by_sample(connection, (pages - free) * size, size), free * size)
-
-
-_PRAGMAS = ("page_count", "page_size", "freelist_count")
-
-_SIZES = text("""
-    SELECT coalesce(pg_partition_root(c.oid)::regclass, c.oid::regclass)::text AS name,
-           sum(CASE WHEN c.reltuples < 0 THEN coalesce(s.n_live_tup, 0) ELSE c.reltuples END) AS rows,
-           sum(pg_table_size(c.oid)) AS table_bytes, sum(pg_indexes_size(c.oid)) AS index_bytes
-    FROM pg_class c JOIN pg_namespace n ON n.oid = c.relnamespace LEFT JOIN pg_stat_user_tables s ON s.relid = c.oid
-    WHERE c.relkind IN ('r', 'p') AND n.nspname = current_schema() GROUP BY 1
-""")
-
-
-def _of_postgresql(connection: Connection) -> DatabaseSize:
-    ours = Base.metadata.tables
-    found = {}
-    for row in connection.execute(_SIZES):
-        name = row.name.rpartition(".")[2].strip('"')
-        if name in ours:
-            found[name] = TableSize(int(row.rows), int(row.table_bytes), int(row.index_bytes), estimated=True)
-    return DatabaseSize(found, 0)
 
 
 def _by_page(connection: Connection) -> dict[str, TableSize] | None:
@@ -108,9 +95,9 @@ def _by_page(connection: Connection) -> dict[str, TableSize] | None:
     taken = {str(name): int(size) for name, size in rows}
     found = {}
     for table in _existing(connection):
-        own = connection.execute(text("SELECT name FROM sqlite_master WHERE type = 'index' AND tbl_name = :table"),
-                                 {"table": table.name})  # fmt: skip
-        index_bytes = sum(taken.get(str(index), 0) for (index,) in own)
+        own = text("SELECT name FROM sqlite_master WHERE type = 'index' AND tbl_name = :table")
+        indexes = connection.scalars(own, {"table": table.name})
+        index_bytes = sum(taken.get(str(index), 0) for index in indexes)
         count = int(connection.scalar(select(func.count()).select_from(table)) or 0)
         found[table.name] = TableSize(count, taken.get(table.name, 0), index_bytes, estimated=False)
     return found
@@ -237,29 +224,22 @@ class StoredBytes:
 def stored_bytes(
     storage: SqlStorage, raw: RawStore, retention: Retention, hours_per_day: float | None = None
 ) -> StoredBytes:
-    """Return where the bytes are.
-
-    Args:
-        hours_per_day: Running of a wheelset to reckon with; None: as in the last days of data.
-
-    Raises:
-        StorageError, PassingFaultError: The database, a directory or the store of raw recordings cannot be read.
-    """
+    """Return where the bytes are, for wheelsets that run so much a day; None: as in the last days of data."""
     with storage.read() as unit:
         size = database_size(unit.connection, EXACT_BYTES)
         running = _running(unit.connection, size.tables["windows"].rows, hours_per_day)
         raw_hour = _raw_bytes_per_hour(unit.connection, running)
     year = _Year(running, retention)
     kinds = [_of_tables(kind, size.tables, year) for kind in (*TABLES, OTHER)]
-    samples = _samples(storage.data_dir / SAMPLES)
+    folder = storage.data_dir / SAMPLES
+    try:
+        samples = total_of(folder, LOOKED_AT_FILES)
+    except OSError as error:
+        raise StorageError(f"{folder}: cannot be read: {error.strerror}") from error
     one = samples.size_bytes / samples.items if samples.items else 0.0
     per_hour = one / running.window_hours if running.window_hours else 0.0
-    kinds += [
-        _of_files("samples of windows", samples, retention.window_samples, year.kept(per_hour, Kept.WINDOW_SAMPLES)),
-        _of_files(
-            "raw recordings", raw.total(LOOKED_AT_FILES), retention.recordings, year.kept(raw_hour, Kept.RECORDINGS)
-        ),
-    ]
+    kinds.append(_of_files("samples of windows", samples, Kept.WINDOW_SAMPLES, per_hour, year))
+    kinds.append(_of_files("raw recordings", raw.total(LOOKED_AT_FILES), Kept.RECORDINGS, raw_hour, year))
     return StoredBytes(tuple(sorted(kinds, key=lambda kind: -kind.bytes)), running, size.free_bytes)
 
 
@@ -293,15 +273,9 @@ def _of_tables(kind: str, sizes: Mapping[str, TableSize], year: _Year) -> Stored
     return StoredKind(kind, items, item_bytes, index_bytes, estimated, days, year.kept(per_hour, kept))
 
 
-def _of_files(kind: str, found: RawTotal, days: float | None, year_bytes: int | None) -> StoredKind:
-    return StoredKind(kind, found.items, found.size_bytes, 0, found.estimated, days, year_bytes)
-
-
-def _samples(path: Path) -> RawTotal:
-    try:
-        return total_of(path, LOOKED_AT_FILES)
-    except OSError as error:
-        raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
+def _of_files(kind: str, found: RawTotal, kept: Kept, per_hour: float, year: _Year) -> StoredKind:
+    days = getattr(year.retention, kept.value)
+    return StoredKind(kind, found.items, found.size_bytes, 0, found.estimated, days, year.kept(per_hour, kept))
 
 
 def _running(connection: Connection, windows: int, hours_per_day: float | None) -> Running:

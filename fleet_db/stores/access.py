@@ -1,4 +1,4 @@
-"""Keys of the REST API."""
+"""Keys of the REST API, the audit log, and answers already given to requests that carried a key."""
 
 from __future__ import annotations
 

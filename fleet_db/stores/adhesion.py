@@ -73,10 +73,6 @@ class AdhesionStore:
         """Return the creep of the windows of a wheelset that begin after a time, oldest first.
 
         A window whose samples are others by now is left out until it has been looked at again.
-
-        Args:
-            after_ns: Start of the one behind which to go on; None from the beginning.
-            limit: How many at most.
         """
         same = (OF_WINDOWS.c.wheelset == wheelset, OF_WINDOWS.c.content_digest == WINDOWS.c.content_digest)
         chosen = select(OF_WINDOWS).select_from(OF_WINDOWS.join(WINDOWS, SAME)).where(*same)
@@ -109,13 +105,7 @@ class AdhesionStore:
         return len(found)
 
     def put_section(self, found: SectionAdhesion, code_version: str, made_with: str) -> bool:
-        """Store the friction of a section; return whether anything changed.
-
-        Of the hours that end within these, those that reach back furthest are kept: so every time stays in some.
-
-        Args:
-            made_with: Digest of the limits that it was found with.
-        """
+        """Store a section's friction; of hours that end within these, those that reach back furthest stay: no gaps."""
         values = {
             "track_section": found.track_section,
             "to_ns": found.to_ns,
@@ -147,11 +137,7 @@ class AdhesionStore:
         return {row.track_section: (row.to_ns, row.made_with) for row in rows}
 
     def section(self, section: str, at_ns: int | None = None) -> SectionAdhesion | None:
-        """Return the newest friction of a section; None where there is none.
-
-        Args:
-            at_ns: Of hours that hold this vehicle time; None for the last hours.
-        """
+        """Return the newest friction of a section, or that of hours with a vehicle time; None where there is none."""
         statement = select(OF_SECTIONS).where(OF_SECTIONS.c.track_section == section)
         if at_ns is not None:
             statement = statement.where(OF_SECTIONS.c.from_ns <= at_ns, OF_SECTIONS.c.to_ns >= at_ns)

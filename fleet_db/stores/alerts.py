@@ -80,11 +80,7 @@ class AlertStore:
         return self._alerts(statement.order_by(ALERTS.c.alert_id))
 
     def get(self, alert_id: int) -> Alert:
-        """Return one alert.
-
-        Raises:
-            NotFoundError: There is none of that number.
-        """
+        """Return one alert; raises NotFoundError."""
         found = self._alerts(select(ALERTS).where(ALERTS.c.alert_id == alert_id))
         if not found:
             raise NotFoundError("alert", str(alert_id))
@@ -146,13 +142,8 @@ class AlertStore:
     ) -> Sequence[AlertEvent]:
         """Return at most ``limit`` events behind ``after_sequence``, in commit order; none ever appears before it.
 
-        Without those of members that were raised with their fleet alert, which stands for them here.
-
-        Args:
-            after_sequence: Number of the last event known.
-            limit: How many at most.
-            severities: Only of alerts that have had one of these until then, where there are some: an alert that was
-                listed is followed to its end, also when it becomes less urgent.
+        Without those of members that were raised with their fleet alert, which stands for them here. With severities
+        only of alerts that have had one of these until then: one that was listed is followed to its end.
         """
         statement = feed_of(select(EVENTS), after_sequence, fleets=fleets, kinds=kinds, severities=severities)
         return self._events(statement.limit(limit))
@@ -178,11 +169,7 @@ class AlertStore:
         return {event.sequence: event for event in found}
 
     def last_in_feed(self, up_to: int | None = None) -> AlertEvent | None:
-        """Return the newest event of the feed; None where there is none.
-
-        Args:
-            up_to: Not behind this number; None for all.
-        """
+        """Return the newest event of the feed, or the newest up to a number; None where there is none."""
         statement = select(EVENTS).where(EVENTS.c.in_feed).order_by(EVENTS.c.sequence.desc()).limit(1)
         if up_to is not None:
             statement = statement.where(EVENTS.c.sequence <= up_to)

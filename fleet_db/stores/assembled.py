@@ -9,12 +9,10 @@ from sqlalchemy import Connection, and_, case, delete, exists, func, select, tup
 
 from estimation.errors import DamagedError
 from estimation.values.windows import HUNTING_SHARE, DueStage, PassedOver, Window, WindowKey, WindowRecord
-from fleet_db import alignment_due
-from fleet_db.due import OF_SAMPLES, windows_changed
+from fleet_db.due import OF_SAMPLES, raise_sections, windows_changed, windows_left
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import insert_all_new, replace_all, table_of
-from fleet_db.stores.window_marks import list_for_sums, pass_over
-from fleet_db.stores.windows import to_window_record, window_values
+from fleet_db.stores.window_rows import list_for_sums, pass_over, to_window_record, window_values
 from fleet_db.subjects import Subjects
 from fleet_db.tables.recordings import ChunkRow
 from fleet_db.tables.track import WindowPositionRow
@@ -118,7 +116,7 @@ class AssembledWindowStore:
             self._touch(keys)
             replace_all(self.connection, WINDOWS, rows)
             self._changed(windows)
-            alignment_due.left(self.subjects, keys)
+            windows_left(self.subjects, keys)
 
     def _changed(self, windows: Sequence[AssembledWindow]) -> None:
         """List windows that have these samples now; those on no section are no concern of an alignment."""
@@ -126,7 +124,7 @@ class AssembledWindowStore:
         windows_changed(self.connection, [key for key, section in sections.items() if section is None])
         on_section = [key for key, section in sections.items() if section is not None]
         windows_changed(self.connection, on_section, (*OF_SAMPLES, DueStage.ALIGNMENT))
-        alignment_due.raise_sections(self.subjects, sections.values())
+        raise_sections(self.subjects, sections.values())
 
     def _touch(self, keys: Sequence[WindowKey]) -> None:
         """Let jobs look again at the sections that windows are on as they are stored, and at who hunts in them."""
@@ -191,7 +189,7 @@ class AssembledWindowStore:
             self.subjects.tables(record.wheelset)
             self.subjects.windows(record.wheelset, record.vehicle if record.quality.hunting.sustained else None)
             self.subjects.places(record.track_section)
-        alignment_due.left(self.subjects, [record.key for record in removed])
+        windows_left(self.subjects, [record.key for record in removed])
         return removed
 
     def _stays(self, record: WindowRecord) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 from sqlalchemy import (
@@ -26,15 +25,15 @@ from sqlalchemy import (
 )
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.jobs.steps.running_mileage import MOST_KM
+from estimation.motion.mileage import MOST_KM
 from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTable
 from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import insert_all_new, on_sections, replace, replace_all, table_of
-from fleet_db.stores.window_marks import keys_given, list_for_sums
-from fleet_db.stores.windows import NOT_PASSED_OVER, to_window_record
+from fleet_db.stores.window_rows import keys_given, list_for_sums, to_window_record
+from fleet_db.stores.windows import NOT_PASSED_OVER
 from fleet_db.subjects import Subjects
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
@@ -43,6 +42,15 @@ SAME_WINDOW = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns =
 BATCH = 500  # rows fetched at once
 TabledSpan = tuple[str, int, int | None, int]
 """Wheelset, first start, that behind the last one, and how many windows at most."""
+COMPARED = ("track_version", "window_digest", "parameter_key", "samples", "content_digest", "packed")
+_CONTENT = ("wheelset", "start_ns", "content_digest", "track_section", "table_purged_ns")
+CONTENTS = select(*(WINDOWS.c[name] for name in _CONTENT)).where(keys_given(WINDOWS))
+STORED = select(*(TABLES.c[name] for name in ("wheelset", "start_ns", *COMPARED))).where(keys_given(TABLES))
+WITHOUT_TABLES = select(
+    WINDOWS,
+    *(TABLES.c[name] for name in ("parameter_key", "track_version", "running_km")),
+    TABLES.c.content_digest.label("table_digest"),
+).join_from(WINDOWS, TABLES, SAME_WINDOW)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,22 +62,17 @@ class BinTableStore:
     once: ReadOnce = field(default_factory=ReadOnce)
 
     def put(self, wheelset: str, start_ns: int, table: BinTable, track_version: int | None, window_digest: str) -> None:
-        """Store the bin table of a window, in the place of an earlier one; the same again changes nothing.
-
-        Raises:
-            NotFoundError: There is no such window.
-            ConflictError: The window holds other content now than ``window_digest``.
-        """
+        """Store the bin table of a window; raises NotFoundError, and ConflictError where its content is other."""
         self.put_all([WindowTable(wheelset, start_ns, window_digest, table, track_version)])
 
     def put_all(self, tables: Sequence[WindowTable]) -> None:
         """Store the bin tables of different windows as :meth:`put` does; where one has been purged it stays summed."""
         windows = self._checked([(one.key, one.window_digest) for one in tables])
         rows = {one.key: _values(one) for one in tables if windows[one.key].table_purged_ns is None}
-        stored = self._stored(list(rows))
+        stored = self._by_key(STORED, list(rows))
         new = [row for key, row in rows.items() if key not in stored]
         if insert_all_new(self.connection, TABLES, new) < len(new):  # another transaction has stored some meanwhile
-            stored = self._stored(list(rows))
+            stored = self._by_key(STORED, list(rows))
         changed: list[WindowKey] = []
         for key, row in rows.items():
             if key in stored:
@@ -83,7 +86,7 @@ class BinTableStore:
 
     def _checked(self, expected: Sequence[tuple[WindowKey, str]]) -> Mapping[WindowKey, Row[Any]]:
         """Return the sections that windows are on, once their contents are those expected."""
-        windows = self._by_key(_contents(), [key for key, _ in expected])
+        windows = self._by_key(CONTENTS, [key for key, _ in expected])
         for key, digest in expected:
             name = f"{key[0]}@{key[1]}"
             if key not in windows:
@@ -91,10 +94,6 @@ class BinTableStore:
             if windows[key].content_digest != digest:
                 raise ConflictError(f"window {name} was replaced while it was estimated", kind="window", key=name)
         return windows
-
-    def _stored(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, Row[Any]]:
-        """Return by key what is compared of the tables that are there."""
-        return self._by_key(_compared(), keys)
 
     def _by_key(self, statement: Select[Any], keys: Sequence[WindowKey]) -> dict[WindowKey, Row[Any]]:
         found: dict[WindowKey, Row[Any]] = {}
@@ -133,7 +132,7 @@ class BinTableStore:
         if limit is not None and from_ns is not None:
             span = (wheelset, from_ns, to_ns, limit)
             return self.once.of("tabled", [span], self._some_tabled).get(span, [])
-        statement = _without_tables().where(TABLES.c.wheelset == wheelset)
+        statement = WITHOUT_TABLES.where(TABLES.c.wheelset == wheelset)
         if from_ns is not None:
             statement = statement.where(TABLES.c.start_ns >= from_ns)
         if to_ns is not None:
@@ -190,7 +189,7 @@ class BinTableStore:
         return found
 
     def _of_spans(self, given: FromClause, chosen: ColumnElement[bool]) -> Sequence[Row[Any]]:
-        statement = _without_tables().add_columns(*given.c).join(given, given.c.of_wheelset == TABLES.c.wheelset)
+        statement = WITHOUT_TABLES.add_columns(*given.c).join(given, given.c.of_wheelset == TABLES.c.wheelset)
         return self.connection.execute(statement.where(chosen).order_by(TABLES.c.wheelset, TABLES.c.start_ns)).all()
 
     def _packed(self, keys: Collection[WindowKey]) -> Mapping[WindowKey, bytes]:
@@ -228,14 +227,14 @@ class BinTableStore:
         self, wheelset: str, from_ns: int, to_ns: int | None
     ) -> Iterator[tuple[WindowRecord, BinTable, int | None]]:
         """Yield windows that start in ``[from_ns, to_ns)`` with bin table and track version, oldest first."""
-        statement = _selected(select(WINDOWS, TABLES.c.track_version, TABLES.c.packed), wheelset, from_ns, to_ns)
+        statement = select(WINDOWS, TABLES.c.track_version, TABLES.c.packed).join_from(WINDOWS, TABLES, SAME_WINDOW)
+        statement = statement.where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns >= from_ns)
+        statement = statement if to_ns is None else statement.where(WINDOWS.c.start_ns < to_ns)
+        statement = statement.order_by(WINDOWS.c.start_ns)
         with self.connection.execute(statement.execution_options(yield_per=BATCH)) as found:
             for row in found:
                 where = f"bin table of window {wheelset}@{row.start_ns}"
                 yield to_window_record(row), unpack_bin_table(row.packed, where=where), row.track_version
-
-
-COMPARED = ("track_version", "window_digest", "parameter_key", "samples", "content_digest", "packed")
 
 
 def _values(one: WindowTable) -> dict[str, Any]:
@@ -250,18 +249,6 @@ def _values(one: WindowTable) -> dict[str, Any]:
         "content_digest": hashlib.sha256(packed).hexdigest(),
         "packed": packed,
     }
-
-
-@cache
-def _contents() -> Select[Any]:
-    names = ("wheelset", "start_ns", "content_digest", "track_section", "table_purged_ns")
-    return select(*(WINDOWS.c[name] for name in names)).where(keys_given(WINDOWS))
-
-
-@cache
-def _compared() -> Select[Any]:
-    names = ("wheelset", "start_ns", *COMPARED)
-    return select(*(TABLES.c[name] for name in names)).where(keys_given(TABLES))
 
 
 def _spans(spans: Iterable[tuple[str, int, int | None]]) -> FromClause:
@@ -294,19 +281,3 @@ def _tabled(rows: Iterable[Row[Any]]) -> list[TabledWindow]:
         )
         for row in rows
     ]
-
-
-@cache
-def _without_tables() -> Select[Any]:
-    names = ("parameter_key", "track_version", "running_km")
-    columns = (*(TABLES.c[name] for name in names), TABLES.c.content_digest.label("table_digest"))
-    return select(WINDOWS, *columns).join_from(WINDOWS, TABLES, SAME_WINDOW)
-
-
-def _selected(columns: Select[Any], wheelset: str, from_ns: int, to_ns: int | None) -> Select[Any]:
-    statement = (
-        columns.join_from(WINDOWS, TABLES, SAME_WINDOW)
-        .where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns >= from_ns)
-        .order_by(WINDOWS.c.start_ns)
-    )
-    return statement if to_ns is None else statement.where(WINDOWS.c.start_ns < to_ns)

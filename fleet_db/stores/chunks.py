@@ -1,4 +1,4 @@
-"""Receipts of recordings."""
+"""Receipts of recordings, what was done to them by hand, and readings of their raw files."""
 
 from __future__ import annotations
 
@@ -183,20 +183,12 @@ class ChunkStore:
 
     def waiting_for_time(self, vehicle: str) -> Sequence[ChunkRecord]:
         """Return the receipts of a vehicle's recordings that wait for a TIME frame beside them, oldest first."""
-        statement = (
-            select(CHUNKS)
-            .where(CHUNKS.c.vehicle == vehicle, CHUNKS.c.state == ChunkState.STORED.value)
-            .where(CHUNKS.c.reason_code == ReasonCode.WAITS_FOR_TIME.value)
-            .order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
-        )
-        return self._read(statement)
+        return self._stored(ReasonCode.WAITS_FOR_TIME, CHUNKS.c.vehicle == vehicle)
 
     def beginning(self, digest: str) -> Sequence[ChunkRecord]:
         """Return the receipts whose digest begins so, at most two."""
         begins = func.substr(CHUNKS.c.digest, 1, len(digest)) == digest
-        return [
-            value_of_row(ChunkRecord, row) for row in self.connection.execute(select(CHUNKS).where(begins).limit(2))
-        ]
+        return self._read(select(CHUNKS).where(begins).limit(2))
 
     def page(
         self, chosen: ChosenChunks, limit: int, before: tuple[int, str] | None = None
@@ -226,22 +218,15 @@ class ChunkStore:
         kept = select(CHUNKS).where(CHUNKS.c.purged_ns.is_(None)).limit(count)
         oldest = kept.order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
         newest = kept.order_by(CHUNKS.c.recorded_ns.desc(), CHUNKS.c.digest)
-        return [
-            value_of_row(ChunkRecord, row)
-            for statement in (oldest, newest)
-            for row in self.connection.execute(statement)
-        ]
+        return [*self._read(oldest), *self._read(newest)]
 
     def of_known_vehicles(self) -> Sequence[ChunkRecord]:
         """Return the receipts of recordings that waited for their vehicle and whose vehicle there is, oldest first."""
-        statement = (
-            select(CHUNKS)
-            .where(CHUNKS.c.state == ChunkState.STORED.value)
-            .where(CHUNKS.c.reason_code == ReasonCode.VEHICLE_UNKNOWN.value)
-            .where(exists().where(VEHICLES.c.code == CHUNKS.c.vehicle))
-            .order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
-        )
-        return self._read(statement)
+        return self._stored(ReasonCode.VEHICLE_UNKNOWN, exists().where(VEHICLES.c.code == CHUNKS.c.vehicle))
+
+    def _stored(self, code: ReasonCode, condition: ColumnElement[bool]) -> Sequence[ChunkRecord]:
+        waiting = (CHUNKS.c.state == ChunkState.STORED.value, CHUNKS.c.reason_code == code.value, condition)
+        return self._read(select(CHUNKS).where(*waiting).order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest))
 
     def with_state(self, state: ChunkState, limit: int = 100) -> Sequence[ChunkRecord]:
         """Return receipts in ``state``, oldest first."""

@@ -28,10 +28,9 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import columns_of, delete_row, row_of, table_of
 from fleet_db.stores.registry import RegistryStore
-from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
-from fleet_db.stores.section_windows import make_stale
+from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore, stands_voided
 from fleet_db.stores.sensor_changes import SensorChangeStore, sensor_change_of
-from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS
+from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS, make_stale
 from fleet_db.stores.tracks import TrackStore, give_up_number
 from fleet_db.stores.vehicle_classes import find_class
 from fleet_db.stores.wheelset_events import MEASURED, MOUNTINGS, REPROFILINGS, stored_measurement
@@ -82,31 +81,37 @@ class CorrectionStore:
         return record
 
     def restore(self, key: RecordKey, decision: Decision) -> Mapping[str, JsonValue]:
-        """Put a voided record back as it was; return it.
-
-        Raises:
-            NotFoundError: No such record was voided.
-            ConflictError: There is one of its wheelset and time, or number, by now; or it overlaps another mounting.
-        """
+        """Put a voided record back as it was and return it; raises NotFoundError, ConflictError: another is there."""
         serialise(self.connection, Subject.REGISTRY)
         voided = self.history.latest(key, RecordAction.VOIDED)
         if voided is None:
             raise NotFoundError(f"voided {key.kind}", _name(key))
         if self._on_file(key) is not None:
             raise ConflictError(f"{key.kind} {_name(key)} is on file", kind=key.kind.value, key=key.subject)
-        put = {
-            RecordKind.MOUNTING: self._restore_mounting,
-            RecordKind.REPROFILING: self._restore_reprofiling,
-            RecordKind.MEASUREMENT: self._restore_measurement,
-            RecordKind.WHEELSET: self._restore_nothing,
-            RecordKind.SECTION: self._restore_section,
-            RecordKind.VEHICLE: self._restore_nothing,
-            RecordKind.VEHICLE_CLASS: self._restore_class,
-            RecordKind.SENSOR_CHANGE: self._restore_sensor_change,
-        }[key.kind]
         self.history.note(key, RecordAction.RESTORED, voided.record, decision)
-        put(dict(voided.record), decision.recorded_ns)
+        self._put_back(key.kind, dict(voided.record), decision.recorded_ns)
         return voided.record
+
+    def _put_back(self, kind: RecordKind, record: _Values, recorded_ns: int | None) -> None:
+        """Store a record again; of a wheelset or vehicle, the decision itself ends that it is voided."""
+        if kind is RecordKind.MOUNTING:
+            self.registry.add_mounting(Mounting(**record), recorded_ns=recorded_ns)
+        elif kind is RecordKind.REPROFILING:
+            self.registry.add_reprofiling(Reprofiling(**record), recorded_ns)
+        elif kind is RecordKind.MEASUREMENT:
+            row = record | {"packed": base64.b64decode(record["packed"])}
+            self.connection.execute(insert(MEASURED).values(**row))
+        elif kind is RecordKind.SECTION:
+            self.tracks.add_section(TrackSectionRecord(**record), recorded_ns)
+        elif kind is RecordKind.SENSOR_CHANGE:
+            found = sensor_change_of(record)
+            axles = self.registry.vehicle(found.vehicle).axles
+            self.sensor_changes.add(found, axles, Decision(recorded_ns=recorded_ns))
+        elif kind is RecordKind.VEHICLE_CLASS:
+            restored = class_of_document(record)
+            newest = find_class(self.connection, restored.code, None)
+            if newest is None or newest.digest != class_digest(restored):  # else the decision itself brings it back
+                self.registry.add_vehicle_class(restored, recorded_ns or 0)
 
     def _on_file(self, key: RecordKey) -> object | None:
         if key.kind is RecordKind.MOUNTING:
@@ -115,7 +120,7 @@ class CorrectionStore:
             section = row_of(self.connection, SECTIONS, key.subject)
             return None if section is None or section["number"] <= 0 else section
         if key.kind in {RecordKind.VEHICLE, RecordKind.VEHICLE_CLASS}:
-            return None if self.history.stands_voided(key) is not None else key
+            return None if stands_voided(self.connection, key) is not None else key
         if key.kind is RecordKind.SENSOR_CHANGE:
             return self.sensor_changes.stored(key.subject, key.at_ns or 0)
         if key.kind is RecordKind.WHEELSET:
@@ -161,7 +166,7 @@ class CorrectionStore:
 
     def _void_vehicle(self, key: RecordKey) -> _Values:
         record = self.registry.vehicle(key.subject)
-        if self.history.stands_voided(key) is not None:
+        if stands_voided(self.connection, key) is not None:
             raise NotFoundError(key.kind.value, _name(key))
         mounted = self.registry.mountings_on(key.subject, EARLIEST_NS, LATEST_NS)
         if mounted:
@@ -172,7 +177,7 @@ class CorrectionStore:
     def _void_class(self, key: RecordKey) -> _Values:
         """Return the newest version of a class that is registered; what was in force before it follows it."""
         found = self.registry.vehicle_class(key.subject)
-        if found is None or found.version == SHIPPED_VERSION or self.history.stands_voided(key) is not None:
+        if found is None or found.version == SHIPPED_VERSION or stands_voided(self.connection, key) is not None:
             raise NotFoundError("vehicle class", _name(key))
         vehicles = self.registry.vehicles_of_class(key.subject)
         if vehicles and self._class_before(found) is None:
@@ -199,33 +204,6 @@ class CorrectionStore:
             raise NotFoundError("sensor change", _name(key))
         self.sensor_changes.remove(key.subject, key.at_ns or 0)
         return found
-
-    def _restore_class(self, record: _Values, recorded_ns: int | None) -> None:
-        restored = class_of_document(record)
-        newest = find_class(self.connection, restored.code, None)
-        if newest is None or newest.digest != class_digest(restored):  # else the decision itself brings it back
-            self.registry.add_vehicle_class(restored, recorded_ns or 0)
-
-    def _restore_sensor_change(self, record: _Values, recorded_ns: int | None) -> None:
-        found = sensor_change_of(record)
-        axles = self.registry.vehicle(found.vehicle).axles
-        self.sensor_changes.add(found, axles, Decision(recorded_ns=recorded_ns))
-
-    def _restore_mounting(self, record: _Values, recorded_ns: int | None) -> None:
-        self.registry.add_mounting(Mounting(**record), recorded_ns=recorded_ns)
-
-    def _restore_reprofiling(self, record: _Values, recorded_ns: int | None) -> None:
-        self.registry.add_reprofiling(Reprofiling(**record), recorded_ns)
-
-    def _restore_measurement(self, record: _Values, _recorded_ns: int | None) -> None:
-        row = record | {"packed": base64.b64decode(record["packed"])}
-        self.connection.execute(insert(MEASURED).values(**row))
-
-    def _restore_nothing(self, _record: _Values, _recorded_ns: int | None) -> None:
-        """Nothing is to be put back: the decision itself ends that it is voided."""
-
-    def _restore_section(self, record: _Values, recorded_ns: int | None) -> None:
-        self.tracks.add_section(TrackSectionRecord(**record), recorded_ns)
 
 
 def _name(key: RecordKey) -> str:

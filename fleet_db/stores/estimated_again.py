@@ -13,12 +13,12 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment
 from estimation.values.windows import PassedOver
 from estimation.vehicle.vehicle_class import ClassOnFile, same_motion
-from fleet_db import alignment_due
+from fleet_db.due import positions_forgotten
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.rows import table_of
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
-from fleet_db.stores.window_marks import wait_again
+from fleet_db.stores.window_rows import wait_again
 from fleet_db.subjects import Subjects
 from fleet_db.tables.track import TrackAlignmentRow, TrackVersionRow, WindowPositionRow
 from fleet_db.tables.windows import WindowRow
@@ -113,7 +113,7 @@ class Again:
     def _wait(self, chosen: ColumnElement[bool], what: PassedOver) -> None:
         """Let windows wait again, and forget where they were; those without samples stay as they are."""
         with_samples = WINDOWS.c.samples_purged_ns.is_(None)
-        alignment_due.unplaced_where(self.subjects, and_(chosen, with_samples))
+        positions_forgotten(self.subjects, and_(chosen, with_samples))
         self.connection.execute(delete(POSITIONS).where(exists().where(OF_WINDOW, chosen, with_samples)))
         wait_again(self.subjects, chosen, what)
 

@@ -13,14 +13,17 @@ from estimation.errors import DamagedError
 from estimation.values.geometry import (
     COMBINATIONS,
     GEOMETRY,
+    MOST_INTERVALS,
     BinValues,
     GeometryRecord,
     IntervalConicities,
     IntervalDigest,
     KnownConicity,
     WheelsetGeometry,
+    key_of_part,
+    part_of,
+    result_of_geometry,
 )
-from estimation.values.geometry_results import MOST_INTERVALS, key_of_part, part_of, result_of_geometry
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.results import Result

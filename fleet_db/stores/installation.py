@@ -1,4 +1,4 @@
-"""Settings that must not differ between the processes of a deployment, nor change after data are stored."""
+"""What a database holds of its installation: settings, mark of the raw store, clock, branches of the feed."""
 
 from __future__ import annotations
 
@@ -69,15 +69,10 @@ BRANCHES, EVENTS = table_of(FeedBranchRow), table_of(AlertEventRow)
 
 @dataclass(frozen=True, slots=True)
 class FeedBranch:
-    """The feed from one restore to the next.
+    """The feed from one restore to the next."""
 
-    Attributes:
-        identity: Random; of the database at first, another one after each restore.
-        after_sequence: Last event that it shares with the branch before.
-    """
-
-    identity: str
-    after_sequence: int
+    identity: str  # random; of the database at first, another one after each restore
+    after_sequence: int  # last event that it shares with the branch before
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""The record of every run of a job."""
+"""Runs of jobs, and what they work on: claims, each under a lease that ends unless it is prolonged."""
 
 from __future__ import annotations
 
@@ -42,20 +42,19 @@ KEPT_NS = 86_400_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class WorkClaimStore:
-    """Leases of processes, and what is claimed under them."""
+    """Leases of processes, and what is claimed under them.
+
+    A claim costs the same however much waits: it names what it is for. The clock is that of the database, or of the
+    machine with SQLite. Whoever stores results locks the row of the lease first: nobody takes over what is committed.
+    """
 
     connection: Connection
 
     def lease(self, holder: str, length_ns: int, owner: int | None = None, unit: str | None = None) -> int:
         """Begin a lease and return its number; those that have ended are removed, what was claimed is free again.
 
-        Args:
-            length_ns: How long it lasts from now, ns.
-            owner: Lease of the process that runs the job, with which this one ends; None where it does not.
-            unit: Number of a unit of work. It was begun before where a worker is gone: that lease ends.
-
-        Raises:
-            LeaseLostError: That of the owner has ended.
+        It ends with that of its owner, the process that runs the job; LeaseLostError: that has ended. A unit of work
+        that was begun before was that of a worker that is gone: that lease ends.
         """
         self.end_outdated()
         if owner is not None:
@@ -81,21 +80,16 @@ class WorkClaimStore:
         rest = set(keys) - set(taken)
         if not rest:
             return Claimed(ours, begun_ns=taken)
-        columns = (CLAIMS.c.key, CLAIMS.c.lease_id, CLAIMS.c.attempts)
-        held = {
-            row.key: row
-            for row in self.connection.execute(select(*columns).where(CLAIMS.c.stage == stage, CLAIMS.c.key.in_(rest)))
-        }
+        of_others = select(CLAIMS).where(CLAIMS.c.stage == stage, CLAIMS.c.key.in_(rest))
+        held = {row.key: row for row in self.connection.execute(of_others)}
         free = tuple((key, held[key].attempts) for key in keys if key in held and held[key].lease_id is None)
         return Claimed(ours, free, len(rest) - len(free), taken)
 
     def prolong(self, lease: int) -> bool:
         """Let a lease last its length from now; return whether it is still there."""
         until = _now(self.connection) + LEASES.c.length_ns
-        return (
-            self.connection.execute(update(LEASES).where(LEASES.c.lease_id == lease).values(until_ns=until)).rowcount
-            > 0
-        )
+        prolonged = update(LEASES).where(LEASES.c.lease_id == lease).values(until_ns=until)
+        return self.connection.execute(prolonged).rowcount > 0
 
     def bound(self, length_s: float) -> None:
         """Let the server end this transaction where its process stands still in it for longer than its lease, s."""
@@ -141,9 +135,6 @@ class WorkClaimStore:
         """End a lease whose process could not reach the database at the end of its work, but lives.
 
         What it had claimed is free, and it does not count that it had begun, unless others have begun since.
-
-        Args:
-            lease: It may have ended by its time.
         """
         if lease.alone:
             self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease.number))
@@ -172,10 +163,8 @@ class WorkClaimStore:
     def _insert(self, lease: int, stage: str, keys: Sequence[str], *, alone: bool) -> dict[str, int]:
         """Insert claims, in one order in all transactions; return when each was begun that is ours now."""
         now = _now(self.connection)
-        values = [
-            {"stage": stage, "key": key, "lease_id": lease, "attempts": 1, "begun_ns": now}
-            for key in dict.fromkeys(keys)
-        ]
+        claim = {"stage": stage, "lease_id": lease, "attempts": 1, "begun_ns": now}
+        values = [{"key": key, **claim} for key in dict.fromkeys(keys)]
         new = (postgresql if self.connection.dialect.name == "postgresql" else sqlite).insert(CLAIMS).values(values)
         forgotten = CLAIMS.c.begun_ns < now - KEPT_NS
         claimed = new.on_conflict_do_update(
@@ -246,9 +235,8 @@ class JobRunStore:
         ).first()
         if row is None:
             ended = self.get(run_id)
-            raise ConflictError(
-                f"run {run_id} of {ended.job} has ended: {ended.outcome}", kind="job run", key=str(run_id)
-            )
+            reason = f"run {run_id} of {ended.job} has ended: {ended.outcome}"
+            raise ConflictError(reason, kind="job run", key=str(run_id))
         return value_of_row(JobRun, row)
 
     def abandon_running(self, finished_ns: int) -> int:

@@ -32,11 +32,11 @@ from estimation.values.windows import (
     WindowMark,
     WindowState,
 )
-from fleet_db.due import is_due, list_due
+from fleet_db.due import BATCH, is_due, list_due
 from fleet_db.receipts import ChunkState
-from fleet_db.rows import replace_all, table_of
-from fleet_db.stores.window_marks import BATCH, keys_given
-from fleet_db.stores.windows import WindowStore, implausible_reason
+from fleet_db.rows import by_wheelset, replace_all, table_of
+from fleet_db.stores.window_rows import implausible_reason, keys_given
+from fleet_db.stores.windows import WindowStore
 from fleet_db.tables.recordings import ChunkRow
 from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import WindowRow
@@ -78,21 +78,15 @@ class PlausibilityStore:
         """Return by serial the mileages of the windows that were not judged as they are, oldest first."""
         statement = select(WINDOWS.c.wheelset, *READING).where(WINDOWS.c.wheelset.in_(wheelsets))
         statement = statement.where(is_due(DueStage.MILEAGES, WINDOWS))
-        found: dict[str, list[MileageReading]] = {}
-        for wheelset, *reading in self.connection.execute(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns)):
-            found.setdefault(wheelset, []).append(MileageReading(*reading))
-        return found
+        rows = self.connection.execute(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns))
+        return by_wheelset(rows, lambda row: MileageReading(*row[1:]))
 
     def readings_around(self, spans: Sequence[ReadingSpan]) -> Mapping[ReadingSpan, Sequence[MileageReading]]:
         """Return mileages in spans (wheelset, first, last start), one before and one after each, oldest first."""
         found: dict[ReadingSpan, list[MileageReading]] = {span: [] for span in spans}
         for first in range(0, len(spans), SPANS):
-            for *span, start_ns, mileage_km, excess_m, off_line_m in self.connection.execute(
-                _around(spans[first : first + SPANS])
-            ):
-                wheelset, from_ns, to_ns = span
-                reading = MileageReading(start_ns, mileage_km, excess_m, off_line_m)
-                found[wheelset, from_ns, to_ns].append(reading)
+            for wheelset, from_ns, to_ns, *reading in self.connection.execute(_around(spans[first : first + SPANS])):
+                found[wheelset, from_ns, to_ns].append(MileageReading(*reading))
         return found
 
     def doubted(self, wheelsets: Collection[str]) -> frozenset[str]:

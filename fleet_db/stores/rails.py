@@ -11,8 +11,8 @@ import numpy as np
 from sqlalchemy import Connection, Row, Select, Text, cast, delete, select
 
 from estimation.errors import ParameterError, StorageError
-from estimation.values.rails import CELLS as CELLS_STAGE
-from estimation.values.rails import RailKey, SectionConicity, StoredCell, WheelKey
+from estimation.values.opinions import CELLS as CELLS_STAGE
+from estimation.values.opinions import RailKey, SectionConicity, StoredCell, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import SubjectKind
 from fleet_db.fields import fields_of, from_json, to_json, value_of

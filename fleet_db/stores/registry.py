@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from sqlalchemy import Connection, Select, select
+from sqlalchemy import Connection, Select, or_, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
@@ -19,7 +19,7 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.read_once import ReadOnce
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
-from fleet_db.rows import columns_of, delete_row, row_of, table_of, upsert, value_of_row
+from fleet_db.rows import by_wheelset, columns_of, delete_row, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.decoded_again import decode_undecoded
 from fleet_db.stores.estimated_again import Again
@@ -32,12 +32,9 @@ from fleet_db.stores.wheelset_events import (
     REPROFILINGS,
     add_mounting,
     changed_spans,
-    measured_profiles_of,
-    mounting_at,
+    measured_of,
     mounting_on_file,
     mountings_of,
-    mountings_on,
-    newest_measurement_of,
     reprofilings_of,
     store_measured_profiles,
     stored_measurement,
@@ -135,11 +132,21 @@ class RegistryStore:
 
     def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
         """Return which wheelset ran at an axle at a time of the vehicle's clock."""
-        return mounting_at(self.connection, vehicle, axle, at_ns)
+        statement = select(MOUNTINGS).where(
+            MOUNTINGS.c.vehicle == vehicle,
+            MOUNTINGS.c.axle == axle,
+            MOUNTINGS.c.from_ns <= at_ns,
+            or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > at_ns),
+        )
+        row = self.connection.execute(statement).first()
+        return None if row is None else value_of_row(Mounting, row)
 
     def mountings_on(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
         """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start."""
-        return mountings_on(self.connection, vehicle, from_ns, to_ns)
+        within = (MOUNTINGS.c.from_ns < to_ns, or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > from_ns))
+        statement = select(MOUNTINGS).where(MOUNTINGS.c.vehicle == vehicle, *within)
+        rows = self.connection.execute(statement.order_by(MOUNTINGS.c.axle, MOUNTINGS.c.from_ns))
+        return [value_of_row(Mounting, row) for row in rows]
 
     def mountings(self, wheelset: str) -> Sequence[Mounting]:
         """Return every mounting of a wheelset, oldest first."""
@@ -165,11 +172,18 @@ class RegistryStore:
 
     def measured_profiles_of(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[MeasuredProfiles]]:
         """Return every measurement of some wheelsets by serial, oldest first; one without is left out."""
-        return self.once.of("measured profiles", wheelsets, partial(measured_profiles_of, self.connection))
+
+        def read(some: Collection[str]) -> Mapping[str, Sequence[MeasuredProfiles]]:
+            statement = select(MEASURED).where(MEASURED.c.wheelset.in_(some)).order_by(MEASURED.c.at_ns)
+            return by_wheelset(self.connection.execute(statement), measured_of)
+
+        return self.once.of("measured profiles", wheelsets, read)
 
     def newest_measurement_of(self, wheelsets: Collection[str]) -> Mapping[str, tuple[int, float]]:
         """Return time (ns UTC) and mileage (km) of the newest measurement of the profiles of wheelsets, by serial."""
-        return newest_measurement_of(self.connection, wheelsets)
+        statement = select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km)
+        statement = statement.where(MEASURED.c.wheelset.in_(wheelsets)).order_by(MEASURED.c.at_ns)
+        return {wheelset: (int(at_ns), float(km)) for wheelset, at_ns, km in self.connection.execute(statement)}
 
     def vehicle_class(self, code: str, version: int | None = None) -> ClassOnFile | None:
         """Return the newest version of a class, or the one given; of the package where none is registered."""
@@ -187,10 +201,7 @@ class RegistryStore:
         return [found for _, found in sorted(newest_classes(self.connection).items())]
 
     def add_vehicle_class(self, vehicle_class: VehicleClass, recorded_ns: int) -> EstimatedAgain:
-        """Add a class or a new version of it; return what is estimated again: where the motion changes, every window.
-
-        The content of the newest version again changes nothing.
-        """
+        """Add a class, or a version where its content is new; return what another motion estimates again."""
         serialise(self.connection, Subject.REGISTRY)
         before = self.vehicle_class(vehicle_class.code)
         on_file = find_class(self.connection, vehicle_class.code, None)

@@ -3,26 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import (
-    ColumnElement,
-    Connection,
-    RowMapping,
-    ScalarSelect,
-    Subquery,
-    and_,
-    case,
-    func,
-    insert,
-    null,
-    select,
-)
+from sqlalchemy import ColumnElement, Connection, RowMapping, ScalarSelect, and_, case, func, insert, null, select
 
 from estimation.values.fields import JsonValue
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
-from fleet_db.rows import table_of, value_of_row
+from fleet_db.rows import columns_of, table_of, value_of_row
 from fleet_db.subjects import Subjects
 from fleet_db.tables.registry import RegistryEventRow, VehicleRow
 
@@ -58,14 +46,9 @@ class RegistryHistoryStore:
     ) -> None:
         """Append a decision on a record: what it was before, and what it is afterwards where it is on file then."""
         self._raise(key, record, after)
-        values: dict[str, object] = {
-            "kind": key.kind.value,
-            "subject": key.subject,
-            "at_ns": key.at_ns,
-            "action": action.value,
-        }
-        values |= {"record": dict(record), "after": _json(after)}
-        self.connection.execute(insert(EVENTS).values(**values, **asdict(decision)))
+        records = {"record": dict(record), "after": null() if after is None else dict(after)}
+        values = {**columns_of(key), "action": action.value, **records, **columns_of(decision)}
+        self.connection.execute(insert(EVENTS).values(**values))
 
     def note_change(self, key: RecordKey, was: Record | None, now: Record | None, decision: Decision) -> None:
         """Keep what a record was before it was changed and is since; that it is new where somebody has entered it.
@@ -90,12 +73,8 @@ class RegistryHistoryStore:
 
     def note_return(self, key: RecordKey, record: Mapping[str, JsonValue], decision: Decision) -> None:
         """Keep that a voided record is entered again; nothing where it is not voided."""
-        if self.stands_voided(key) is not None:
+        if stands_voided(self.connection, key) is not None:
             self.note(key, RecordAction.RESTORED, record, decision)
-
-    def stands_voided(self, key: RecordKey) -> RegistryEvent | None:
-        """Return the decision by which an undated record was voided and that none has restored since."""
-        return stands_voided(self.connection, key)
 
     def _raise(self, key: RecordKey, *records: Record | None) -> None:
         """Let what rests on a record follow."""
@@ -146,17 +125,9 @@ def last_voided(kind: RecordKind, subject: ColumnElement[str]) -> ScalarSelect[M
     return select(record).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1).scalar_subquery()
 
 
-def _json(record: Mapping[str, JsonValue] | None) -> object:
-    return null() if record is None else dict(record)
-
-
 def is_voided(kind: RecordKind, subject: ColumnElement[str]) -> ColumnElement[bool]:
     """Return whether the last decision on an undated record voided it."""
-    last = _last_of(kind)
+    decided = and_(EVENTS.c.kind == kind.value, EVENTS.c.action.in_(_VOID_OR_NOT))
+    last = select(func.max(EVENTS.c.id).label("id")).where(decided).group_by(EVENTS.c.subject).subquery()
     voided = select(EVENTS.c.subject).join(last, EVENTS.c.id == last.c.id)
     return subject.in_(voided.where(EVENTS.c.action == RecordAction.VOIDED.value))
-
-
-def _last_of(kind: RecordKind) -> Subquery:
-    chosen = and_(EVENTS.c.kind == kind.value, EVENTS.c.action.in_(_VOID_OR_NOT))
-    return select(func.max(EVENTS.c.id).label("id")).where(chosen).group_by(EVENTS.c.subject).subquery()

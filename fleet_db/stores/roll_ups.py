@@ -10,13 +10,13 @@ from sqlalchemy import Connection, Row, and_, delete, func, insert, or_, select,
 
 from estimation.errors import ConflictError
 from estimation.values.geometry import BinTable
-from estimation.values.roll_up import RolledPart, RollingSums, RollUp, RollUpKey, RollUpState, Side, WindowRollingSums
+from estimation.values.roll_up import RolledPart, RollingSums, RollUp, RollUpKey, RollUpState, WindowRollingSums
 from estimation.values.windows import WindowKey
 from fleet_db.fields import fields_of, value_of
 from fleet_db.packed_values import pack_bin_table, pack_rolling_sums, unpack_bin_table, unpack_rolling_sums
 from fleet_db.read_once import ReadOnce
-from fleet_db.rows import by_wheelset, insert_all_new, replace_all, table_of
-from fleet_db.stores.window_marks import keys_given
+from fleet_db.rows import by_wheelset, columns_of, insert_all_new, replace_all, table_of, value_of_row
+from fleet_db.stores.window_rows import keys_given
 from fleet_db.tables.windows import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 
 ROLL_UPS, STATES, ROLLING = table_of(RollUpRow), table_of(RollUpStateRow), table_of(RollingSumsRow)
@@ -154,24 +154,12 @@ class RollUpStore:
 
     def put_rolling(self, found: Sequence[WindowRollingSums]) -> None:
         """Keep what windows say of their rolling radius, in the place of what was known of them."""
-        rows = [
-            {
-                "wheelset": one.wheelset,
-                "start_ns": one.start_ns,
-                "window_digest": one.window_digest,
-                "assumed": one.assumed,
-                "packed": pack_rolling_sums(one.parts),
-            }
-            for one in found
-        ]
+        rows = [columns_of(one, "parts") | {"packed": pack_rolling_sums(one.parts)} for one in found]
         if insert_all_new(self.connection, ROLLING, rows) < len(rows):
             replace_all(self.connection, ROLLING, rows)
 
     def newest_chosen(self, wheelsets: Sequence[str]) -> Mapping[str, Sequence[str]]:
-        """Return by wheelset the digests of the windows that stand for its newest roll-up.
-
-        With those of later windows of which it is kept what they say of their rolling radius.
-        """
+        """Return by wheelset the digests of the windows behind its newest roll-up, and of later ones beside it."""
         newest = (
             select(func.max(ROLL_UPS.c.number)).where(ROLL_UPS.c.wheelset.in_(wheelsets)).group_by(ROLL_UPS.c.wheelset)
         )
@@ -196,24 +184,18 @@ class RollUpStore:
 
 
 def _with_sums(wheelset: str, part: RolledPart) -> dict[str, Any]:
-    sums = {"plain": pack_bin_table(part.plain), "forgetting": pack_bin_table(part.forgetting)}
-    return _columns(wheelset, part.roll_up) | sums
-
-
-def _columns(wheelset: str, roll_up: RollUp) -> dict[str, Any]:
-    key = roll_up.key
+    roll_up, key = part.roll_up, columns_of(part.roll_up.key, "interval")
     return {
         "wheelset": wheelset,
-        "baseline": key.baseline,
-        "baseline_interval": key.interval,
-        "side": int(key.side),
-        "table_key": key.table_key,
-        "vehicle_class": key.vehicle_class,
+        **key,
+        "baseline_interval": roll_up.key.interval,
         **{name: getattr(roll_up, name) for name in OWN if name != "number"},
         "summary": fields_of(roll_up, without={"key", *OWN})[0],
+        "plain": pack_bin_table(part.plain),
+        "forgetting": pack_bin_table(part.forgetting),
     }
 
 
 def _roll_up(row: Row[Any]) -> RollUp:
-    key = RollUpKey(row.baseline, row.baseline_interval, Side(row.side), row.table_key, row.vehicle_class)
+    key = value_of_row(RollUpKey, row, interval=row.baseline_interval)
     return value_of(RollUp, row.summary, {}, key=key, **{name: getattr(row, name) for name in OWN})

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
-from sqlalchemy import Connection, delete, func, insert, select, update
+from sqlalchemy import Connection, delete, func, insert, or_, select, update
 
 from estimation.values.results import Due
 from fleet_db.rows import table_of
 from fleet_db.tables.recordings import StaleSpanRow
+from fleet_db.tables.windows import WindowRow
 
 SPANS = table_of(StaleSpanRow)
 
@@ -71,3 +73,33 @@ class StaleSpanStore:
     def remove(self, spans: Sequence[StaleSpan]) -> None:
         """Remove spans whose windows have been assembled again, in the transaction that stores those."""
         self.connection.execute(delete(SPANS).where(SPANS.c.id.in_([span.id for span in spans])))
+
+
+WINDOWS = table_of(WindowRow)
+APART_NS = 86_400_000_000_000
+"""Windows that are nearer to each other are made again together, with what is between them."""
+
+
+def make_stale(connection: Connection, section: str, cause: str, *, elsewhere: bool) -> None:
+    """Let the windows on a section be assembled again.
+
+    A window on another registered section stays: its vehicle sent the number of that one.
+
+    Args:
+        elsewhere: Whether those on no registered section are, too: their vehicles may have sent its new number.
+    """
+    on_it = WINDOWS.c.track_section == section
+    touched = or_(on_it, WINDOWS.c.track_section.is_(None)) if elsewhere else on_it
+    statement = select(WINDOWS.c.vehicle, WINDOWS.c.start_ns, WINDOWS.c.length_ns).where(touched).distinct()
+    rows = connection.execute(statement.order_by(WINDOWS.c.vehicle, WINDOWS.c.start_ns)).all()
+    stale = StaleSpanStore(connection)
+    for vehicle, windows in groupby(rows, key=lambda row: row.vehicle):
+        spans: list[list[int]] = []
+        for window in windows:
+            end_ns = window.start_ns + window.length_ns
+            if spans and window.start_ns - spans[-1][1] <= APART_NS:
+                spans[-1][1] = max(spans[-1][1], end_ns)
+            else:
+                spans.append([window.start_ns, end_ns])
+        for from_ns, to_ns in spans:
+            stale.add(vehicle, from_ns, to_ns, cause)

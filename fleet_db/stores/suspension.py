@@ -1,4 +1,4 @@
-"""What the passes of sections show of the suspension of vehicles."""
+"""What windows and passes of sections say of the dampers and the suspension of vehicles."""
 
 from __future__ import annotations
 
@@ -90,13 +90,7 @@ class DamperStore:
         return [(row.vehicle, row.first_axle) for row in rows]
 
     def newest(self, vehicle: str, first_axle: int, limit: int) -> Sequence[WindowDamper]:
-        """Return what the newest windows of a running gear say, newest first.
-
-        Windows that are not there any more, or have other samples now, say nothing.
-
-        Args:
-            limit: How many at most.
-        """
+        """Return what the newest windows of a running gear that are there unchanged say, newest first."""
         own = (OF_WINDOWS.c.vehicle == vehicle, OF_WINDOWS.c.first_axle == first_axle)
         statement = select(OF_WINDOWS).select_from(OF_WINDOWS.join(WINDOWS, SAME)).where(*own)
         rows = self.connection.execute(statement.order_by(OF_WINDOWS.c.start_ns.desc()).limit(limit))
@@ -119,11 +113,5 @@ class DamperStore:
 
 
 def _values(found: WindowDamper) -> dict[str, object]:
-    return {
-        "vehicle": found.vehicle,
-        "first_axle": found.first_axle,
-        "start_ns": found.start_ns,
-        "wheelset": found.wheelset,
-        "content_digest": found.content_digest,
-        "packed": pack_window_damper(found),
-    }
+    plain = ("vehicle", "first_axle", "start_ns", "wheelset", "content_digest")
+    return {**{name: getattr(found, name) for name in plain}, "packed": pack_window_damper(found)}

@@ -10,6 +10,7 @@ from typing import Any
 from sqlalchemy import (
     ColumnElement,
     Connection,
+    Row,
     Select,
     Update,
     and_,
@@ -30,12 +31,9 @@ from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
 from estimation.values.track import EpochMember, FoldState, FoundOfVehicles, HeldWindow, ListedWindow, TrackEpoch
 from estimation.values.windows import DueStage, WindowKey, WindowRecord, WindowState
-from fleet_db import alignment_due
-from fleet_db.alignment_due import OF_WINDOW
-from fleet_db.due import DUE, list_due
-from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
-from fleet_db.stores.window_marks import BATCH, keys_given
-from fleet_db.stores.windows import to_window_record
+from fleet_db.due import BATCH, DUE, OF_WINDOW, list_due, stale_epochs
+from fleet_db.rows import columns_of, insert_all_new, replace_all, table_of, upsert, value_of_row
+from fleet_db.stores.window_rows import keys_given, to_window_record
 from fleet_db.subjects import Subjects
 from fleet_db.tables.track import TrackEpochRow, TrackEpochVehicleRow, TrackEpochWindowRow
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
@@ -199,12 +197,12 @@ class EpochStore:
         elsewhere = {(row.section, row.epoch) for row in self._held(sorted(set(keys) - before))}
         for section, _ in sorted(elsewhere):
             self.subjects.places(section)
-        alignment_due.stale(self.subjects, sorted(elsewhere))
+        stale_epochs(self.subjects, sorted(elsewhere))
         self._put_members(epoch, members)
 
     def stale(self, section: str, number: int) -> None:
         """Let an epoch be computed again, where it is there."""
-        alignment_due.stale(self.subjects, [(section, number)])
+        stale_epochs(self.subjects, [(section, number)])
 
     def put_found(self, section: str, number: int, found: FoundOfVehicles | None) -> None:
         """Store of which vehicles an epoch has found what matters for them alone, in the place of what was known."""
@@ -244,25 +242,17 @@ class EpochStore:
         gone = delete(EPOCHS).where(EPOCHS.c.section == section, EPOCHS.c.number > number)
         return int(self.connection.execute(gone).rowcount)
 
-    def alignment_version(self, wheelset: str, start_ns: int, in_force: int | None) -> int | None:
-        """Return the version of the alignment that a window is estimated on; ``in_force`` where no epoch holds it.
+    def alignment_versions(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, int | None]:
+        """Return by wheelset and start the versions of the alignment on which windows are estimated that epochs hold.
 
         It is that of its epoch, or the oldest from which the last does not differ materially, if that is newer, or the
         newest that holds what was found of its vehicle alone.
         """
-        return self.alignment_versions([(wheelset, start_ns)]).get((wheelset, start_ns), in_force)
-
-    def alignment_versions(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, int | None]:
-        """Return by wheelset and start the versions of :meth:`alignment_version` of those windows that epochs hold."""
         found = {}
         for first in range(0, len(keys), BATCH):
             for row in self.connection.execute(_wanted(), {"keys": keys[first : first + BATCH]}):
                 found[row.wheelset, row.start_ns] = row.wanted
         return found
-
-    def note_refused(self, wheelset: str, start_ns: int, version: int | None) -> None:
-        """Record on which version of the alignment a window has been refused."""
-        self.note_all_refused({(wheelset, start_ns): version})
 
     def note_all_refused(self, versions: Mapping[WindowKey, int | None]) -> None:
         """Record by wheelset and start on which versions of their alignments windows have been refused."""
@@ -357,38 +347,15 @@ def _of_listed(section: str, after: tuple[int, str]) -> Select[Any]:
 
 def _values(epoch: TrackEpoch) -> dict[str, Any]:
     survey = epoch.after.survey
-    return {
-        "section": epoch.section,
-        "number": epoch.number,
-        "before": epoch.before,
-        "input_digest": epoch.input_digest,
-        "horizon_ns": epoch.horizon_ns,
-        "windows": epoch.windows,
-        "waits": epoch.waits,
+    return columns_of(epoch, "after") | {
         "stale": False,
         "version": epoch.after.version,
         "same_since": epoch.after.same_since,
-        "estimated_on": epoch.estimated_on,
         "survey": "" if survey is None else survey.text,
         "survey_code": None if survey is None else survey.code.value,
-        "report": epoch.report,
-        "recorded_ns": epoch.recorded_ns,
     }
 
 
-def _epoch(row: Any) -> TrackEpoch:  # noqa: ANN401 - a row of EPOCHS
+def _epoch(row: Row[Any]) -> TrackEpoch:
     survey = None if row.survey_code is None else Reason(ReasonCode(row.survey_code), row.survey)
-    return TrackEpoch(
-        section=row.section,
-        number=row.number,
-        before=row.before,
-        input_digest=row.input_digest,
-        horizon_ns=row.horizon_ns,
-        windows=row.windows,
-        waits=row.waits,
-        after=FoldState(row.version, row.same_since, survey),
-        estimated_on=row.estimated_on,
-        report=row.report,
-        recorded_ns=row.recorded_ns,
-        stale=row.stale,
-    )
+    return value_of_row(TrackEpoch, row, after=FoldState(row.version, row.same_since, survey))

@@ -30,7 +30,7 @@ from fleet_db.read_once import ReadOnce
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import columns_of, null_if_nan, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
-from fleet_db.stores.section_windows import make_stale
+from fleet_db.stores.stale_spans import make_stale
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.window_positions import forget_positions, positions_of, put_positions
 from fleet_db.subjects import Subjects
@@ -137,14 +137,8 @@ class TrackStore:
 
         The content of the newest version again changes nothing and returns its version; of a registered one, that of
         the newest that was registered: it does not come before what the fleet has found since, on it or without it.
-
-        Args:
-            alignment: What is known of the section.
-            same_since: Oldest version from which it does not differ materially; its own version where left out.
-            recorded_ns: Our time; where left out none is kept, and it counts as registered by the operator.
-
-        Raises:
-            NotFoundError: The section is unknown.
+        Without a time it counts as registered by the operator. ``same_since`` is the oldest version from which it does
+        not differ materially, itself where left out.
         """
         serialise(self.connection, Subject.TRACKS)
         self.section(alignment.section)
@@ -218,10 +212,7 @@ class TrackStore:
         return stored is not None and stored == hashlib.sha256(pack_alignment(alignment)).hexdigest()
 
     def supersede(self, section: str, kept: Collection[int], recorded_ns: int) -> int:
-        """Mark the estimated versions of a section but for those that are kept as superseded; return of how many.
-
-        They stay for what was recorded with them.
-        """
+        """Mark a section's estimated versions but for those kept as superseded: they stay for what they made."""
         gone = (VERSIONS.c.section == section, STANDS, VERSIONS.c.version.not_in(sorted(kept)))
         count = int(self.connection.execute(update(VERSIONS).where(*gone).values(superseded_ns=recorded_ns)).rowcount)
         if count:
@@ -271,10 +262,7 @@ class TrackStore:
             self.subjects.places(section)
 
     def forget_positions(self, section: str) -> int:
-        """Forget where the windows of a section were, so that they are looked at again; return of how many.
-
-        Its epochs are computed again from the first.
-        """
+        """Forget where a section's windows were, and compute its epochs from the first; return of how many."""
         EpochStore(self.connection, self.subjects).start_again(section)
         of_section = exists().where(
             WINDOWS.c.wheelset == POSITIONS.c.wheelset,

@@ -113,10 +113,6 @@ class WebhookStore:
 
         What was delivered moves the position, unless that has been moved meanwhile. What failed counts unless the
         webhook has been changed meanwhile.
-
-        Args:
-            delivery: As it is after it.
-            disabled: Why the webhook is disabled with it; None where it is not.
         """
         same = (WEBHOOKS.c.webhook_id == webhook.webhook_id, WEBHOOKS.c.position == webhook.position)
         statement = update(WEBHOOKS).where(*same)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import base64
-from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, exists, func, or_, select
+from sqlalchemy import ColumnElement, Connection, Row, Table, and_, exists, func, or_, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ConflictError, ParameterError
@@ -38,29 +38,6 @@ def _where(mounting: Mounting) -> str:
     place = f"wheelset {mounting.wheelset!r} at axle {mounting.axle} of {mounting.vehicle!r}"
     end = "" if mounting.to_ns is None else f" to {utc_text(mounting.to_ns)}"
     return f"{place} from {utc_text(mounting.from_ns)}{end}"
-
-
-def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
-    """Return the mounting at an axle (from 1) that covers ``at_ns``, UTC on the vehicle's clock."""
-    statement = select(MOUNTINGS).where(
-        MOUNTINGS.c.vehicle == vehicle,
-        MOUNTINGS.c.axle == axle,
-        MOUNTINGS.c.from_ns <= at_ns,
-        or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > at_ns),
-    )
-    row = connection.execute(statement).first()
-    return None if row is None else value_of_row(Mounting, row)
-
-
-def mountings_on(connection: Connection, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
-    """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start."""
-    statement = (
-        select(MOUNTINGS)
-        .where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.from_ns < to_ns)
-        .where(or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > from_ns))
-        .order_by(MOUNTINGS.c.axle, MOUNTINGS.c.from_ns)
-    )
-    return [value_of_row(Mounting, row) for row in connection.execute(statement)]
 
 
 def mountings_of(connection: Connection, wheelsets: Collection[str]) -> dict[str, list[Mounting]]:
@@ -119,27 +96,6 @@ def reprofilings_of(connection: Connection, serials: Sequence[str]) -> dict[str,
     return by_wheelset(connection.execute(statement), lambda row: Reprofiling(*row))
 
 
-def measured_profiles_of(
-    connection: Connection, wheelsets: Collection[str]
-) -> Mapping[str, Sequence[MeasuredProfiles]]:
-    """Return every measurement of some wheelsets by serial, oldest first; one without is left out."""
-    statement = select(MEASURED).where(MEASURED.c.wheelset.in_(wheelsets)).order_by(MEASURED.c.at_ns)
-    return by_wheelset(connection.execute(statement), _measured)
-
-
-def _measured(row: Row[Any]) -> MeasuredProfiles:
-    where = f"profiles of wheelset {row.wheelset!r} measured at {row.at_ns}"
-    left, right = unpack_wheel_pair(row.packed, where=where)
-    return MeasuredProfiles(row.wheelset, row.at_ns, row.mileage_km, left, right, row.std_m)
-
-
-def newest_measurement_of(connection: Connection, wheelsets: Collection[str]) -> dict[str, tuple[int, float]]:
-    """Return time (ns UTC) and mileage (km) of the newest measurement of each wheelset that has one, by serial."""
-    statement = select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km)
-    statement = statement.where(MEASURED.c.wheelset.in_(wheelsets)).order_by(MEASURED.c.at_ns)
-    return {wheelset: (int(at_ns), float(mileage)) for wheelset, at_ns, mileage in connection.execute(statement)}
-
-
 def newest_measurements(
     connection: Connection, fleet: str | None, from_ns: int | None, to_ns: int | None, limit: int
 ) -> tuple[int, list[tuple[str, int]]]:
@@ -155,6 +111,12 @@ def newest_measurements(
     newest = select(MEASURED.c.wheelset, MEASURED.c.at_ns).where(*wanted)
     newest = newest.order_by(MEASURED.c.at_ns.desc(), MEASURED.c.wheelset).limit(limit)
     return total, [(row.wheelset, row.at_ns) for row in connection.execute(newest)]
+
+
+def measured_of(row: Row[Any]) -> MeasuredProfiles:
+    """Return the measurement of a row; raises DamagedError."""
+    left, right = unpack_wheel_pair(row.packed, where=f"profiles of wheelset {row.wheelset!r} measured at {row.at_ns}")
+    return MeasuredProfiles(row.wheelset, row.at_ns, row.mileage_km, left, right, row.std_m)
 
 
 def store_measured_profiles(connection: Connection, record: MeasuredProfiles) -> bool:
@@ -193,30 +155,19 @@ class WindowDistance:
 
 def lives_on_file(connection: Connection, serials: Collection[str]) -> dict[str, LifeOnFile]:
     """Return the lives of some wheelsets."""
-    mountings: defaultdict[str, list[Mounting]] = defaultdict(list)
-    for one in mountings_where(connection, MOUNTINGS.c.wheelset, serials):
-        mountings[one.wheelset].append(one)
-    turned = _dated(
-        connection, select(REPROFILINGS.c.wheelset, REPROFILINGS.c.at_ns, REPROFILINGS.c.mileage_km), serials
-    )
-    measured = _dated(connection, select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km), serials)
+    mountings = by_wheelset(mountings_where(connection, MOUNTINGS.c.wheelset, serials), lambda one: one)
+    turned, measured = (_dated(connection, table, serials) for table in (REPROFILINGS, MEASURED))
     return {
-        serial: LifeOnFile(
-            tuple(sorted(mountings[serial], key=lambda one: one.from_ns)),
-            tuple(sorted(turned.get(serial, ()))),
-            tuple(sorted(measured.get(serial, ()))),
-        )
+        serial: LifeOnFile(*(tuple(dated.get(serial, ())) for dated in (mountings, turned, measured)))
         for serial in serials
     }
 
 
 def mountings_where(connection: Connection, column: ColumnElement[str], keys: Collection[str]) -> list[Mounting]:
     """Return the mountings of some wheelsets, or on some vehicles, by that column."""
-    found = []
-    for some in _parts(keys):
-        statement = select(MOUNTINGS).where(column.in_(some)).order_by(MOUNTINGS.c.from_ns)
-        found += [value_of_row(Mounting, row) for row in connection.execute(statement)]
-    return found
+    statement = select(MOUNTINGS).order_by(MOUNTINGS.c.from_ns)
+    found = (connection.execute(statement.where(column.in_(some))) for some in _parts(keys))
+    return [value_of_row(Mounting, row) for row in chain.from_iterable(found)]
 
 
 def any_windows(connection: Connection) -> bool:
@@ -228,9 +179,6 @@ def windows_beside(connection: Connection, wheelset: str, at_ns: int) -> list[Wi
     """Return the last window of a wheelset that starts at or before a time and the first that starts after it.
 
     Left out are windows whose mileage is not believed, and those that are to be assembled again.
-
-    Args:
-        at_ns: ns UTC on the vehicle's clock.
     """
     stale = exists().where(
         and_(
@@ -244,22 +192,14 @@ def windows_beside(connection: Connection, wheelset: str, at_ns: int) -> list[Wi
     )
     before = believed.where(WINDOWS.c.start_ns <= at_ns).order_by(WINDOWS.c.start_ns.desc()).limit(1)
     after = believed.where(WINDOWS.c.start_ns > at_ns).order_by(WINDOWS.c.start_ns).limit(1)
-    return [
-        WindowDistance(row.wheelset, row.start_ns, row.mileage_km)
-        for statement in (before, after)
-        for row in connection.execute(statement)
-    ]
+    return [WindowDistance(*row) for statement in (before, after) for row in connection.execute(statement)]
 
 
-def _dated(
-    connection: Connection, statement: Select[tuple[str, int, float]], serials: Collection[str]
-) -> Mapping[str, Sequence[tuple[int, float]]]:
-    found: defaultdict[str, list[tuple[int, float]]] = defaultdict(list)
-    for some in _parts(serials):
-        column = statement.selected_columns[0]
-        for row in connection.execute(statement.where(column.in_(some))):
-            found[row.wheelset].append((row.at_ns, row.mileage_km))
-    return found
+def _dated(connection: Connection, table: Table, serials: Collection[str]) -> dict[str, list[tuple[int, float]]]:
+    """Return time and mileage of what a table holds of wheelsets, oldest first."""
+    statement = select(table.c.wheelset, table.c.at_ns, table.c.mileage_km).order_by(table.c.at_ns)
+    found = (connection.execute(statement.where(table.c.wheelset.in_(some))) for some in _parts(serials))
+    return by_wheelset(chain.from_iterable(found), lambda row: (row.at_ns, row.mileage_km))
 
 
 def _parts(keys: Collection[str]) -> Iterator[list[str]]:

@@ -1,4 +1,4 @@
-"""Windows of a wheelset counted over time, by state and reason."""
+"""Windows counted by state and reason, and what waits."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 from sqlalchemy import (
     ColumnElement,
     Connection,
+    Row,
     Select,
     Subquery,
     bindparam,
@@ -63,23 +64,12 @@ def window_counts(connection: Connection, wheelset: str, most: int) -> WindowCou
     begin = first // DAY_NS * DAY_NS
     stretch_ns = DAY_NS * (1 + (last - begin) // (most * DAY_NS))
     place = ((WINDOWS.c.start_ns - begin) // stretch_ns).label("place")
-    placed = select(place, WINDOWS.c.state, WINDOWS.c.reason_code).where(of_wheelset).subquery()
-    key = (placed.c.place, placed.c.state, placed.c.reason_code)
+    placed = select(place, WINDOWS.c.state, WINDOWS.c.reason_code.label("code")).where(of_wheelset).subquery()
+    key = (placed.c.place, placed.c.state, placed.c.code)
     rows = connection.execute(select(*key, func.count().label("windows")).group_by(*key))
-    found = [
-        WindowCount(
-            begin + int(row.place) * stretch_ns,
-            WindowState(row.state),
-            None if row.reason_code is None else ReasonCode(row.reason_code),
-            row.windows,
-        )
-        for row in rows
-    ]
-    return WindowCounts(stretch_ns, tuple(sorted(found, key=_order)))
-
-
-def _order(one: WindowCount) -> tuple[int, str, str]:
-    return one.from_ns, one.state.value, "" if one.code is None else one.code.value
+    found = [value_of_row(WindowCount, row, from_ns=begin + int(row.place) * stretch_ns) for row in rows]
+    found.sort(key=lambda one: (one.from_ns, one.state.value, "" if one.code is None else one.code.value))
+    return WindowCounts(stretch_ns, tuple(found))
 
 
 COUNTED = 1000
@@ -94,17 +84,15 @@ class CountedWindows:
     """Windows of one wheelset that have the same state, reason code, section and vehicle.
 
     Attributes:
-        placed: Whether their place on the section is found; False of those that do not wait.
-        reason: As it is stored of the newest; None where none is.
         first_ns, newest_start_ns, newest_end_ns: Begin of the oldest, begin and end of the newest, ns UTC on the
             vehicle's clock.
     """
 
     state: WindowState
-    reason: Reason | None
+    reason: Reason | None  # as it is stored of the newest; None where none is
     section: str | None
     vehicle: str
-    placed: bool
+    placed: bool  # whether their place on the section is found; False of those that do not wait
     windows: int
     first_ns: int
     newest_start_ns: int
@@ -118,20 +106,9 @@ def newest_by_reason(
     given = {"serial": wheelset, "since_ns": EVER_NS if since_ns is None else since_ns, "most": most}
     rows = connection.execute(_grouped(), given).all()
     starts = [row.newest_start_ns for row in rows if row.reason_code is not None]
-    stored = {}
-    if starts:
-        found = connection.execute(_reasons(), {"serial": wheelset, "starts": starts})
-        stored = {row.start_ns: stored_reason(row) for row in found}
-    counted = [
-        value_of_row(
-            CountedWindows,
-            row,
-            reason=stored.get(row.newest_start_ns),
-            section=row.track_section,
-            placed=bool(row.placed),
-        )
-        for row in rows
-    ]
+    found = connection.execute(_reasons(), {"serial": wheelset, "starts": starts}) if starts else ()
+    stored = {row.start_ns: stored_reason(row) for row in found}
+    counted = [_counted(row, reason=stored.get(row.newest_start_ns)) for row in rows]
     return sorted(counted, key=lambda one: (-one.windows, -one.newest_end_ns, one.state.value))
 
 
@@ -151,10 +128,11 @@ def pending_by_place(
     one = waiting.where(*chosen).subquery()
     key = (one.c.vehicle, one.c.track_section, one.c.placed)
     rows = connection.execute(select(*key, *_sums(one)).group_by(*key))
-    common = {"state": WindowState.PENDING, "reason": None}
-    return [
-        value_of_row(CountedWindows, row, section=row.track_section, placed=bool(row.placed), **common) for row in rows
-    ]
+    return [_counted(row, state=WindowState.PENDING, reason=None) for row in rows]
+
+
+def _counted(row: Row[Any], **given: object) -> CountedWindows:
+    return value_of_row(CountedWindows, row, section=row.track_section, placed=bool(row.placed), **given)
 
 
 def refused_by_code(connection: Connection, since_ns: Mapping[str, int | None]) -> dict[str, dict[ReasonCode, int]]:
@@ -222,14 +200,13 @@ class Backlog:
     """What waits.
 
     Attributes:
-        recordings: How many there are, by state.
-        oldest_recording_ns, oldest_window_ns: Since when, ns of our clock, the oldest recording waits to be decoded and
-            the oldest window to be estimated; None where none does.
+        oldest_recording_ns, oldest_window_ns: Since when, ns of our clock, the oldest recording waits to be decoded
+            and the oldest window to be estimated; None where none does.
         last_data: Fleet, and newest data on the vehicle's clock, of each vehicle with a mounted wheelset; None without
             data.
     """
 
-    recordings: Mapping[ChunkState, int]
+    recordings: Mapping[ChunkState, int]  # how many there are, by state
     oldest_recording_ns: int | None
     oldest_window_ns: int | None
     last_data: tuple[tuple[str, int | None], ...]

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
-from typing import Any
 
-from sqlalchemy import Connection, Select, delete, select
+from sqlalchemy import Connection, delete, select
 
 from estimation.values.windows import WindowKey, WindowPosition
+from fleet_db.due import BATCH
 from fleet_db.rows import columns_of, insert_all_new, replace_all, table_of, value_of_row
-from fleet_db.stores.window_marks import BATCH, keys_given
+from fleet_db.stores.window_rows import keys_given
 from fleet_db.tables.track import WindowPositionRow
 from fleet_db.tables.windows import WindowRow
 
 POSITIONS, WINDOWS = table_of(WindowPositionRow), table_of(WindowRow)
+OF_WINDOWS = select(POSITIONS).where(keys_given(POSITIONS))
 
 
 def positions_of(connection: Connection, keys: Sequence[WindowKey]) -> Mapping[WindowKey, WindowPosition]:
     """Return by wheelset and start where those of some windows were that have been looked at."""
     found = {}
     for first in range(0, len(keys), BATCH):
-        for row in connection.execute(_positions(), {"keys": keys[first : first + BATCH]}):
+        for row in connection.execute(OF_WINDOWS, {"keys": keys[first : first + BATCH]}):
             found[row.wheelset, row.start_ns] = value_of_row(WindowPosition, row)
     return found
 
@@ -48,8 +48,3 @@ def forget_positions(connection: Connection, keys: Sequence[WindowKey]) -> set[s
         sections.update(connection.scalars(select(WINDOWS.c.track_section).where(keys_given(WINDOWS)), given))
         connection.execute(delete(POSITIONS).where(keys_given(POSITIONS)), given)
     return sections
-
-
-@cache
-def _positions() -> Select[Any]:
-    return select(POSITIONS).where(keys_given(POSITIONS))

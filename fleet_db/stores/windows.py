@@ -27,43 +27,34 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import SIGNATURES
 from estimation.values.windows import (
     HUNTING_SHARE,
-    NO_BLOWS,
-    NOT_HUNTING,
     DueStage,
-    Hunting,
     PassedOver,
-    TurnBlows,
     Window,
     WindowKey,
     WindowMark,
-    WindowQuality,
     WindowRecord,
     WindowState,
 )
-from fleet_db import alignment_due
-from fleet_db.due import list_due, windows_changed
+from fleet_db.due import BATCH, list_due, list_for_alignment, positions_forgotten, windows_changed, windows_left
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import (
     by_wheelset,
     insert_new,
     key_given,
     key_of,
-    nan_if_null,
-    null_if_nan,
     on_sections,
-    reason_columns,
     replace,
-    stored_reason,
     table_of,
 )
-from fleet_db.stores.window_marks import (
-    BATCH,
+from fleet_db.stores.window_rows import (
     keys_given,
     list_for_sums,
     mark_all,
     pass_over,
     remove_tables,
+    to_window_record,
     wait_again,
+    window_values,
 )
 from fleet_db.subjects import Subjects
 from fleet_db.tables.registry import MountingRow, WheelsetRow
@@ -83,15 +74,6 @@ STORED = (
     .where(WHEELSETS.c.serial == bindparam("wheelset"))
 )
 DIGEST = select(*(WINDOWS.c[name] for name in ("content_digest", "samples_purged_ns"))).where(key_given(WINDOWS))
-REALS = (
-    "coverage",
-    "longest_gap_s",
-    "clipped",
-    "invalid",
-    "speed_min_m_s",
-    "speed_max_m_s",
-    "position_quality",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,13 +121,13 @@ class WindowStore:
             if not insert_new(self.connection, WINDOWS, values):  # another transaction has stored it meanwhile
                 return self.put(window, mileage_km, recorded_ns)
             windows_changed(self.connection, [key])
-            alignment_due.come(self.subjects, {key: window.track_section})
+            list_for_alignment(self.subjects, {key: window.track_section})
             return True
         replace(self.connection, WINDOWS, values)
         windows_changed(self.connection, [key])
-        alignment_due.come(self.subjects, {key: window.track_section})
+        list_for_alignment(self.subjects, {key: window.track_section})
         if window.track_section != found.track_section:
-            alignment_due.left(self.subjects, [key])
+            windows_left(self.subjects, [key])
         self.subjects.places(found.track_section)
         remove_tables(self.connection, self.subjects, [key])
         return True
@@ -337,7 +319,7 @@ class WindowStore:
             for section in self.connection.scalars(on, given):
                 self.subjects.places(section)
             own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(given["keys"])
-            alignment_due.unplaced_where(self.subjects, and_(own, *chosen))
+            positions_forgotten(self.subjects, and_(own, *chosen))
             self.connection.execute(delete(POSITIONS).where(keys_given(POSITIONS), *chosen), given)
 
     def _set_mileage(self, window: Window, found: Row[Any, Any, Any], mileage_km: float) -> bool:
@@ -350,7 +332,7 @@ class WindowStore:
         replace(self.connection, WINDOWS, values)
         list_due(self.connection, DueStage.MILEAGES, key_given(WINDOWS), **key_of(WINDOWS, values))
         list_for_sums(self.connection, [(window.wheelset, window.start_ns)])
-        alignment_due.come(self.subjects, {(window.wheelset, window.start_ns): found.track_section})
+        list_for_alignment(self.subjects, {(window.wheelset, window.start_ns): found.track_section})
         self.subjects.tables(window.wheelset)
         self.subjects.windows(window.wheelset)
         self.subjects.places(found.track_section)
@@ -387,81 +369,3 @@ def _in_service(wheelsets: Collection[str], count: int) -> Select[Any]:
 def _several(held: bool) -> Select[Any]:  # noqa: FBT001 - a key of the cache
     statement = select(WINDOWS).where(keys_given(WINDOWS)).order_by(*WINDOWS.primary_key)
     return statement.with_for_update(key_share=True) if held else statement
-
-
-def to_window_record(row: Row[Any]) -> WindowRecord:
-    """Return the value of a row of windows."""
-    return WindowRecord(
-        wheelset=row.wheelset,
-        start_ns=row.start_ns,
-        length_ns=row.length_ns,
-        vehicle=row.vehicle,
-        axle=row.axle,
-        track_section=row.track_section,
-        mileage_km=row.mileage_km,
-        quality=WindowQuality(
-            coverage=nan_if_null(row.coverage),
-            longest_gap_s=nan_if_null(row.longest_gap_s),
-            gaps=row.gaps,
-            clipped=nan_if_null(row.clipped),
-            invalid=nan_if_null(row.invalid),
-            speed_min_m_s=nan_if_null(row.speed_min_m_s),
-            speed_max_m_s=nan_if_null(row.speed_max_m_s),
-            position_quality=nan_if_null(row.position_quality),
-            sensor_fault=row.sensor_fault,
-            hunting=_hunting(row),
-            blows=_blows(row),
-        ),
-        state=WindowState(row.state),
-        reason=stored_reason(row),
-        content_digest=row.content_digest,
-        recorded_ns=row.recorded_ns,
-        implausible=implausible_reason(row),
-        samples_purged=row.samples_purged_ns is not None,
-    )
-
-
-def implausible_reason(row: Any) -> Reason | None:  # noqa: ANN401 - a row of windows, whatever was selected
-    """Return why the mileage of a row of windows is not believed; None where it is.
-
-    Args:
-        row: With the columns ``implausible`` and ``implausible_code``.
-    """
-    return None if row.implausible_code is None else Reason(ReasonCode(row.implausible_code), row.implausible)
-
-
-def _hunting(row: Row[Any]) -> Hunting:
-    if not row.hunting_share:
-        return NOT_HUNTING
-    return Hunting(row.hunting_share, row.hunting_hz or 0.0, row.hunting_amplitude_m or 0.0)
-
-
-def _blows(row: Row[Any]) -> TurnBlows:
-    if not row.blows_share:
-        return NO_BLOWS
-    return TurnBlows(row.blows_share, row.blows_m_s2 or 0.0, row.blows_turn_m or 0.0, row.blows_side or 0)
-
-
-def window_values(window: Window, mileage_km: float) -> dict[str, object]:
-    """Return what the row of a window that waits to be estimated holds of it, without its file."""
-    return {
-        "wheelset": window.wheelset,
-        "start_ns": window.start_ns,
-        "length_ns": window.length_ns,
-        "vehicle": window.vehicle,
-        "axle": window.axle,
-        "track_section": window.track_section,
-        "mileage_km": mileage_km,
-        **{name: null_if_nan(getattr(window.quality, name)) for name in REALS},
-        "gaps": window.quality.gaps,
-        "sensor_fault": window.quality.sensor_fault,
-        "hunting_share": window.quality.hunting.share,
-        "hunting_hz": window.quality.hunting.frequency_hz,
-        "hunting_amplitude_m": window.quality.hunting.amplitude,
-        "blows_share": window.quality.blows.share,
-        "blows_m_s2": window.quality.blows.size,
-        "blows_turn_m": window.quality.blows.turn_m,
-        "blows_side": window.quality.blows.side,
-        "state": WindowState.PENDING.value,
-        **reason_columns(None),
-    }

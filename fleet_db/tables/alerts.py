@@ -14,13 +14,12 @@ OF_FLEET = text("wheelset IS NULL AND track_section IS NULL AND closed_ns IS NUL
 OF_SECTION = text("track_section IS NOT NULL AND closed_ns IS NULL")
 
 
-class AlertRow(Base):
+class AlertRow(Base, table="alerts", numbered=True):
     """One alert, of a wheelset, of a track section, or (without both) of a fleet.
 
     The partial unique indexes are what keeps a second open one of its kind out.
     """
 
-    __tablename__ = "alerts"
     __table_args__ = (
         CheckConstraint("kind <> ''", name="kind_named"),  # the rules define the kinds
         one_of("severity", Severity),
@@ -34,7 +33,6 @@ class AlertRow(Base):
         Index(None, "wheelset"),
         Index(None, "severity", "alert_id"),
         Index(None, "fleet_alert_id"),
-        {"sqlite_autoincrement": True},
     )
 
     alert_id: Mapped[Serial]
@@ -66,14 +64,13 @@ class AlertRow(Base):
     version: Mapped[int]
 
 
-class AlertEventRow(Base):
+class AlertEventRow(Base, table="alert_events", numbered=True):
     """One line of the feed, with the alert as it was right after. ``sequence`` grows in commit order.
 
     Not ``in_feed``: the event of a member that its fleet alert stands for.
     """
 
-    __tablename__ = "alert_events"
-    __table_args__ = (one_of("kind", AlertEventKind), {"sqlite_autoincrement": True})
+    __table_args__ = (one_of("kind", AlertEventKind),)
 
     sequence: Mapped[Serial]
     alert_id: Mapped[Count] = mapped_column(ForeignKey("alerts.alert_id"), index=True)
@@ -85,14 +82,11 @@ class AlertEventRow(Base):
     in_feed: Mapped[bool]
 
 
-class FeedBranchRow(Base):
+class FeedBranchRow(Base, table="feed_branches", numbered=True):
     """The feed from one restore of the database (or from its beginning) to the next.
 
     Events up to ``after_sequence`` it shares with the branch before.
     """
-
-    __tablename__ = "feed_branches"
-    __table_args__ = ({"sqlite_autoincrement": True},)
 
     branch_id: Mapped[Serial]
     identity: Mapped[str] = mapped_column(String(32), unique=True)
@@ -100,15 +94,13 @@ class FeedBranchRow(Base):
     began_ns: Mapped[Nanoseconds]
 
 
-class WebhookRow(Base):
+class WebhookRow(Base, table="webhooks", numbered=True):
     """One webhook; ``position`` is the number of the event up to which everything is delivered."""
 
-    __tablename__ = "webhooks"
     __table_args__ = (
         one_of("state", WebhookState),
         one_of("disabled_reason", DisabledReason),
         CheckConstraint("(state = 'disabled') = (disabled_reason IS NOT NULL)", name="disabled_with_reason"),
-        {"sqlite_autoincrement": True},
     )
 
     webhook_id: Mapped[Serial]
@@ -128,20 +120,17 @@ class WebhookRow(Base):
     failed: Mapped[Count]
 
 
-class WebhookFleetRow(Base):
+class WebhookFleetRow(Base, table="webhook_fleets"):
     """A fleet of the key that made a webhook; a webhook of a key of all fleets has none."""
-
-    __tablename__ = "webhook_fleets"
 
     webhook_id: Mapped[int] = mapped_column(ForeignKey("webhooks.webhook_id"), primary_key=True)
     fleet: Mapped[str] = mapped_column(String(64), primary_key=True)
 
 
-class WebhookSecretRow(Base):
+class WebhookSecretRow(Base, table="webhook_secrets", numbered=True):
     """What signs; ``until_ns`` is null of the current one. A table of its own, so that no answer reads it."""
 
-    __tablename__ = "webhook_secrets"
-    __table_args__ = (Index(None, "webhook_id"), {"sqlite_autoincrement": True})
+    __table_args__ = (Index(None, "webhook_id"),)
 
     secret_id: Mapped[Serial]
     webhook_id: Mapped[int] = mapped_column(ForeignKey("webhooks.webhook_id"))
@@ -150,16 +139,14 @@ class WebhookSecretRow(Base):
     until_ns: Mapped[Nanoseconds | None]
 
 
-class WebhookDeliveryRow(Base):
+class WebhookDeliveryRow(Base, table="webhook_deliveries", numbered=True):
     """An event on its way to a webhook; purged when it is old, unless it waits."""
 
-    __tablename__ = "webhook_deliveries"
     __table_args__ = (
         one_of("state", DeliveryState),
         CheckConstraint("(state = 'waiting') = (next_ns IS NOT NULL)", name="waiting_for_a_time"),
         Index(None, "webhook_id", "delivery_id"),
         Index(None, "state", "last_ns"),
-        {"sqlite_autoincrement": True},
     )
 
     delivery_id: Mapped[Serial]

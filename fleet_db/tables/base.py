@@ -41,9 +41,14 @@ Json = Annotated[Any, mapped_column(JSON)]
 
 
 class Base(DeclarativeBase):
-    """Root of all tables."""
+    """Root of all tables: of each with its name, and whether SQLite is to use no number of a row twice."""
 
     metadata: ClassVar[MetaData] = MetaData(naming_convention=NAMING)
+
+    def __init_subclass__(cls, *, table: str, numbered: bool = False) -> None:
+        cls.__tablename__ = table
+        cls.__table_args__ = (*cls.__dict__.get("__table_args__", ()), {"sqlite_autoincrement": numbered})
+        super().__init_subclass__()
 
 
 def one_of(column: str, values: Iterable[str]) -> CheckConstraint:

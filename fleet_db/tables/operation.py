@@ -1,4 +1,4 @@
-"""Runs of jobs, who owns and claims work, what each job has seen, and settings that are kept."""
+"""Runs of jobs, who claims what, what stages have seen; settings; keys, audit, requests answered once."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from estimation.values.runs import JobOutcome
 from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Serial, one_of
 
 
-class JobRunRow(Base):
+class JobRunRow(Base, table="job_runs", numbered=True):
     """One run; ``finished_ns`` is null until its end is recorded. ``owner`` is the lease of its process."""
 
-    __tablename__ = "job_runs"
     __table_args__ = (
         one_of("outcome", JobOutcome),
         CheckConstraint("(outcome = 'running') = (finished_ns IS NULL)", name="running_until_finished"),
         Index(None, "job", "run_id"),
-        {"sqlite_autoincrement": True},
     )
 
     run_id: Mapped[Serial]
@@ -31,18 +29,16 @@ class JobRunRow(Base):
     owner: Mapped[Count | None]
 
 
-class WorkLeaseRow(Base):
+class WorkLeaseRow(Base, table="work_leases", numbered=True):
     """Leave to work until a time by the clock of the database, prolonged as long as the process lives.
 
     ``lease_id`` is never used twice: whoever has lost one stores nothing under it. ``owner`` is the lease of the
     process that runs the job, where this one ends with it; ``unit`` the number of the unit of work.
     """
 
-    __tablename__ = "work_leases"
     __table_args__ = (
         CheckConstraint("length_ns > 0", name="length_positive"),
         Index(None, "until_ns"),
-        {"sqlite_autoincrement": True},
     )
 
     lease_id: Mapped[Serial]
@@ -53,13 +49,12 @@ class WorkLeaseRow(Base):
     until_ns: Mapped[Nanoseconds]
 
 
-class WorkClaimRow(Base):
+class WorkClaimRow(Base, table="work_claims"):
     """One thing that a stage works on under a lease, or worked on under one that has ended without a word.
 
     The row goes when work on it ends in order. ``attempts`` counts how often work on it has begun since then.
     """
 
-    __tablename__ = "work_claims"
     __table_args__ = (CheckConstraint("attempts >= 1", name="begun"), Index(None, "lease_id"))
 
     stage: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -69,10 +64,8 @@ class WorkClaimRow(Base):
     begun_ns: Mapped[Nanoseconds]
 
 
-class SubjectVersionRow(Base):
+class SubjectVersionRow(Base, table="subject_versions"):
     """How often a facet of a wheelset, vehicle or section has changed; section '' is what is on none."""
-
-    __tablename__ = "subject_versions"
 
     kind: Mapped[str] = mapped_column(String(16), primary_key=True)
     subject: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -80,14 +73,12 @@ class SubjectVersionRow(Base):
     version: Mapped[Count]
 
 
-class StageMarkRow(Base):
+class StageMarkRow(Base, table="stage_marks"):
     """What a stage has seen of a subject: the sum of the versions of its inputs, and digests of the inputs themselves.
 
     ``common`` is what is the same for all subjects. From ``again_ns`` on, our time, the same inputs may say something
     else.
     """
-
-    __tablename__ = "stage_marks"
 
     stage: Mapped[str] = mapped_column(String(32), primary_key=True)
     subject: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -97,20 +88,16 @@ class StageMarkRow(Base):
     again_ns: Mapped[Nanoseconds | None]
 
 
-class StoredSettingRow(Base):
+class StoredSettingRow(Base, table="stored_settings"):
     """One setting, as text, since the first recording was received with it."""
-
-    __tablename__ = "stored_settings"
 
     name: Mapped[str] = mapped_column(String(64), primary_key=True)
     value: Mapped[Name]
     recorded_ns: Mapped[Nanoseconds]
 
 
-class ApiKeyRow(Base):
+class ApiKeyRow(Base, table="api_keys"):
     """One key; only the digest of its secret is kept. ``fleets`` null is all fleets."""
-
-    __tablename__ = "api_keys"
 
     prefix: Mapped[str] = mapped_column(String(8), primary_key=True)
     digest: Mapped[Code]
@@ -124,11 +111,10 @@ class ApiKeyRow(Base):
     last_used_ns: Mapped[Nanoseconds | None]
 
 
-class AuditRow(Base):
+class AuditRow(Base, table="audit_entries", numbered=True):
     """One change or refusal; rows are only added, and purged when they are old."""
 
-    __tablename__ = "audit_entries"
-    __table_args__ = (Index(None, "at_ns"), Index(None, "key_prefix", "entry_id"), {"sqlite_autoincrement": True})
+    __table_args__ = (Index(None, "at_ns"), Index(None, "key_prefix", "entry_id"))
 
     entry_id: Mapped[Serial]
     at_ns: Mapped[Nanoseconds]
@@ -142,10 +128,8 @@ class AuditRow(Base):
     request_id: Mapped[str | None] = mapped_column(String(64))
 
 
-class IdempotencyRow(Base):
+class IdempotencyRow(Base, table="idempotency_keys"):
     """The answer to one request that carried an ``Idempotency-Key``."""
-
-    __tablename__ = "idempotency_keys"
 
     key: Mapped[str] = mapped_column(String(255), primary_key=True)
     request_digest: Mapped[Code]

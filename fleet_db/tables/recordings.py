@@ -41,10 +41,9 @@ OF_UNDECODED = ("recorded_ns", "digest", "size_bytes")
 """What is asked of recordings that wait for a worker is in the index alone, however many others there are."""
 
 
-class ChunkRow(Base):
+class ChunkRow(Base, table="chunks"):
     """The receipt of one recording. ``vehicle`` is the sender's: a recording of an unknown one is kept too."""
 
-    __tablename__ = "chunks"
     __table_args__ = (
         one_of("state", ChunkState),
         CheckConstraint("(first_ns IS NULL) = (last_ns IS NULL)", name="both_ends_or_none"),
@@ -77,10 +76,9 @@ class ChunkRow(Base):
     recorder_last_ns: Mapped[Nanoseconds | None]
 
 
-class QuarantineRow(Base):
+class QuarantineRow(Base, table="quarantine"):
     """One thing at which one stage failed; the row stays when it succeeds later."""
 
-    __tablename__ = "quarantine"
     __table_args__ = (
         one_of("kind", SubjectKind),
         one_of("state", QuarantineState),
@@ -102,16 +100,14 @@ class QuarantineRow(Base):
     state: Mapped[str] = mapped_column(String(16))
 
 
-class RecordingChangeRow(Base):
+class RecordingChangeRow(Base, table="recording_changes", numbered=True):
     """What was done to a recording by hand."""
 
-    __tablename__ = "recording_changes"
     __table_args__ = (
         one_of("action", RecordingAction),
         one_of("state_before", ChunkState),
         one_of("state_after", ChunkState),
         Index(None, "digest", "id"),
-        {"sqlite_autoincrement": True},
     )
 
     id: Mapped[Serial]
@@ -126,19 +122,15 @@ class RecordingChangeRow(Base):
     state_after: Mapped[str] = mapped_column(String(16))
 
 
-class RawMarkRow(Base):
+class RawMarkRow(Base, table="raw_marks"):
     """The mark that the folder of raw recordings of this database holds."""
-
-    __tablename__ = "raw_marks"
 
     mark: Mapped[str] = mapped_column(String(64), primary_key=True)
     recorded_ns: Mapped[Nanoseconds]
 
 
-class RawScrubRow(Base):
+class RawScrubRow(Base, table="raw_scrubs"):
     """One reading of all raw files in the order of their digests; ``finished_ns`` is None until its end."""
-
-    __tablename__ = "raw_scrubs"
 
     scrub_id: Mapped[Serial]
     started_ns: Mapped[Nanoseconds]
@@ -149,14 +141,12 @@ class RawScrubRow(Base):
     faults: Mapped[Count]
 
 
-class PurgeRow(Base):
+class PurgeRow(Base, table="purges", numbered=True):
     """What one purge deleted of one kind: everything of it from before ``before_ns`` is gone."""
 
-    __tablename__ = "purges"
     __table_args__ = (
         CheckConstraint("items >= 0", name="items_counted"),
         Index(None, "kind", "before_ns"),
-        {"sqlite_autoincrement": True},
     )
 
     purge_id: Mapped[Serial]
@@ -167,14 +157,12 @@ class PurgeRow(Base):
     purged_ns: Mapped[Nanoseconds]
 
 
-class StaleSpanRow(Base):
+class StaleSpanRow(Base, table="stale_spans", numbered=True):
     """A span ``[from_ns, to_ns)`` and what made it stale; the row goes in the transaction that stores its windows."""
 
-    __tablename__ = "stale_spans"
     __table_args__ = (
         CheckConstraint("to_ns > from_ns", name="ends_after_start"),
         Index(None, "vehicle", "from_ns"),
-        {"sqlite_autoincrement": True},
     )
 
     id: Mapped[Serial]

@@ -12,10 +12,9 @@ from fleet_db.registry_events import RecordAction, RecordKind
 from fleet_db.tables.base import Base, Code, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
 
 
-class WheelsetRow(Base):
+class WheelsetRow(Base, table="wheelsets"):
     """One wheelset, wherever it is mounted."""
 
-    __tablename__ = "wheelsets"
     __table_args__ = (CheckConstraint("nominal_radius_m > 0", name="radius_positive"),)
 
     serial: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -24,10 +23,8 @@ class WheelsetRow(Base):
     nominal_radius_m: Mapped[Real]
 
 
-class ReprofilingRow(Base):
+class ReprofilingRow(Base, table="reprofilings"):
     """One visit to the lathe."""
-
-    __tablename__ = "reprofilings"
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     at_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
@@ -38,19 +35,16 @@ class ReprofilingRow(Base):
 FleetKey = Annotated[str, mapped_column(String(64), primary_key=True)]
 
 
-class FleetRow(Base):
+class FleetRow(Base, table="fleets"):
     """One fleet."""
-
-    __tablename__ = "fleets"
 
     code: Mapped[FleetKey]
     name: Mapped[Name]
 
 
-class VehicleClassRow(Base):
+class VehicleClassRow(Base, table="vehicle_classes"):
     """One version of a class; never changed. ``document`` is the whole value."""
 
-    __tablename__ = "vehicle_classes"
     __table_args__ = (CheckConstraint("version > 0", name="version_counted"),)
 
     code: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -59,10 +53,9 @@ class VehicleClassRow(Base):
     recorded_ns: Mapped[Nanoseconds]
 
 
-class VehicleRow(Base):
+class VehicleRow(Base, table="vehicles"):
     """One vehicle; ``axle_offsets_m`` is a JSON list of one distance an axle."""
 
-    __tablename__ = "vehicles"
     __table_args__ = (CheckConstraint("axles > 0", name="axles_positive"),)
 
     code: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -73,14 +66,13 @@ class VehicleRow(Base):
     axle_offsets_m: Mapped[Json]
 
 
-class MountingRow(Base):
+class MountingRow(Base, table="mountings"):
     """One mounting, ``[from_ns, to_ns)``; ``to_ns`` is null while it lasts.
 
     That neither a wheelset nor an axle is in two mountings at one time is checked by the store, under the lock of
     the registry: the range types that could express it as a constraint exist on PostgreSQL only.
     """
 
-    __tablename__ = "mountings"
     __table_args__ = (
         CheckConstraint("to_ns IS NULL OR to_ns > from_ns", name="ends_after_start"),
         CheckConstraint("axle > 0", name="axle_positive"),
@@ -97,10 +89,9 @@ class MountingRow(Base):
     reversed: Mapped[bool]
 
 
-class SensorChangeRow(Base):
+class SensorChangeRow(Base, table="sensor_changes"):
     """Work on the sensors of one axle at a time of the vehicle's clock."""
 
-    __tablename__ = "sensor_changes"
     __table_args__ = (CheckConstraint("axle > 0", name="axle_positive"), one_of("work", SensorWork))
 
     vehicle: Mapped[str] = mapped_column(ForeignKey("vehicles.code"), primary_key=True)
@@ -112,10 +103,9 @@ class SensorChangeRow(Base):
     note: Mapped[Name]
 
 
-class MeasuredProfilesRow(Base):
+class MeasuredProfilesRow(Base, table="measured_profiles"):
     """One measurement of both wheels of a wheelset. The profiles are in ``packed``."""
 
-    __tablename__ = "measured_profiles"
     __table_args__ = (CheckConstraint("std_m > 0", name="std_positive"),)
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
@@ -125,18 +115,16 @@ class MeasuredProfilesRow(Base):
     packed: Mapped[Packed]
 
 
-class RegistryEventRow(Base):
+class RegistryEventRow(Base, table="registry_events", numbered=True):
     """One decision; never changed.
 
     ``record`` is what was there before, or what was restored; ``after`` what is there since.
     """
 
-    __tablename__ = "registry_events"
     __table_args__ = (
         one_of("kind", RecordKind),
         one_of("action", RecordAction),
         Index(None, "subject", "kind"),
-        {"sqlite_autoincrement": True},
     )
 
     id: Mapped[Serial]

@@ -7,29 +7,17 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.alerts import Severity, Urgency
 from estimation.values.quantities import Status
-from fleet_db.tables.base import (
-    Base,
-    Code,
-    Json,
-    Name,
-    Nanoseconds,
-    Packed,
-    Real,
-    Serial,
-    one_of,
-    partial_index,
-)
+from fleet_db.tables.base import Base, Code, Json, Name, Nanoseconds, Packed, Real, Serial, one_of, partial_index
 
 IN_FORCE, PAST = text("superseded_ns IS NULL"), text("superseded_ns IS NOT NULL")
 
 
-class ResultRow(Base):
+class ResultRow(Base, table="results", numbered=True):
     """What a stage made of a part of a subject. ``superseded_ns`` is when the one that followed it was recorded.
 
     ``value`` holds the whole value, bit for bit; ``head`` what is read of many results without it.
     """
 
-    __tablename__ = "results"
     __table_args__ = (
         one_of("status", Status),
         partial_index("ix_results_in_force", "stage", "subject", "part", where=IN_FORCE, unique=True),
@@ -37,7 +25,6 @@ class ResultRow(Base):
         partial_index("ix_results_superseded", "stage", "subject", "part", "recorded_ns", "result_id", where=PAST),
         Index(None, "recorded_ns"),
         Index(None, "superseded_ns"),
-        {"sqlite_autoincrement": True},
     )
 
     result_id: Mapped[Serial]
@@ -60,10 +47,9 @@ class ResultRow(Base):
 SORT_KEYS = ("urgency_key", "distance_key", "conicity_key", "trend_key", "mileage_key", "last_data_ns")
 
 
-class WorklistEntryRow(Base):
+class WorklistEntryRow(Base, table="worklist_entries"):
     """One wheelset that is not voided. ``document`` is the whole row as JSON."""
 
-    __tablename__ = "worklist_entries"
     __table_args__ = (
         one_of("status", Status),
         one_of("urgency", Urgency),
@@ -94,10 +80,9 @@ class WorklistEntryRow(Base):
     document: Mapped[Name]
 
 
-class WorklistAlertRow(Base):
+class WorklistAlertRow(Base, table="worklist_alerts"):
     """One kind of alert that is open of a wheelset."""
 
-    __tablename__ = "worklist_alerts"
     __table_args__ = (Index(None, "wheelset"),)
 
     kind: Mapped[str] = mapped_column(String(32), primary_key=True)

@@ -10,10 +10,9 @@ from estimation.values.track import AlignmentSource
 from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
 
 
-class TrackSectionRow(Base):
+class TrackSectionRow(Base, table="track_sections"):
     """One section of line; ``number`` identifies it on the vehicles' bus."""
 
-    __tablename__ = "track_sections"
     __table_args__ = (CheckConstraint("length_m > 0", name="length_positive"),)
 
     code: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -27,10 +26,9 @@ class TrackSectionRow(Base):
     tonnage_mgt_per_year: Mapped[Real | None]
 
 
-class TrackAlignmentRow(Base):
+class TrackAlignmentRow(Base, table="track_alignments"):
     """One version of what is known of a section; never changed. The arrays are in ``packed``."""
 
-    __tablename__ = "track_alignments"
     __table_args__ = (one_of("status", Status), CheckConstraint("version > 0", name="version_positive"))
 
     section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
@@ -41,7 +39,7 @@ class TrackAlignmentRow(Base):
     packed: Mapped[Packed]
 
 
-class TrackVersionRow(Base):
+class TrackVersionRow(Base, table="track_versions"):
     """Where a version of an alignment came from, beside it; one without this row is a recording.
 
     ``same_since`` is the oldest version from which this one differs by less than that one left unknown.
@@ -49,7 +47,6 @@ class TrackVersionRow(Base):
     stored, since something came late or was corrected; null while it does.
     """
 
-    __tablename__ = "track_versions"
     __table_args__ = (
         one_of("source", AlignmentSource),
         CheckConstraint("same_since <= version", name="same_since_before"),
@@ -68,11 +65,10 @@ class TrackVersionRow(Base):
     superseded_ns: Mapped[Nanoseconds | None]
 
 
-class TrackReportRow(Base):
+class TrackReportRow(Base, table="track_reports", numbered=True):
     """What a run of the alignment job found of a section; ``version`` is the one in force afterwards, if any."""
 
-    __tablename__ = "track_reports"
-    __table_args__ = (one_of("status", Status), Index(None, "section", "report_id"), {"sqlite_autoincrement": True})
+    __table_args__ = (one_of("status", Status), Index(None, "section", "report_id"))
 
     report_id: Mapped[Serial]
     section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"))
@@ -88,13 +84,12 @@ class TrackReportRow(Base):
     recorded_ns: Mapped[Nanoseconds]
 
 
-class WindowPositionRow(Base):
+class WindowPositionRow(Base, table="window_positions"):
     """Where a window was along its section: true position = measured + offset + scale (measured - middle).
 
     ``reason`` explains why that is not known. ``content_digest`` is of the samples that were used.
     """
 
-    __tablename__ = "window_positions"
     __table_args__ = (
         ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
     )
@@ -110,10 +105,9 @@ class WindowPositionRow(Base):
     reason_code: Mapped[Code | None]
 
 
-class TrackLayoutRow(Base):
+class TrackLayoutRow(Base, table="track_layouts"):
     """One version of the horizontal layout of a section; never changed. The arrays are in ``packed``."""
 
-    __tablename__ = "track_layouts"
     __table_args__ = (CheckConstraint("version > 0", name="version_positive"),)
 
     section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
@@ -123,13 +117,12 @@ class TrackLayoutRow(Base):
     packed: Mapped[Packed]
 
 
-class TrackEpochRow(Base):
+class TrackEpochRow(Base, table="track_epochs"):
     """One epoch of a section as it was computed last, in vehicle time; replaced when its windows change.
 
     ``stale``: one of its windows has gone since, or where that was has been forgotten.
     """
 
-    __tablename__ = "track_epochs"
     __table_args__ = (CheckConstraint("number > 0", name="number_positive"),)
 
     section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
@@ -149,13 +142,12 @@ class TrackEpochRow(Base):
     recorded_ns: Mapped[Nanoseconds]
 
 
-class TrackEpochWindowRow(Base):
+class TrackEpochWindowRow(Base, table="track_epoch_windows"):
     """A window of an epoch as it was when the epoch was computed; it stays when the window itself is gone.
 
     ``estimated_version`` is of the alignment that the window was refused on last, null where it was not.
     """
 
-    __tablename__ = "track_epoch_windows"
     __table_args__ = (
         ForeignKeyConstraint(["section", "epoch"], ["track_epochs.section", "track_epochs.number"], ondelete="CASCADE"),
         Index(None, "section", "epoch"),
@@ -173,10 +165,9 @@ class TrackEpochWindowRow(Base):
     estimated_version: Mapped[int | None]
 
 
-class TrackEpochVehicleRow(Base):
+class TrackEpochVehicleRow(Base, table="track_epoch_vehicles"):
     """A vehicle whose windows are estimated on no older version than that of an epoch, for what that found of it."""
 
-    __tablename__ = "track_epoch_vehicles"
     __table_args__ = (
         ForeignKeyConstraint(["section", "epoch"], ["track_epochs.section", "track_epochs.number"], ondelete="CASCADE"),
     )
@@ -188,10 +179,9 @@ class TrackEpochVehicleRow(Base):
     stiffness_ratio: Mapped[Real]
 
 
-class SuspensionFindingRow(Base):
+class SuspensionFindingRow(Base, table="suspension_findings"):
     """Yaw stiffness over creep coefficient of one vehicle on one section in one epoch, of the assumed one."""
 
-    __tablename__ = "suspension_findings"
     __table_args__ = (
         CheckConstraint("ratio > 0", name="ratio_positive"),
         CheckConstraint("ratio_std > 0", name="ratio_std_positive"),

@@ -1,4 +1,4 @@
-"""Windows, their bin tables, and the sums of these."""
+"""Windows, their bin tables and the sums of these; what is said of them beside the geometry."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.values.geometry import BinStatus
+from estimation.values.geometry import COMBINATIONS, BinStatus
 from estimation.values.windows import WindowState
 from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Packed, Real, Serial, one_of, partial_index
 
@@ -24,14 +24,13 @@ REFUSED, DOUBTED = text("reason_code IS NOT NULL"), text("implausible_code IS NO
 WITH_SAMPLES, PASSED_OVER = text("samples_purged_ns IS NULL"), text("passed_over IS NOT NULL")
 
 
-class WindowRow(Base):
+class WindowRow(Base, table="windows"):
     """One window. A quality number that is not known is null; the samples are in the file of ``content_digest``.
 
     ``implausible`` is why its mileage is not believed. Where samples or bin table have been purged it stays as it is:
     ``passed_over`` says what would have changed it since.
     """
 
-    __tablename__ = "windows"
     __table_args__ = (
         one_of("state", WindowState),
         CheckConstraint("length_ns > 0", name="length_positive"),
@@ -82,13 +81,12 @@ class WindowRow(Base):
     passed_over: Mapped[str | None] = mapped_column(String(16))
 
 
-class WindowBinTableRow(Base):
+class WindowBinTableRow(Base, table="window_bin_tables"):
     """The sufficient statistics of one window, packed; ``window_digest`` identifies the content of the window.
 
     ``content_digest`` is of the table itself. ``running_km`` is the mileage with which it was summed; null before that.
     """
 
-    __tablename__ = "window_bin_tables"
     __table_args__ = (
         ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
     )
@@ -104,10 +102,9 @@ class WindowBinTableRow(Base):
     packed: Mapped[Packed]
 
 
-class WindowDueRow(Base):
+class WindowDueRow(Base, table="window_due"):
     """A window that a stage has not made from what it is now (``fleet_db.due``); ``section`` is empty on none."""
 
-    __tablename__ = "window_due"
     __table_args__ = (Index(None, "stage", "section", "start_ns"), Index(None, "stage", "vehicle", "start_ns"))
 
     stage: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -118,19 +115,10 @@ class WindowDueRow(Base):
     version: Mapped[Count]
 
 
-class WheelsetBinRow(Base):
+class WheelsetBinRow(Base, table="wheelset_bins"):
     """One bin of the current geometry of a wheelset; null where nothing is known."""
 
-    __tablename__ = "wheelset_bins"
-    __table_args__ = tuple(
-        one_of(f"{name}_status", BinStatus)
-        for name in (
-            "rolling_radius_sum",
-            "rolling_radius_difference",
-            "contact_angle_sum",
-            "contact_angle_difference",
-        )
-    )
+    __table_args__ = tuple(one_of(f"{name}_status", BinStatus) for name in COMBINATIONS)
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     bin: Mapped[int] = mapped_column(primary_key=True)
@@ -152,10 +140,9 @@ class WheelsetBinRow(Base):
     contact_angle_difference_status: Mapped[str] = mapped_column(String(40))
 
 
-class RollUpRow(Base):
+class RollUpRow(Base, table="roll_ups"):
     """Sums of the tables of one interval, plain and with forgetting, packed; ``summary`` is of its windows."""
 
-    __tablename__ = "roll_ups"
     __table_args__ = (
         UniqueConstraint(
             *("wheelset", "baseline", "baseline_interval", "side", "table_key", "vehicle_class"), name="uq_roll_ups_key"
@@ -180,10 +167,8 @@ class RollUpRow(Base):
     forgetting: Mapped[Packed | None]
 
 
-class RollUpStateRow(Base):
+class RollUpStateRow(Base, table="roll_up_states"):
     """What the roll-ups of a wheelset were made by, and the forgetting sum of the intervals that are over."""
-
-    __tablename__ = "roll_up_states"
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     rules: Mapped[Code]
@@ -192,10 +177,8 @@ class RollUpStateRow(Base):
     earlier: Mapped[Packed | None]
 
 
-class RollingSumsRow(Base):
+class RollingSumsRow(Base, table="rolling_sums"):
     """What a window says of its rolling radius, packed; of the windows that stand for an interval."""
-
-    __tablename__ = "rolling_sums"
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
@@ -204,13 +187,12 @@ class RollingSumsRow(Base):
     packed: Mapped[Packed]
 
 
-class RailCellRow(Base):
+class RailCellRow(Base, table="rail_cells"):
     """What the windows of a wheelset in one mileage interval, on one section in one period, give.
 
     ``document`` holds the conicities by amplitude, or why there are none.
     """
 
-    __tablename__ = "rail_cells"
     __table_args__ = (
         CheckConstraint("baseline >= 0", name="baseline_counted"),
         CheckConstraint("period >= 0", name="period_counted"),
@@ -226,10 +208,9 @@ class RailCellRow(Base):
     document: Mapped[Json]
 
 
-class WindowAdhesionRow(Base):
+class WindowAdhesionRow(Base, table="window_adhesion"):
     """The creep of one window; ``packed`` holds forces and sums of friction by place."""
 
-    __tablename__ = "window_adhesion"
     __table_args__ = (Index(None, "track_section", "start_ns"),)
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
@@ -240,10 +221,9 @@ class WindowAdhesionRow(Base):
     packed: Mapped[Packed]
 
 
-class SectionAdhesionRow(Base):
+class SectionAdhesionRow(Base, table="section_adhesion"):
     """The friction along a section over some hours, which end with the window that began at ``to_ns``."""
 
-    __tablename__ = "section_adhesion"
     __table_args__ = (CheckConstraint("from_ns <= to_ns", name="from_before_to"),)
 
     track_section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
@@ -254,10 +234,9 @@ class SectionAdhesionRow(Base):
     packed: Mapped[Packed]
 
 
-class WindowDamperRow(Base):
+class WindowDamperRow(Base, table="window_dampers"):
     """What one window says of the damper of a running gear; ``packed`` holds its sums."""
 
-    __tablename__ = "window_dampers"
     __table_args__ = (CheckConstraint("first_axle > 0", name="first_axle_positive"),)
 
     vehicle: Mapped[str] = mapped_column(ForeignKey("vehicles.code"), primary_key=True)
@@ -268,10 +247,9 @@ class WindowDamperRow(Base):
     packed: Mapped[Packed]
 
 
-class WearSignatureRow(Base):
+class WearSignatureRow(Base, table="wear_signatures"):
     """The signatures of one window, packed, or why it has none. ``speed_band_m_s`` is the lower end of 5 m/s."""
 
-    __tablename__ = "wear_signatures"
     __table_args__ = (CheckConstraint("places >= 0", name="places_counted"),)
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)

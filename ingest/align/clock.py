@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 
 from estimation.errors import LogFileError
-from estimation.values.arrays import BoolArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, IntArray
 from ingest.align.cycles import UNPLACED, SyncClock, place_frames, sync_clock_of
 from ingest.catalogue import (
     ACCELERATION,
@@ -27,13 +28,11 @@ from ingest.catalogue import (
     MessagePlan,
     vehicle_time_ns,
 )
-from ingest.codec import Counts, Decoded, FrameCounts, RawArray, decode
+from ingest.codec import Counts, Decoded, FrameCounts, RawArray, RawValues, decode
 from ingest.frames import FrameBatch, between
 from ingest.plausibility import believed, possible, without_odd_ones
 
-TIME_REACH_NS = 3_000_000_000
-"""How far from a TIME frame a SYNC may be: two lost TIME frames are bridged."""
-
+TIME_REACH_NS = 3_000_000_000  # how far from a TIME frame a SYNC may be: two lost TIME frames are bridged
 TIME_TOLERANCE_NS = 100_000_000
 """How far TIME frames may disagree with each other and with the SYNC counter; half a counter period is 480 ms."""
 
@@ -110,11 +109,7 @@ class TimeFrames:
 
 
 def time_frames(decoded: Decoded, batch: FrameBatch) -> TimeFrames:
-    """Return the TIME frames of a batch; those with an impossible time are left out, and odd ones among others.
-
-    Args:
-        decoded, batch: The batch, in the order of time, and what it contains.
-    """
+    """Return the TIME frames of a batch; those with an impossible time are left out, and odd ones among others."""
     values = decoded.messages.get(TIME_ID)
     if values is None:
         return TimeFrames(np.empty(0, np.int64), np.empty(0, np.int64))
@@ -190,23 +185,11 @@ def check_sync_rate(batch: FrameBatch, interval_ns: int) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class TickedValues:
+class TickedValues(RawValues):
     """One message on the vehicle's clock; where ``conflict`` is set, two frames claimed one instant."""
 
-    plan: MessagePlan
-    tick: IntArray  # (n,) strictly increasing
-    raw: RawArray  # (n, m)
-    conflict: BoolArray  # (n,)
-
-    def __post_init__(self) -> None:
-        n = len(self.tick)
-        object.__setattr__(self, "tick", frozen_array(self.tick, (n,), np.int64, name="tick"))
-        object.__setattr__(self, "raw", frozen_array(self.raw, (n, len(self.plan.signals)), self.raw.dtype, name="raw"))
-        object.__setattr__(self, "conflict", frozen_array(self.conflict, (n,), np.bool_, name="conflict"))
-
-    def column(self, name: str) -> IntArray:
-        """Return the raw values of one signal, (n,) int64."""
-        return self.raw[:, self.plan.names.index(name)].astype(np.int64)
+    tick: Annotated[IntArray, "n"]  # strictly increasing
+    conflict: Annotated[BoolArray, "n"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,20 +257,15 @@ def merge_aligned(parts: Sequence[AlignedFrames]) -> Mapping[int, TickedValues]:
         values, _ = by_tick(found[0].plan, tick, raw)
         bad = np.concatenate([item.tick[item.conflict] for item in found])
         conflict = values.conflict | np.isin(values.tick, bad)
-        merged[arbitration_id] = TickedValues(values.plan, values.tick, values.raw, conflict)
+        merged[arbitration_id] = replace(values, conflict=conflict)
     return MappingProxyType(merged)
 
 
 def by_tick(plan: MessagePlan, tick: IntArray, raw: RawArray) -> tuple[TickedValues, AlignCounts]:
-    """Order values by tick and keep one of each tick; equal ones are dropped, unequal ones conflict.
-
-    Args:
-        tick: (n,) sampling instant of each frame.
-        raw: (n, m) raw values of its signals.
-    """
+    """Order values by tick and keep one of each tick; equal ones are dropped, unequal ones conflict."""
     none = np.zeros(len(tick), dtype=np.bool_)
     if np.all(tick[1:] > tick[:-1]):
-        return TickedValues(plan, tick, raw, none), AlignCounts()
+        return TickedValues(plan, raw, tick, none), AlignCounts()
     order = np.lexsort((*raw.T, tick))
     tick, raw = tick[order], raw[order]
     repeated = tick[1:] == tick[:-1]
@@ -296,7 +274,7 @@ def by_tick(plan: MessagePlan, tick: IntArray, raw: RawArray) -> tuple[TickedVal
     conflict[1:] |= other
     conflict[:-1] |= other
     first = np.concatenate([[True], ~repeated])
-    kept = TickedValues(plan, tick[first], raw[first], np.isin(tick[first], tick[conflict]))
+    kept = TickedValues(plan, raw[first], tick[first], np.isin(tick[first], tick[conflict]))
     counts = AlignCounts(
         duplicate_frames=int(np.count_nonzero(repeated & ~other)), conflicting_frames=int(np.count_nonzero(other))
     )
@@ -309,9 +287,6 @@ def frames_near(
     """Return the frames of one recorder's clock that can matter to windows of a span; all, where that is not clear.
 
     It is clear where every TIME frame agrees with the one before: others are judged by those far from them.
-
-    Args:
-        batches, alone: Of recordings that are merged: their frames, and what they are when each is aligned alone.
     """
     offsets = _steady_offsets(alone)
     if offsets is None:
@@ -342,6 +317,6 @@ def values_near(
         first, behind = np.searchsorted(values.tick, ends).tolist()
         if first < behind:
             near[arbitration_id] = TickedValues(
-                values.plan, values.tick[first:behind], values.raw[first:behind], values.conflict[first:behind]
+                values.plan, values.raw[first:behind], values.tick[first:behind], values.conflict[first:behind]
             )
     return MappingProxyType(near)

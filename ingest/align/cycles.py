@@ -24,22 +24,14 @@ REACH_NS = 2_000_000_000
 """Frames of a message this near decide its usual delay and its rhythm; less than the reach of TIME, which joins
 recordings."""
 
-FEWEST = 3
-"""Frames that give a usual delay."""
-
+FEWEST = 3  # frames that give a usual delay
 CONCENTRATED = 0.7
 """Least mean resultant length of the delays as angles: above it they have a usual value. Uniform over half a cycle:
 0.64."""
 
-RHYTHM = 0.6
-"""Share of frames on the same beat from which a message has a rhythm."""
-
-CLEAR = 2.0
-"""Standard errors that the usual delay must be away from a SYNC, to say on which side of it frames belong."""
-
-SMOOTHED = 4
-"""SYNCs on either side whose stamps are averaged: a stamp alone makes late frames look like early ones."""
-
+RHYTHM = 0.6  # share of frames on the same beat from which a message has a rhythm
+CLEAR = 2.0  # standard errors that the usual delay must be away from a SYNC, to say on which side of it frames belong
+SMOOTHED = 4  # SYNCs on either side whose stamps are averaged: a stamp alone makes late frames look like early ones
 _COUNTS = 1 << 20  # of a unit vector: sums of whole numbers do not depend on where a recording was cut
 
 
@@ -106,10 +98,6 @@ def sync_clock_of(t_ns: IntArray, tick: IntArray, interval_ns: int) -> SyncClock
 
     When each was sent follows from its stamp and those of its neighbours, where they are in time. The mean is over
     whole numbers, so it does not depend on where a recording was cut.
-
-    Args:
-        t_ns: (k,) stamps, ascending, ns.
-        tick: (k,) numbers.
     """
     if len(t_ns) == 0:
         return SyncClock(t_ns, tick, t_ns, interval_ns)
@@ -217,12 +205,8 @@ def _among(flags: BoolArray, low: IntArray, high: IntArray) -> IntArray:
     return np.asarray(running[high] - running[low])
 
 
-SYNC_REACH = 5
-"""Cycles without SYNC that the recorder's clock may bridge."""
-
-IN_TIME = 4
-"""SYNCs are in time whose stamps are a whole number of cycles apart, to a fourth of one."""
-
+SYNC_REACH = 5  # cycles without SYNC that the recorder's clock may bridge
+IN_TIME = 4  # SYNCs are in time whose stamps are a whole number of cycles apart, to a fourth of one
 BESIDE = 20
 """Where the usual delay is not known, frames are beside a SYNC that are nearer to it than a twentieth of a cycle."""
 

@@ -11,28 +11,130 @@ from typing import Annotated
 
 import numpy as np
 
+from estimation.compiled import compiled
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.windows import ACCELERATIONS
 from ingest.align.clock import TIME_REACH_NS, AlignCounts, TickedValues
-from ingest.align.window_samples import between_frames
 from ingest.catalogue import ACCELERATION, EMERGENCY, MOTION, PLACE, POSITION, STATUS, VEHICLE_NODE, Catalogue
-from ingest.codec import MessageValues
 from ingest.plausibility import odometer_excess, possible_motion, without_repeats
 
 
-@dataclass(frozen=True, slots=True)
-class SampleBlock(FrozenArrays):
-    """Samples of one node of one vehicle on one time base; where ``valid`` is False the value is NaN."""
+@compiled(nogil=True)
+def good_samples(
+    slot: IntArray, valid: BoolArray, clipped: BoolArray, speed: FloatArray, guard: int
+) -> tuple[BoolArray, int]:
+    """Return which samples (k,) are valid where the speed is known, and how many that is.
 
-    vehicle: str
-    node: int
-    signals: Annotated[tuple[str, ...], "m"]
-    t_ns: Annotated[IntArray, "n"]  # strictly increasing
-    values: Annotated[FloatArray, "n", "m"]
-    valid: Annotated[BoolArray, "n", "m"]
+    Args:
+        slot: (k,) where each is on the grid, ascending.
+        valid: (k, m) of each signal.
+        clipped: (k,) which samples clip; they spoil those near them.
+        speed: (n,) on the grid; NaN where not known.
+        guard: How many slots near to a clipped sample others are left out.
+    """
+    good = np.zeros(len(slot), np.bool_)
+    count = 0
+    for i in range(len(slot)):
+        fit = not np.isnan(speed[slot[i]])
+        for j in range(valid.shape[1]):
+            fit &= valid[i, j]
+        good[i] = fit
+        count += fit
+    last = -guard - 1
+    for i in range(len(slot)):
+        if clipped[i]:
+            last = slot[i]
+            at = i
+            while at >= 0 and slot[i] - slot[at] <= guard:
+                count -= good[at]
+                good[at] = False
+                at -= 1
+        elif slot[i] - last <= guard:
+            count -= good[i]
+            good[i] = False
+    return good, count
 
-    def __len__(self) -> int:
-        return len(self.t_ns)
+
+@compiled(nogil=True)
+def range_of(numbers: IntArray, slot: IntArray, good: BoolArray) -> tuple[int, int]:
+    """Return the smallest and the largest of the numbers (n,) at the slots (k,) of good samples, at least one."""
+    smallest, largest = np.iinfo(np.int64).max, np.iinfo(np.int64).min
+    for i in range(len(slot)):
+        if good[i]:
+            smallest = min(smallest, numbers[slot[i]])
+            largest = max(largest, numbers[slot[i]])
+    return smallest, largest
+
+
+@compiled(nogil=True)
+def on_section(distance: FloatArray, forward: FloatArray, section: IntArray, number: int, offset: float) -> FloatArray:
+    """Return the distance (n,) of a wheelset along a section, NaN where it is off it.
+
+    Args:
+        distance, forward, section: (n,) of the vehicle's reference point.
+        offset: Of the wheelset behind the reference point, m.
+    """
+    found = np.full(len(distance), np.nan)
+    for i in range(len(distance)):
+        own = distance[i] - forward[i] * offset
+        if section[i] == number and own >= 0.0:
+            found[i] = own
+    return found
+
+
+@compiled(nogil=True)
+def gridded(values: FloatArray, slot: IntArray, good: BoolArray, count: int, signals: int) -> FloatArray:
+    """Return the first signals (signals, count) of good samples on the grid, NaN elsewhere.
+
+    Args:
+        values: (k, m) by sample.
+        count, signals: Length of the grid; how many of the m signals.
+    """
+    found = np.full((signals, count), np.nan)
+    for i in range(len(slot)):
+        if good[i]:
+            for j in range(signals):
+                found[j, slot[i]] = values[i, j]
+    return found
+
+
+@compiled(nogil=True)
+def gaps_of(valid: BoolArray) -> tuple[int, int]:
+    """Return how many gaps there are among valid samples (n,), and the length of the longest."""
+    gaps = longest = length = 0
+    for i in range(len(valid)):
+        if valid[i]:
+            length = 0
+        else:
+            gaps += length == 0
+            length += 1
+            longest = max(longest, length)
+    return gaps, longest
+
+
+@compiled(nogil=True)
+def between_frames(
+    count: int, tick: IntArray, values: FloatArray, slope: FloatArray
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return linear values on a grid that begins at 0, their slopes, and the frame at or before each slot.
+
+    Values and slopes are NaN before the first frame, the frame is -1 there.
+
+    Args:
+        tick: (k,) slots of the frames, strictly increasing; they may be before the grid or behind it.
+        values, slope: (k,) at each frame, and until the next.
+    """
+    found, slopes, before = np.full(count, np.nan), np.full(count, np.nan), np.full(count, -1)
+    at = -1
+    for i in range(count):
+        while at + 1 < len(tick) and tick[at + 1] <= i:
+            at += 1
+        if at >= 0:
+            before[i] = at
+            since = i - tick[at]
+            found[i] = values[at] + slope[at] * since if since else values[at]
+            slopes[i] = slope[at]
+    return found, slopes, before
 
 
 CLIPPED_BITS = ("lateral_clipped", "yaw_clipped", "roll_clipped", "mass_lateral_clipped")
@@ -41,13 +143,16 @@ COUNTER_VALUES = 1 << 32
 
 @dataclass(frozen=True, slots=True)
 class NodeSamples(FrozenArrays):
-    """Samples of one node; ``clipped`` and ``invalid`` mark samples as their sensor reported them.
+    """Accelerations of one node; ``clipped`` and ``invalid`` mark samples as their sensor reported them.
 
-    ``saturated`` has what ``block`` has, and values at the ends of their ranges, which are not valid there.
+    ``saturated`` has what ``values`` has, and values at the ends of their ranges, which are not valid there.
     """
 
-    block: SampleBlock
-    saturated: Annotated[FloatArray, "n", None]
+    node: int
+    t_ns: Annotated[IntArray, "n"]  # strictly increasing
+    values: Annotated[FloatArray, "n", len(ACCELERATIONS)]  # NaN where not valid
+    valid: Annotated[BoolArray, "n", len(ACCELERATIONS)]
+    saturated: Annotated[FloatArray, "n", len(ACCELERATIONS)]
     clipped: Annotated[BoolArray, "n"]  # a raw value on its limit, or the clipping bit of the mass in its second
     invalid: Annotated[BoolArray, "n"]  # a raw value "not available" or outside its limits
     fault_ns: Annotated[IntArray, None]  # (f,) when the self-test was reported failed or an emergency was sent
@@ -55,39 +160,38 @@ class NodeSamples(FrozenArrays):
 
 
 def node_samples(
-    vehicle: str, node: int, catalogue: Catalogue, messages: Mapping[int, TickedValues]
+    node: int, catalogue: Catalogue, messages: Mapping[int, TickedValues]
 ) -> tuple[NodeSamples, AlignCounts] | None:
     """Return the samples of a wheelset node; None when it sent none."""
     ticked = _of_node(messages, ACCELERATION, node)
     if ticked is None:
         return None
     interval_ns = catalogue.sample_interval_ns
-    values = MessageValues(ticked.plan, np.arange(len(ticked.tick)), ticked.raw)
     status = _of_node(messages, STATUS, node)
     (of_box, of_mass), wrong, counts = _from_status(status, ticked.tick, interval_ns)
-    si, valid = values.values(), values.valid()
+    si, valid = ticked.values(), ticked.valid()
     distrusted = ticked.conflict | wrong
     if distrusted.any():
         valid &= ~distrusted[:, None]
         si[distrusted] = np.nan
     t_ns = ticked.tick * interval_ns
-    saturated = si if valid.all() else values.values(with_clipped=True)
+    saturated = si if valid.all() else ticked.values(with_clipped=True)
     saturated[distrusted] = np.nan
     for array in (si, valid, t_ns, saturated):
         array.flags.writeable = False
     invalid: BoolArray = np.zeros(len(t_ns), np.bool_)
     clipped = of_mass
     if not valid.all():
-        invalid = np.asarray(values.invalid().any(axis=1))
-        clipped = np.asarray(of_mass | values.clipped().any(axis=1))
+        invalid = np.asarray(ticked.invalid().any(axis=1))
+        clipped = np.asarray(of_mass | ticked.clipped().any(axis=1))
     emergency, none = _of_node(messages, EMERGENCY, node), np.empty(0, np.int64)
     over = 0  # error code of an emergency that is over
     raised = none if emergency is None else emergency.tick[emergency.column("error_code") != over]
     failed = none if status is None else status.tick[(status.column("self_test_failed") != 0) & ~status.conflict]
     emergency_ns, failed_ns = raised * interval_ns, failed * interval_ns
     counts += AlignCounts(emergencies=len(emergency_ns), self_test_failures=len(failed_ns))
-    block = SampleBlock(vehicle, node, ACCELERATIONS, t_ns, si, valid)
-    return NodeSamples(block, saturated, clipped, invalid, np.union1d(emergency_ns, failed_ns), of_box), counts
+    fault_ns = np.union1d(emergency_ns, failed_ns)
+    return NodeSamples(node, t_ns, si, valid, saturated, clipped, invalid, fault_ns, of_box), counts
 
 
 def _of_node(messages: Mapping[int, TickedValues], kind: str, node: int) -> TickedValues | None:
@@ -137,9 +241,7 @@ def _spans(tick: IntArray, after: IntArray, until: IntArray) -> BoolArray:
     return np.cumsum(edges[:-1]) > 0
 
 
-LONGEST_GAP_NS = 1_000_000_000
-"""Frames further apart than this are not interpolated between."""
-
+LONGEST_GAP_NS = 1_000_000_000  # frames further apart than this are not interpolated between
 NO_SECTION = -1
 
 
@@ -227,11 +329,10 @@ def vehicle_motion(messages: Mapping[int, TickedValues], interval_ns: int) -> Ve
 
 
 def _track(messages: Mapping[int, TickedValues], kind: str, names: tuple[str, ...]) -> Track:
-    found = (m for m in messages.values() if m.plan.kind == kind and m.plan.node == VEHICLE_NODE)
-    ticked = next(found, None)
+    ticked = _of_node(messages, kind, VEHICLE_NODE)
     if ticked is None:
         return Track(np.empty(0, np.int64), np.empty((0, len(names))))
-    values = MessageValues(ticked.plan, np.arange(len(ticked.tick)), ticked.raw).values()
+    values = ticked.values()
     values[ticked.conflict] = np.nan
     return Track(ticked.tick, values[:, [ticked.plan.names.index(name) for name in names]])
 

@@ -22,8 +22,19 @@ from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine
 from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality
 from ingest.align.clock import AlignCounts, TickedValues
-from ingest.align.samples import NO_SECTION, GridMotion, NodeSamples, VehicleMotion, node_samples, vehicle_motion
-from ingest.align.window_samples import gaps_of, good_samples, gridded, on_section, range_of
+from ingest.align.samples import (
+    NO_SECTION,
+    GridMotion,
+    NodeSamples,
+    VehicleMotion,
+    gaps_of,
+    good_samples,
+    gridded,
+    node_samples,
+    on_section,
+    range_of,
+    vehicle_motion,
+)
 from ingest.catalogue import ACCELERATION, Catalogue, resolution
 from ingest.codec import Counts
 from ingest.plausibility import off_line_m
@@ -36,9 +47,6 @@ def narrowed(marked: BoolArray, values: FloatArray, interval_s: float) -> BoolAr
     """Return the marked samples (n,), of seconds that blows explain only those that the blows have spoilt.
 
     They do where the largest accelerations of the axle box are in them. What hunts or runs rough clips all the time.
-
-    Args:
-        marked: (n,) samples of the seconds in which the axle box clipped.
     """
     if not marked.any():
         return marked
@@ -52,9 +60,7 @@ def narrowed(marked: BoolArray, values: FloatArray, interval_s: float) -> BoolAr
     return found
 
 
-MIN_PRESENCE = 0.2
-"""Share of a window that frames of its node must be there for."""
-
+MIN_PRESENCE = 0.2  # share of a window that frames of its node must be there for
 CLIPPING_GUARD_S = 0.04
 """Samples this near to a clipped one are left out with it: the sensor's filter has spread what was cut off."""
 
@@ -64,8 +70,7 @@ BLOW_GUARD_S = 0.004
 OF_WHEELSET = ACCELERATIONS[:3]
 """Lateral and yaw acceleration show hunting, lateral and roll acceleration show blows."""
 
-MOVING_M_S = 0.5
-"""A window in which the vehicle never ran faster is no running time."""
+MOVING_M_S = 0.5  # a window in which the vehicle never ran faster is no running time
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +130,7 @@ def vehicle_samples(
     nodes: dict[int, NodeSamples] = {}
     counts = AlignCounts()
     for node in catalogue.wheelset_nodes:
-        found = node_samples(vehicle, node, catalogue, messages)
+        found = node_samples(node, catalogue, messages)
         if found is not None:
             nodes[node] = found[0]
             counts += found[1]
@@ -137,11 +142,7 @@ def vehicle_samples(
 def windows_of(
     samples: VehicleSamples, starts: Iterable[int], length_ns: int, lookup: RegistryLookup
 ) -> Iterator[MountedWindow | WindowCounts]:
-    """Yield the windows, and counts of those that are not made.
-
-    Raises:
-        ParameterError: The window length is no whole number of sampling intervals.
-    """
+    """Yield the windows, and counts of those that are not made."""
     if length_ns % samples.interval_ns:
         raise ParameterError(
             f"{length_ns} ns is no whole number of sampling intervals of {samples.interval_ns} ns",
@@ -154,7 +155,7 @@ def windows_of(
             node = samples.nodes.get(axle)
             if node is None:
                 continue
-            span = slice(*np.searchsorted(node.block.t_ns, [start_ns, start_ns + length_ns]).tolist())
+            span = slice(*np.searchsorted(node.t_ns, [start_ns, start_ns + length_ns]).tolist())
             if span.stop - span.start < MIN_PRESENCE * count:
                 yield WindowCounts(windows_too_short=span.stop > span.start)
                 continue
@@ -170,9 +171,10 @@ def _window(
     motion: GridMotion,
     lookup: RegistryLookup,
 ) -> MountedWindow | WindowCounts:
-    t_ns, axle = node.block.t_ns[span], node.block.node
-    mounting = _mounting(lookup, axle, (int(t_ns[0]), extent[0] + extent[1] // 2, int(t_ns[-1])))
-    if mounting is None:
+    t_ns, axle = node.t_ns[span], node.node
+    times_ns = (int(t_ns[0]), extent[0] + extent[1] // 2, int(t_ns[-1]))
+    mounting, *others = {lookup.mounting_at(axle, at_ns) for at_ns in times_ns}
+    if mounting is None or others:
         return WindowCounts(windows_unmounted=1)
     if not np.any(motion.speed > MOVING_M_S):
         return WindowCounts(windows_standing=1)
@@ -185,7 +187,7 @@ def _window(
     if node.clipped_seconds is not None:
         struck_out = narrowed(node.clipped_seconds[span], node.saturated[span], samples.interval_ns * 1e-9)
         clipped = np.asarray(clipped | struck_out)
-    good, many = good_samples(slot, node.block.valid[span], clipped, motion.speed, guard)
+    good, many = good_samples(slot, node.valid[span], clipped, motion.speed, guard)
     section, number = _section(motion, slot, good, lookup) if many else (None, NO_SECTION)
     distance = np.full(len(motion.distance), np.nan)
     if section is not None:
@@ -194,7 +196,7 @@ def _window(
         good &= ~np.isnan(distance[slot])
     valid = np.zeros(len(motion.speed), dtype=np.bool_)
     valid[slot[good]] = True
-    accelerations = gridded(node.block.values[span], slot, good, len(valid), len(ACCELERATIONS))
+    accelerations = gridded(node.values[span], slot, good, len(valid), len(ACCELERATIONS))
     for array in (accelerations, distance, valid):
         array.flags.writeable = False
     named: dict[str, Any] = dict(zip(ACCELERATIONS, accelerations, strict=True))
@@ -215,11 +217,6 @@ def _window(
         quality=replace(_quality(node, span, extent, motion, (valid, clipped), slot), hunting=hunting, blows=blows),
     )
     return MountedWindow(window, mounting, motion.odometer_excess_m, _off_line(motion, section, lookup))
-
-
-def _mounting(lookup: RegistryLookup, axle: int, times_ns: tuple[int, ...]) -> Mounting | None:
-    mountings = {lookup.mounting_at(axle, t_ns) for t_ns in times_ns}
-    return mountings.pop() if len(mountings) == 1 else None
 
 
 def _off_line(motion: GridMotion, section: str | None, lookup: RegistryLookup) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,7 +12,7 @@ import numpy as np
 
 from estimation.errors import ConflictError, InputError, NotFoundError
 from estimation.motion.checks import BACKWARDS, LOOK_S, high_pass_running_mean, lateral_yaw_correlation
-from estimation.motion.integration import IntegratedSegment, IntegratedWindow, integrate
+from estimation.motion.integration import IntegratedSegment, integrate
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.registry import VehicleRecord
@@ -19,9 +20,8 @@ from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
 from estimation.vehicle.equations_of_motion import GRAVITY
 from fleet_db.storage import SqlUnitOfWork
-from ingest.exchange.bundle import SUFFIX, read_run
 from ingest.exchange.description import AxesTable, ExchangeFile, read_description
-from ingest.exchange.run import COUNT, INTERVAL_NS, ExchangeRun, RegistryFacts
+from ingest.exchange.run import COUNT, INTERVAL_NS, SUFFIX, ExchangeRun, RegistryFacts, read_run
 from ingest.input_file import InputFile, Location
 
 INTERVAL_S = INTERVAL_NS * 1e-9
@@ -75,15 +75,29 @@ class SignEvidence:
 
 
 def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidence:
-    """Return how lateral, yaw and roll of an axle go with each other over a run."""
+    """Return how lateral, yaw and roll of an axle go with each other over a run.
+
+    The lateral accelerometer of a node that rolls by phi measures y'' + g phi, so the displacement from it has a part
+    whose second derivative is g phi: it bounds the correlation with roll, taken out with the measured sign and with the
+    other one.
+    """
     integrated = integrate(_window(run, axle), np.ones(len(run.tick), np.bool_), SignalParameters())
-    low, high = _roll_bounds(integrated)
+    seconds, sums = round(LOOK_S / INTERVAL_S), np.zeros(8)
+    for segment in integrated.segments:
+        above = (segment.rates if in_bogie else segment.accelerations)[3]
+        signals = (segment.rates[0], segment.speed * segment.displacements[1], above)
+        v, turned, mass = (high_pass_running_mean(signal, seconds) for signal in signals)
+        y, phi, falling = _rolling(segment)
+        products = (v @ v, turned @ turned, mass @ v, mass @ mass, y @ phi, abs(falling @ phi), y @ y, phi @ phi)
+        sums += products
+    lateral, yaw, with_mass, of_mass, with_roll, gravity, of_y, of_roll = sums.tolist()
+    scale = math.sqrt(of_y * of_roll)
     return SignEvidence(
         lateral_yaw_correlation(integrated),
-        low,
-        high,
-        _mass_correlation(integrated, in_bogie=in_bogie),
-        _lateral_yaw_gain(integrated),
+        (with_roll - gravity) / scale if scale else 0.0,
+        (with_roll + gravity) / scale if scale else 0.0,
+        with_mass / math.sqrt(of_mass * lateral) if of_mass * lateral > 0.0 else 0.0,
+        math.sqrt(lateral / yaw) if yaw > 0.0 else None,
     )
 
 
@@ -131,11 +145,7 @@ def _axis_error(kind: Turned, found: Mapping[int, SignEvidence], axes: AxesTable
 
 
 def _sensor_error(
-    file: ExchangeFile,
-    at: int,
-    turned: Mapping[int, Turned | None],
-    found: Mapping[int, SignEvidence],
-    toml: InputFile,
+    file: ExchangeFile, at: int, turned: Mapping[int, Turned | None], found: Mapping[int, SignEvidence], toml: InputFile
 ) -> InputError:
     axle = file.axles[at]
     kind = turned[axle.axle] or Turned.LATERAL
@@ -161,43 +171,6 @@ def _contradiction(kind: Turned, items: Collection[SignEvidence]) -> str:
         f"{sentence} (correlation of lateral velocity with yaw {yaw:.2f}, of displacement with roll {roll:.2f},"
         f" of velocity with the mass {mass:.2f})"
     )
-
-
-def _lateral_yaw_gain(integrated: IntegratedWindow) -> float | None:
-    seconds = round(LOOK_S / INTERVAL_S)
-    lateral, yaw = 0.0, 0.0
-    for segment in integrated.segments:
-        a = high_pass_running_mean(segment.rates[0], seconds)
-        b = high_pass_running_mean(segment.speed * segment.displacements[1], seconds)
-        lateral, yaw = lateral + float(a @ a), yaw + float(b @ b)
-    return float(np.sqrt(lateral / yaw)) if yaw > 0.0 else None
-
-
-def _roll_bounds(integrated: IntegratedWindow) -> tuple[float, float]:
-    """Return the least and the largest correlation of roll with the displacement that gravity leaves possible.
-
-    The lateral accelerometer of a node that rolls by phi measures y'' + g phi, so the displacement from it has a part
-    whose second derivative is g phi: taken out with the measured sign and with the other one.
-    """
-    product, gravity, displacement, roll = 0.0, 0.0, 0.0, 0.0
-    for segment in integrated.segments:
-        y, phi, falling = _rolling(segment)
-        product, gravity = product + float(y @ phi), gravity + abs(float(falling @ phi))
-        displacement, roll = displacement + float(y @ y), roll + float(phi @ phi)
-    scale = np.sqrt(displacement * roll)
-    if scale == 0.0:
-        return 0.0, 0.0
-    return float((product - gravity) / scale), float((product + gravity) / scale)
-
-
-def _mass_correlation(integrated: IntegratedWindow, *, in_bogie: bool) -> float:
-    seconds = round(LOOK_S / INTERVAL_S)
-    product, mass, velocity = 0.0, 0.0, 0.0
-    for segment in integrated.segments:
-        a = high_pass_running_mean((segment.rates if in_bogie else segment.accelerations)[3], seconds)
-        b = high_pass_running_mean(segment.rates[0], seconds)
-        product, mass, velocity = product + float(a @ b), mass + float(a @ a), velocity + float(b @ b)
-    return float(product / np.sqrt(mass * velocity)) if mass * velocity > 0.0 else 0.0
 
 
 def _rolling(segment: IntegratedSegment) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -242,8 +215,7 @@ def check_alone(unit: SqlUnitOfWork, vehicle: str, first_ns: int, last_ns: int, 
             raise ConflictError(reason, kind="chunk", key=other.digest)
 
 
-BEYOND_M = 1.0
-"""How far beyond the ends of its section a position may be: sections are surveyed to that."""
+BEYOND_M = 1.0  # how far beyond the ends of its section a position may be: sections are surveyed to that
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,21 +238,31 @@ def checked_exchange(description: Path, unit: SqlUnitOfWork) -> Exchange:
             and field.
     """
     file, toml = read_description(description)
-    vehicle, section = _vehicle(file, toml, unit), _section(file, toml, unit)
+    vehicle = _vehicle(file, toml, unit)
+    try:
+        section = unit.tracks.section(file.run.section)
+    except NotFoundError as error:
+        raise toml.error(f"the registry has {error}", ("run", "section")) from error
     on_file = unit.registry.vehicle_class(vehicle.vehicle_class)
     if on_file is None:
         reason = f"the registry has no class {vehicle.vehicle_class!r}, of which vehicle {vehicle.code} is"
         raise toml.error(reason, ("run", "vehicle"))
     gravity = on_file.vehicle_class.sensors.measures_gravity
     in_bogie = on_file.vehicle_class.bogie is not None
-    facts = RegistryFacts(section.number, _offset(file, vehicle), measures_gravity=gravity)
+    axle = file.run.position_of_axle
+    offset = 0.0 if axle is None else vehicle.axle_offsets_m[axle - 1]
+    facts = RegistryFacts(section.number, offset, measures_gravity=gravity)
     table = description.parent / file.data
     if not table.is_file():
         raise toml.error(f"{table} does not exist", ("data",))
     run = read_run(file, table, facts)
     _check_section(run, facts, section, toml, table)
     first_ns, last_ns = (int(end) * INTERVAL_NS for end in run.tick[[0, -1]])
-    _check_mountings(file, toml, unit, (first_ns, last_ns))
+    for at, mounted in enumerate(file.axles):
+        begin, end = (unit.registry.mounting_at(vehicle.code, mounted.axle, t_ns) for t_ns in (first_ns, last_ns))
+        if begin is None or begin != end:
+            reason = f"no one wheelset was mounted at axle {mounted.axle} from begin to end of the run"
+            raise toml.error(reason, ("axles", at, "axle"))
     check_signs(run, file, toml, in_bogie=in_bogie)
     return Exchange(description, table, vehicle.code, facts, first_ns, last_ns)
 
@@ -299,18 +281,6 @@ def _vehicle(file: ExchangeFile, toml: InputFile, unit: SqlUnitOfWork) -> Vehicl
     return vehicle
 
 
-def _section(file: ExchangeFile, toml: InputFile, unit: SqlUnitOfWork) -> TrackSectionRecord:
-    try:
-        return unit.tracks.section(file.run.section)
-    except NotFoundError as error:
-        raise toml.error(f"the registry has {error}", ("run", "section")) from error
-
-
-def _offset(file: ExchangeFile, vehicle: VehicleRecord) -> float:
-    axle = file.run.position_of_axle
-    return 0.0 if axle is None else vehicle.axle_offsets_m[axle - 1]
-
-
 def _check_section(
     run: ExchangeRun, facts: RegistryFacts, section: TrackSectionRecord, toml: InputFile, table: Path
 ) -> None:
@@ -322,11 +292,3 @@ def _check_section(
             f" {section.length_m:.1f} m: another section, or another origin of the position in {table.name}"
         )
         raise toml.error(reason, ("run", "section"))
-
-
-def _check_mountings(file: ExchangeFile, toml: InputFile, unit: SqlUnitOfWork, span: tuple[int, int]) -> None:
-    for at, axle in enumerate(file.axles):
-        ends = [unit.registry.mounting_at(file.run.vehicle, axle.axle, end) for end in span]
-        if ends[0] is None or ends[0] != ends[1]:
-            reason = f"no one wheelset was mounted at axle {axle.axle} from begin to end of the run"
-            raise toml.error(reason, ("axles", at, "axle"))

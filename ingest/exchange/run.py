@@ -7,9 +7,14 @@ exchange by the code that cuts them from a log.
 
 from __future__ import annotations
 
+import json
+import shutil
+import tempfile
+import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
+from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated
 
@@ -25,13 +30,13 @@ from ingest.align.clock import AlignCounts, AlignedFrames, TickedValues, TimeFra
 from ingest.catalogue import ACCELERATION, MOTION, POSITION, SYNC, VEHICLE_NODE, Catalogue, MessagePlan, SignalPlan
 from ingest.codec import FrameCounts
 from ingest.derivative import derivative
-from ingest.exchange.description import SIGNALS, Column, ExchangeFile, unit
-from ingest.exchange.table import ExchangeTable
+from ingest.exchange.description import SIGNALS, Column, ExchangeFile, read_description, unit
+from ingest.exchange.table import PARQUET, SUFFIXES, ExchangeTable, read_table, read_table_apart
+from ingest.file_value import read_value
+from ingest.input_file import read_json
 from ingest.units import DERIVATIVES, Quantity
 
-RATE_TOLERANCE = 1e-3
-"""How far the rate of the table may be from the declared one."""
-
+RATE_TOLERANCE = 1e-3  # how far the rate of the table may be from the declared one
 TIME_TOLERANCE = 0.3
 """How far a time may be from its place in the uniform series, in sampling intervals: printed times are rounded."""
 
@@ -39,6 +44,7 @@ FLAT, STOPPED = 0.36, 0.64
 """End of the flat band and begin of the stop band of the filter, as shares of the lower of the two rates."""
 
 ATTENUATION_DB = 80.0
+BETA = 0.1102 * (ATTENUATION_DB - 8.7)  # Kaiser 1974
 CHUNK = 2048
 FEWEST = 3
 
@@ -53,14 +59,7 @@ class UniformTime:
 
 
 def uniform_time(table: ExchangeTable, column: str, factor: float, rate_hz: float) -> UniformTime:
-    """Return the uniform series that the times of a table are.
-
-    Args:
-        factor: Of its unit, to seconds.
-
-    Raises:
-        ExchangeError: Times do not increase, have a gap, are not uniform, or come at another rate; names the line.
-    """
+    """Return the uniform series that the times of a table are."""
     times = table.columns[column] * factor
     if len(times) < FEWEST:
         raise table.error(f"the table has {len(times)} rows", 0, column)
@@ -119,17 +118,12 @@ def resampled(values: FloatArray, at: FloatArray) -> FloatArray:
     for part in np.array_split(inside, -(-len(inside) // CHUNK) or 1):
         nearest = np.rint(at[part]).astype(np.int64)
         index = nearest[:, None] + np.arange(-reach, reach + 1)
-        weights = _weights(index - at[part, None], half, lower)
+        distance = index - at[part, None]
+        shape = scipy.special.i0(BETA * np.sqrt(np.clip(1.0 - (distance / half) ** 2, 0.0, None)))
+        weights = np.where(np.abs(distance) <= half, shape, 0.0) * np.sinc((FLAT + STOPPED) * lower * distance)
+        weights = np.asarray(weights / weights.sum(axis=1, keepdims=True))
         result[part] = np.einsum("kt,ktm->km", weights, values[np.clip(index, 0, len(values) - 1)])
     return result
-
-
-def _weights(distance: FloatArray, half: float, lower: float) -> FloatArray:
-    """Return the weights (k, t) of samples at distances (k, t) from each place; each row adds up to 1."""
-    beta = 0.1102 * (ATTENUATION_DB - 8.7)  # Kaiser 1974
-    shape = scipy.special.i0(beta * np.sqrt(np.clip(1.0 - (distance / half) ** 2, 0.0, None)))
-    weights = np.where(np.abs(distance) <= half, shape, 0.0) * np.sinc((FLAT + STOPPED) * lower * distance)
-    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
 INTERVAL_NS = 4_000_000
@@ -141,9 +135,7 @@ LARGEST: Mapping[str, float] = MappingProxyType(
 )
 """Magnitudes in SI that no vehicle has: beyond them a unit is wrong."""
 
-LONGEST_S = 5e9
-"""Seconds from ``start`` to the first row: 1970 may be the start."""
-
+LONGEST_S = 5e9  # seconds from ``start`` to the first row: 1970 may be the start
 RUN_SHARE, RUN_M = 0.05, 2.0
 """How far the change of position may be from the integral of the speed: share of the distance run, and m."""
 
@@ -169,12 +161,7 @@ class ExchangeRun(FrozenArrays):
 
 
 def exchange_run(file: ExchangeFile, table: ExchangeTable, facts: RegistryFacts) -> ExchangeRun:
-    """Return the run that a table describes.
-
-    Raises:
-        ExchangeError: Times are not uniform, a magnitude is impossible, the speed is negative, or the position does not
-            go with it.
-    """
+    """Return the run that a table describes."""
     time = uniform_time(table, file.time.column, unit("time", file.time).factor, file.sampling.rate_hz)
     if abs(time.start_s) > LONGEST_S:
         raise table.error(f"{time.start_s:g} s from the start of the run: another unit?", 0, file.time.column)
@@ -187,7 +174,7 @@ def exchange_run(file: ExchangeFile, table: ExchangeTable, facts: RegistryFacts)
     speed = np.interp(at, samples, speed)
     run = np.concatenate([[0.0], np.cumsum(0.5 * INTERVAL_NS * 1e-9 * (speed[1:] + speed[:-1]))])
     accelerations = _accelerations(file, table, at, measures_gravity=facts.measures_gravity)
-    kept = _whole(accelerations)
+    kept = np.logical_and.reduce([~np.isnan(v).any(axis=1) for v in accelerations.values()])  # filters lose both ends
     if not kept.any():
         raise ExchangeError(f"is too short: {time.count} samples", file=table.path)
     return ExchangeRun(
@@ -268,11 +255,6 @@ def _angle(acceleration: FloatArray) -> FloatArray:
     return result
 
 
-def _whole(accelerations: Mapping[int, FloatArray]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Return the samples (n,) that every signal reaches: filters lose some at both ends."""
-    return np.asarray(np.logical_and.reduce([~np.isnan(v).any(axis=1) for v in accelerations.values()]))
-
-
 @cache
 def exchange_catalogue() -> Catalogue:
     """Return the messages of exchanges; no frame carries them."""
@@ -307,7 +289,58 @@ def aligned_run(run: ExchangeRun, facts: RegistryFacts, position_quality: float)
     messages = {}
     for plan, values in tables.items():
         raw = np.rint(values / [signal.scale for signal in plan.signals]).astype(np.int64)
-        messages[plan.arbitration_id] = TickedValues(plan, run.tick, raw, never)
+        messages[plan.arbitration_id] = TickedValues(plan, raw, run.tick, never)
     ends = run.tick[[0, -1]] * INTERVAL_NS
     counts = AlignCounts(samples=len(run.tick) * len(run.accelerations))
     return AlignedFrames(MappingProxyType(messages), TimeFrames(ends, ends), FrameCounts(), counts)
+
+
+SUFFIX = ".exchange"
+DESCRIPTION, TABLE, FACTS = "exchange.toml", "table", "registry.json"
+TIMESTAMP = (1980, 1, 1, 0, 0, 0)
+LARGEST_BYTES = 4 << 30
+
+
+def read_run(file: ExchangeFile, table: Path, facts: RegistryFacts) -> ExchangeRun:
+    """Return the run of an exchange."""
+    names = [column.column for _, column in file.columns]
+    read = read_table_apart if table.suffix.lower() == PARQUET else read_table
+    return exchange_run(file, read(table, file.csv, names), facts)
+
+
+def write_bundle(path: Path, description: Path, table: Path, facts: RegistryFacts) -> None:
+    """Write an exchange as one file."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as bundle:
+        _add(bundle, DESCRIPTION, description)
+        _add(bundle, TABLE + table.suffix.lower(), table)
+        bundle.writestr(zipfile.ZipInfo(FACTS, TIMESTAMP), json.dumps(asdict(facts), sort_keys=True))
+
+
+def _add(bundle: zipfile.ZipFile, name: str, path: Path) -> None:
+    with path.open("rb") as source, bundle.open(zipfile.ZipInfo(name, TIMESTAMP), "w", force_zip64=True) as target:
+        shutil.copyfileobj(source, target, 1 << 20)
+
+
+def read_bundle(path: Path) -> tuple[ExchangeFile, ExchangeRun, RegistryFacts]:
+    """Return description, run and facts of a stored exchange."""
+    with tempfile.TemporaryDirectory(prefix="treadwatch-exchange-") as name:
+        folder = Path(name)
+        table = _unpack(path, folder)
+        file, _ = read_description(folder / DESCRIPTION)
+        facts = read_value(read_json(folder / FACTS, ExchangeError), RegistryFacts)
+        return file, read_run(file, table, facts), facts
+
+
+def _unpack(path: Path, folder: Path) -> Path:
+    try:
+        with zipfile.ZipFile(path) as bundle:
+            names = {item.filename: item for item in bundle.infolist()}
+            tables = [name for name in names if name in {TABLE + suffix for suffix in SUFFIXES}]
+            if len(tables) != 1 or set(names) != {DESCRIPTION, FACTS, tables[0]}:
+                raise ExchangeError("is no stored exchange", file=path)
+            if sum(item.file_size for item in names.values()) > LARGEST_BYTES:
+                raise ExchangeError("is too large", file=path)
+            bundle.extractall(folder)
+    except (OSError, zipfile.BadZipFile, EOFError) as error:
+        raise ExchangeError(f"is no stored exchange: {error}", file=path) from error
+    return folder / tables[0]

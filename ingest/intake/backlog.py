@@ -12,13 +12,12 @@ from pathlib import Path
 
 from estimation.values.reasons import ReasonCode, code_of
 from fleet_db.atomic_files import passing_faults
-from fleet_db.decoding_locks import TryVehicle, decoding_locks
+from fleet_db.process_locks import TryVehicle, decoding_locks
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.receiver import ChunkReceipt, Receiver
 
-LOOK_EVERY_S = 1.0
-"""How long what the database said counts; what was taken since is added to it."""
+LOOK_EVERY_S = 1.0  # how long what the database said counts; what was taken since is added to it
 
 
 class Limit(StrEnum):
@@ -48,11 +47,7 @@ class Behind:
 
 @dataclass(slots=True)
 class BacklogWatch:
-    """Says whether a chunk may come; asks database and disk at most once a second.
-
-    Args:
-        folder: In which chunks are received before they are stored.
-    """
+    """Says whether a chunk may come; asks database and disk at most once a second."""
 
     storage: SqlStorage
     folder: Path
@@ -70,11 +65,7 @@ class BacklogWatch:
         return self.now_s() - self._looked_s < LOOK_EVERY_S
 
     def behind(self, size_bytes: int) -> Behind | None:
-        """Return the limit that keeps a chunk out; None where it may come, and counts from now on.
-
-        Args:
-            size_bytes: Of the chunk, or what it may have at most.
-        """
+        """Return the limit that keeps a chunk out; None where it may come, and counts from now on."""
         with self._lock:
             if not self.fresh:
                 with self.storage.read() as unit:
@@ -108,8 +99,7 @@ def free_bytes(folder: Path) -> int:
         return shutil.disk_usage(there).free
 
 
-AT_ONCE = 100
-"""Receipts in memory; the log of one is read at a time, in a process of its own."""
+AT_ONCE = 100  # receipts in memory; the log of one is read at a time, in a process of its own
 
 
 @dataclass(slots=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import stat
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,10 +24,8 @@ from ingest.receipts import Chunk
 
 DONE, REFUSED = "done", "refused"
 REASON_SUFFIX = ".reason.txt"
-UNFINISHED = (".part", ".partial", ".tmp", ".filepart")
-"""Endings that programs give a file while they write it."""
-AT_ONCE = 16
-"""Files that get their receipts in one transaction."""
+UNFINISHED = (".part", ".partial", ".tmp", ".filepart")  # endings that programs give a file while they write it
+AT_ONCE = 16  # files that get their receipts in one transaction
 LOCK = ".treadwatch-drop-folder"
 
 
@@ -145,19 +143,17 @@ class DropFolder:
 
     def _stored(self, arrivals: Sequence[tuple[Path, Arrival]]) -> list[tuple[Path, Stored | ConflictError]]:
         """Store what is still as it was when it was read; the others have been written to, and wait again."""
-        same = [(path, arrival) for path, arrival in arrivals if self._unchanged(path, arrival)]
+        same = []
+        for path, arrival in arrivals:
+            with suppress(FileNotFoundError):
+                status = path.lstat()
+                now = _Seen(status.st_size, status.st_mtime_ns, status.st_ino, 0.0)
+                if _same(self._seen[path], now) and arrival.file.size_bytes == status.st_size:
+                    same.append((path, arrival))
         if not same:
             return []
         answers = self.storage.store([arrival for _, arrival in same])
         return [(path, answer) for (path, _), answer in zip(same, answers, strict=True)]
-
-    def _unchanged(self, path: Path, arrival: Arrival) -> bool:
-        try:
-            status = path.lstat()
-        except FileNotFoundError:
-            return False
-        now = _Seen(status.st_size, status.st_mtime_ns, status.st_ino, 0.0)
-        return _same(self._seen[path], now) and arrival.file.size_bytes == status.st_size
 
     def _refuse(self, path: Path, reason: str) -> str:
         place = self._move(path, REFUSED)
@@ -179,11 +175,7 @@ class DropFolder:
 
 @contextmanager
 def held_folder(folder: Path) -> Iterator[None]:
-    """Hold a folder, so that one process watches it.
-
-    Raises:
-        ConflictError: Another process watches it.
-    """
+    """Hold a folder, so that one process watches it."""
     with passing_faults(folder), locked_file(folder / LOCK) as locked:
         if not locked:
             raise ConflictError(f"another process watches {folder}")

@@ -87,22 +87,14 @@ class ChunkStorage:
                     answers[number] = error
 
 
-AT_ONCE = 64
-"""Receipts of one transaction at most."""
+AT_ONCE = 64  # receipts of one transaction at most
 
 
-@dataclass(frozen=True, slots=True)
-class _Waiting:
-    arrival: Arrival
-    stored: Future[Stored]
+_Waiting = tuple[Arrival, "Future[Stored]"]
 
 
 class ReceiptGroup:
-    """One thread that commits receipts; it starts with the first, and its queue is bounded.
-
-    Args:
-        most_waiting: Arrivals that may wait; more are refused.
-    """
+    """One thread that commits receipts; it starts with the first, and its queue is bounded."""
 
     def __init__(self, storage: ChunkStorage, most_waiting: int) -> None:
         self._storage = storage
@@ -120,12 +112,12 @@ class ReceiptGroup:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="receipts", daemon=True)
                 self._thread.start()
-        waiting = _Waiting(arrival, Future())
+        stored: Future[Stored] = Future()
         try:
-            self._queue.put_nowait(waiting)
+            self._queue.put_nowait((arrival, stored))
         except queue.Full:
             raise BusyError(f"{self._queue.maxsize} chunks wait for their receipts already") from None
-        return waiting.stored
+        return stored
 
     def close(self) -> None:
         """Commit what waits, and end."""
@@ -146,7 +138,7 @@ class ReceiptGroup:
         first = self._queue.get()
         batch: list[_Waiting] = []
         while first is not None:
-            if first.stored.set_running_or_notify_cancel():
+            if first[1].set_running_or_notify_cancel():
                 batch.append(first)
             if len(batch) == AT_ONCE:
                 return batch, True
@@ -158,13 +150,13 @@ class ReceiptGroup:
 
     def _store(self, batch: list[_Waiting]) -> None:
         try:
-            answers = self._storage.store([waiting.arrival for waiting in batch])
+            answers = self._storage.store([arrival for arrival, _ in batch])
         except Exception as error:  # noqa: BLE001 - whatever it is, each sender gets it, and the next batch is tried
-            for waiting in batch:
-                waiting.stored.set_exception(error)
+            for _, stored in batch:
+                stored.set_exception(error)
             return
-        for waiting, answer in zip(batch, answers, strict=True):
+        for (_, stored), answer in zip(batch, answers, strict=True):
             if isinstance(answer, Stored):
-                waiting.stored.set_result(answer)
+                stored.set_result(answer)
             else:
-                waiting.stored.set_exception(answer)
+                stored.set_exception(answer)

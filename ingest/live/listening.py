@@ -23,9 +23,7 @@ from ingest.live.status import LiveStatus, Reports
 PATIENCE_S = 0.2
 FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 30.0
 
-SILENT_S = 10.0
-"""After so long without a frame the bus is called silent."""
-
+SILENT_S = 10.0  # after so long without a frame the bus is called silent
 REOPENED_AFTER_S = 60.0
 """A silent bus is opened again so often: an interface that went down and up may have left its group."""
 
@@ -89,7 +87,9 @@ class Listening:
         try:
             bus = self._source.open()
         except Exception as error:  # noqa: BLE001 - it may be there later
-            if isinstance(error, ParameterError) and not _is_passing(error):
+            cause = error.__cause__
+            passing = isinstance(cause, OSError | can.CanError) and not isinstance(cause, NotImplementedError)
+            if isinstance(error, ParameterError) and not passing:
                 self.refused = error
             else:
                 self._failed(first_line(error))
@@ -157,11 +157,7 @@ class Listening:
 
 
 def packed(message: can.Message) -> bytes:
-    """Return a frame of python-can as bytes of the spool.
-
-    Raises:
-        ValueError: It is no frame of a classic CAN bus.
-    """
+    """Return a frame of python-can as bytes of the spool."""
     if message.is_fd or message.dlc > DATA_BYTES:
         raise ValueError("a CAN FD frame on a classic CAN bus")
     identifier = message.arbitration_id
@@ -169,11 +165,6 @@ def packed(message: can.Message) -> bytes:
     identifier |= REMOTE_FLAG if message.is_remote_frame else 0
     identifier |= ERROR_FLAG if message.is_error_frame else 0
     return pack_frame(round(message.timestamp * 1e9), identifier, message.dlc, bytes(message.data[:DATA_BYTES]))
-
-
-def _is_passing(error: ParameterError) -> bool:
-    cause = error.__cause__
-    return isinstance(cause, OSError | can.CanError) and not isinstance(cause, NotImplementedError)
 
 
 class _Losses:

@@ -15,15 +15,10 @@ from ingest.live.spool import DropCount, Spool, spool_folder
 from ingest.live.status import LiveStatus, Reports
 from ingest.live.storing import Stores, Storing
 
-EVERY_S = 0.5
-"""Between two writes: with the fsync behind it, a frame is on the disk within a second of its reception."""
-
+EVERY_S = 0.5  # between two writes: with the fsync behind it, a frame is on the disk within a second of its reception
 RECORD_FRAMES = 40_000
-PIECE_BYTES = 1 << 24
-"""A piece is closed early when it is as large: it is held in memory while it is stored."""
-
-REPORT_EVERY_S = 60.0
-"""Drops that go on are reported so often, and at least once a piece."""
+PIECE_BYTES = 1 << 24  # a piece is closed early when it is as large: it is held in memory while it is stored
+REPORT_EVERY_S = 60.0  # drops that go on are reported so often, and at least once a piece
 
 
 class Spooling:
@@ -161,61 +156,50 @@ class LiveSettings:
     shutdown_s: float  # how long storing may go on after a stop is requested, s
 
 
-def receive_live(
-    settings: LiveSettings,
-    source: BusSource,
-    stores: Stores,
-    status: LiveStatus,
-    reports: Reports,
-    stop: threading.Event,
-) -> None:
-    """Receive a bus until ``stop`` is set. What has no receipt then stays in the spool for the next start.
-
-    Args:
-        stop: Set by whoever ends it; set here where bus or stores refuse for good.
-
-    Raises:
-        TreadwatchError: Bus or stores refused for good.
-    """
-    spool = Spool(spool_folder(settings.spool_dir, settings.vehicle), settings.spool_bytes)
-    buffer = FrameBuffer(settings.memory_bytes)
-    listening = Listening(source, buffer, status, reports)
-    spooling = Spooling(spool, buffer, settings.piece_seconds, status, reports)
-    storing = Storing(spool, settings.vehicle, stores, status, reports)
-    status.spool_limit_bytes = settings.spool_bytes
-    status.threads = [
-        threading.Thread(target=work.run, name=type(work).__name__.lower(), daemon=True)
-        for work in (listening, spooling, storing)
-    ]
-    for thread in status.threads:
-        thread.start()
-    while not stop.wait(WATCH_EVERY_S):
-        if listening.refused is not None or storing.refused is not None:
-            stop.set()
-    deadline = time.monotonic() + settings.shutdown_s
-    ends = (listening.end, spooling.end, storing.end)
-    for end, thread in zip(ends, status.threads, strict=True):  # in the order in which frames go
-        end()
-        thread.join(max(deadline - time.monotonic(), WATCH_EVERY_S))
-    if not status.threads[1].is_alive():
-        spool.close()
-    left = spool.pieces_waiting
-    if left:
-        reports.say(f"{left} pieces wait in the spool for the next start")
-    for work in (listening, storing):
-        if work.refused is not None:
-            raise work.refused
-
-
 @dataclass(frozen=True, slots=True)
 class ReceivedBus:
-    """A bus with all that receiving it takes; the attributes are the parameters of :func:`receive_live`."""
+    """A bus with all that receiving it takes."""
 
     settings: LiveSettings
     source: BusSource
     stores: Stores
     status: LiveStatus
     reports: Reports
+
+
+def receive_live(bus: ReceivedBus, stop: threading.Event) -> None:
+    """Receive a bus until ``stop`` is set. What has no receipt then stays in the spool for the next start.
+
+    ``stop`` is set here where bus or stores refuse for good, which is raised.
+    """
+    spool = Spool(spool_folder(bus.settings.spool_dir, bus.settings.vehicle), bus.settings.spool_bytes)
+    buffer = FrameBuffer(bus.settings.memory_bytes)
+    listening = Listening(bus.source, buffer, bus.status, bus.reports)
+    spooling = Spooling(spool, buffer, bus.settings.piece_seconds, bus.status, bus.reports)
+    storing = Storing(spool, bus.settings.vehicle, bus.stores, bus.status, bus.reports)
+    bus.status.spool_limit_bytes = bus.settings.spool_bytes
+    bus.status.threads = [
+        threading.Thread(target=work.run, name=type(work).__name__.lower(), daemon=True)
+        for work in (listening, spooling, storing)
+    ]
+    for thread in bus.status.threads:
+        thread.start()
+    while not stop.wait(WATCH_EVERY_S):
+        if listening.refused is not None or storing.refused is not None:
+            stop.set()
+    deadline = time.monotonic() + bus.settings.shutdown_s
+    ends = (listening.end, spooling.end, storing.end)
+    for end, thread in zip(ends, bus.status.threads, strict=True):  # in the order in which frames go
+        end()
+        thread.join(max(deadline - time.monotonic(), WATCH_EVERY_S))
+    if not bus.status.threads[1].is_alive():
+        spool.close()
+    left = spool.pieces_waiting
+    if left:
+        bus.reports.say(f"{left} pieces wait in the spool for the next start")
+    for work in (listening, storing):
+        if work.refused is not None:
+            raise work.refused
 
 
 def receive_buses(buses: Sequence[ReceivedBus], stop: threading.Event) -> None:
@@ -229,7 +213,7 @@ def receive_buses(buses: Sequence[ReceivedBus], stop: threading.Event) -> None:
 
     def receive(bus: ReceivedBus) -> None:
         try:
-            receive_live(bus.settings, bus.source, bus.stores, bus.status, bus.reports, stop)
+            receive_live(bus, stop)
         except Exception as error:  # noqa: BLE001 - whatever it is, the others end in order, then it is raised
             failures.append(error)
             stop.set()

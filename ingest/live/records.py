@@ -22,8 +22,7 @@ FRAME_BYTES = FRAME.itemsize
 _HEAD = struct.Struct("<4sII")
 _COUNTS = struct.Struct("<QQ")
 _FRAME = struct.Struct("<qIB8s")
-_LONGEST_BODY = 1 << 21
-"""A longer one is no record: a damaged length must not hide what follows."""
+_LONGEST_BODY = 1 << 21  # a longer one is no record: a damaged length must not hide what follows
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +44,7 @@ class Contents:
 
 
 def pack_frame(t_ns: int, arbitration_id: int, dlc: int, data: bytes) -> bytes:
-    """Return the bytes of a frame.
-
-    Args:
-        arbitration_id: With SocketCAN's flags.
-    """
+    """Return the bytes of a frame."""
     return _FRAME.pack(t_ns, arbitration_id, dlc, data)
 
 

@@ -43,8 +43,13 @@ class DropCountFile:
         if len(content) < 2 * _SLOT_BYTES:
             os.pwrite(self._handle, bytes(2 * _SLOT_BYTES - len(content)), len(content))
             os.fsync(self._handle)
-        slots = [_slot(content[at : at + _SLOT_BYTES]) for at in (0, _SLOT_BYTES)]
-        self._number, *counts = max((slot for slot in slots if slot is not None), default=(0, 0, 0))
+        slots = [(0, 0, 0)]
+        for at in (0, _SLOT_BYTES):
+            slot = content[at : at + _SLOT.size]
+            if len(content) >= at + _SLOT.size + _CHECKSUM.size:
+                (checksum,) = _CHECKSUM.unpack_from(content, at + _SLOT.size)
+                slots += [_SLOT.unpack(slot)] if zlib.crc32(slot) == checksum else []
+        self._number, *counts = max(slots)
         self.count = DropCount(*counts)
 
     def write(self, count: DropCount) -> None:
@@ -65,16 +70,6 @@ class DropCountFile:
     def close(self) -> None:
         """Close the file."""
         os.close(self._handle)
-
-
-def _slot(content: bytes) -> tuple[int, int, int] | None:
-    if len(content) < _SLOT.size + _CHECKSUM.size:
-        return None
-    (checksum,) = _CHECKSUM.unpack_from(content, _SLOT.size)
-    if zlib.crc32(content[: _SLOT.size]) != checksum:
-        return None
-    number, total, recorded = _SLOT.unpack_from(content)
-    return number, total, recorded
 
 
 PIECE_SUFFIX = ".frames"
@@ -119,7 +114,7 @@ class Spool:
         self._lock = threading.Lock()
         self._waiting: deque[Piece] = deque()
         self._aside_bytes = 0
-        self._pieces_aside = 0
+        self.pieces_aside = 0  # that could not be stored whatever was tried; the next start tries again
         self._open: _OpenPiece | None = None
         self._next = 1
         try:
@@ -128,11 +123,6 @@ class Spool:
             self._drops = DropCountFile(folder / "dropped")
         except OSError as error:
             raise StorageError(f"the spool {folder} cannot be used: {error.strerror}") from error
-
-    @property
-    def limit_bytes(self) -> int:
-        """How much it may hold."""
-        return self._limit
 
     @property
     def size_bytes(self) -> int:
@@ -144,11 +134,6 @@ class Spool:
     def pieces_waiting(self) -> int:
         """Closed pieces without a receipt."""
         return len(self._waiting)
-
-    @property
-    def pieces_aside(self) -> int:
-        """Pieces that could not be stored whatever was tried; the next start tries again."""
-        return self._pieces_aside
 
     @property
     def drop_count(self) -> DropCount:
@@ -169,7 +154,10 @@ class Spool:
             if contents.end == 0:
                 path.unlink()
                 continue
-            _cut(path, len(content), contents.end)
+            if contents.end < len(content):  # so that the piece is the same whenever it is read
+                with path.open("r+b") as file:
+                    file.truncate(contents.end)
+                    os.fsync(file.fileno())
             last = max(record.dropped_total for record in contents.records)
             count = DropCount(max(count.total, last), max(count.recorded, last))
             found.append(Piece(path.replace(path.with_suffix(PIECE_SUFFIX)), contents.end))
@@ -238,7 +226,7 @@ class Spool:
         with self._lock:
             self._waiting.remove(piece)
             self._aside_bytes += piece.size_bytes
-            self._pieces_aside += 1
+            self.pieces_aside += 1
 
     def close(self) -> None:
         """End the piece that grows, and let another process have the spool."""
@@ -275,15 +263,6 @@ class _OpenPiece:
 
     def close(self) -> None:
         os.close(self._handle)
-
-
-def _cut(path: Path, size: int, end: int) -> None:
-    """Cut what a killed process has written of a record, so that the piece is the same whenever it is read."""
-    if end == size:
-        return
-    with path.open("r+b") as file:
-        file.truncate(end)
-        os.fsync(file.fileno())
 
 
 def _hold(folder: Path) -> int:

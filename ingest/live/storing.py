@@ -22,7 +22,7 @@ from estimation.errors import (
     StorageError,
     TreadwatchError,
 )
-from estimation.values.reasons import ReasonCode
+from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.runs import first_line
 from fleet_db.receipts import ChunkRecord, ChunkState
 from ingest.frames import DEFAULT_CHANNEL, concatenate, dropped_marker, from_owned_arrays, sort_by_time
@@ -30,7 +30,7 @@ from ingest.live.backoff import Backoff
 from ingest.live.records import FRAME, decode
 from ingest.live.spool import Piece, Spool
 from ingest.live.status import LiveStatus, Reports
-from ingest.logs.blf_writer import blf_bytes
+from ingest.logs.blf_layout import blf_bytes
 from ingest.receiver import ChunkReceipt, Receiver
 
 RECORDING_SUFFIX = ".blf"
@@ -74,12 +74,9 @@ PASSING = (StorageError, PassingFaultError, OSError, MemoryError)
 FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 15.0
 DECODE_FIRST_DELAY_S, DECODE_LONGEST_DELAY_S = 1.0, 300.0
 
-ATTEMPTS = 3
-"""With a piece that fails for a reason of its own."""
-
+ATTEMPTS = 3  # with a piece that fails for a reason of its own
 LOOK_EVERY_S = 0.5
-CHECK_EVERY_S = 15.0
-"""The database is asked whether it answers when nothing was stored for so long."""
+CHECK_EVERY_S = 15.0  # the database is asked whether it answers when nothing was stored for so long
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +200,11 @@ class Storing:
             self._status.last_rejection = outcome.reason
             counted = f", {self._status.rejected_in_a_row} in a row" if self._status.rejected_in_a_row > 1 else ""
             self._reports.say(f"rejected {name}{counted}: {outcome.reason}", bad=True)
-        elif isinstance(outcome, Exception) or _waits(outcome.record):
+        elif isinstance(outcome, Exception) or (
+            outcome.record.state is ChunkState.STORED
+            # one that waits for the recording beside it is decoded with that
+            and code_of(outcome.record.reason) is not ReasonCode.WAITS_FOR_TIME
+        ):
             if self._decode_at is None:
                 self._decode_at = time.monotonic() + self._decode_delays.failed()
             return False
@@ -257,10 +258,3 @@ class Storing:
 
     def _pause(self) -> bool:
         return self._ending.wait(self._delays.failed())
-
-
-def _waits(record: ChunkRecord) -> bool:
-    """Whether another attempt follows; one that waits for the recording beside it is decoded with that."""
-    if record.state is not ChunkState.STORED:
-        return False
-    return record.reason is None or record.reason.code is not ReasonCode.WAITS_FOR_TIME

@@ -59,7 +59,8 @@ def read_asc(path: Path, _: ReadLimits, sink: FrameSink) -> None:
     form = LineFormat(_FRAMES[base], _facts, base=16 if base == "hex" else 10)
     events = _Events(path, base, start_ns)
     TextLog(path, form, events.other, sink, shift_ns=start_ns).read()
-    events.check_ended()
+    if events.opened_line is not None:
+        raise LogFileError("a trigger block is never ended: truncated", line=events.opened_line)
 
 
 def _facts(match: re.Match[str]) -> Facts | None:
@@ -120,11 +121,6 @@ class _Events:
         elif not (_EVENT.fullmatch(line) or _NOTE.fullmatch(line)):
             return None
         return self.start_ns
-
-    def check_ended(self) -> None:
-        """Raise LogFileError if a trigger block is never ended."""
-        if self.opened_line is not None:
-            raise LogFileError("a trigger block is never ended: truncated", file=self.path, line=self.opened_line)
 
 
 def _moment_ns(text: str, path: Path, number: int) -> int:

@@ -1,4 +1,4 @@
-"""The layout of BLF files: headers and objects as numpy dtypes.
+"""The layout of BLF files: headers and objects as numpy dtypes; and frames written as such a file.
 
 A file is a header and a chain of objects; objects of type 10 are containers, whose inflated contents, joined, are again
 a chain of objects: the frames. Every object begins with ``LOBJ``, its header size, header version, size and type.
@@ -6,9 +6,17 @@ a chain of objects: the frames. Every object begins with ``LOBJ``, its header si
 
 from __future__ import annotations
 
+import os
+import zlib
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+
+from estimation.errors import LogFileError
+from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, channel_number
 
 FILE_SIGNATURE = b"LOGG"
 OBJECT_SIGNATURE = b"LOBJ"
@@ -102,3 +110,100 @@ def object_layout(body: np.dtype[np.void], header_size: int) -> np.dtype[np.void
 
 def _fields(layout: np.dtype[np.void], prefix: str, at: int) -> dict[str, tuple[np.dtype[Any], int]]:
     return {f"{prefix}{name}": (field[0], field[1] + at) for name, field in (layout.fields or {}).items()}
+
+
+CONTAINER_BYTES = 128 * 1024
+COMPRESSION = 1  # zlib's fastest: 48-byte objects that are mostly equal shrink well at any level
+HEADER_SIZE = OBJECT_HEAD.itemsize
+IDENTIFIER_BITS = 0x1FFF_FFFF
+MILLISECOND = 1_000_000
+
+
+def write_blf(path: Path, batch: FrameBatch) -> None:
+    """Write a batch as a BLF file, whole or not at all; times keep their nanoseconds."""
+    unfinished = path.with_name(f".{path.stem}.{os.getpid()}.blf")
+    try:
+        unfinished.write_bytes(blf_bytes(batch))
+        unfinished.replace(path)
+    except OSError as error:
+        raise LogFileError(error.strerror or str(error), file=path) from error
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def blf_bytes(batch: FrameBatch) -> bytes:
+    """Return a batch as the bytes of a BLF file: the same batch, the same bytes."""
+    start_ns = int(batch.t_ns.min()) // MILLISECOND * MILLISECOND if len(batch) else 0
+    stop_ns = int(batch.t_ns.max()) if len(batch) else 0
+    objects = _objects(batch, start_ns)
+    containers = [_container(objects[at : at + CONTAINER_BYTES]) for at in range(0, len(objects), CONTAINER_BYTES)]
+    header = np.zeros((), dtype=FILE_HEADER)
+    header["signature"] = FILE_SIGNATURE
+    header["header_size"] = FILE_HEADER_SIZE
+    header["application"] = (5, 0, 0, 0)
+    header["format_version"] = (2, 6, 8, 1)
+    header["file_size"] = FILE_HEADER_SIZE + sum(len(container) for container in containers)
+    header["inflated_size"] = FILE_HEADER_SIZE + len(objects) + CONTAINER_OVERHEAD * len(containers)
+    header["objects"] = len(batch)
+    header["start"] = _system_time(start_ns)
+    header["stop"] = _system_time(stop_ns)
+    return b"".join([header.tobytes().ljust(FILE_HEADER_SIZE, b"\0"), *containers])
+
+
+def _objects(batch: FrameBatch, start_ns: int) -> memoryview:
+    error = (batch.arbitration_id & ERROR_FLAG) != 0
+    if not error.any():
+        return memoryview(_of_kind(batch, slice(None), start_ns, CAN_MESSAGE).tobytes())
+    frame_size = HEADER_SIZE + CAN_BODY.itemsize
+    error_size = HEADER_SIZE + ERROR_BODY.itemsize
+    ends = np.cumsum(np.where(error, error_size, frame_size))
+    out = np.zeros(int(ends[-1]), dtype=np.uint8)
+    starts = np.concatenate([[0], ends[:-1]])
+    frames = _of_kind(batch, ~error, start_ns, CAN_MESSAGE).view(np.uint8).reshape(-1, frame_size)
+    errors = _of_kind(batch, error, start_ns, CAN_ERROR_EXT).view(np.uint8).reshape(-1, error_size)
+    out[starts[~error][:, None] + np.arange(frame_size)] = frames
+    out[starts[error][:, None] + np.arange(error_size)] = errors
+    return memoryview(out.tobytes())
+
+
+def _of_kind(batch: FrameBatch, which: npt.NDArray[np.bool_] | slice, start_ns: int, kind: int) -> npt.NDArray[np.void]:
+    """Return frames as objects of one kind."""
+    identifier = batch.arbitration_id[which]
+    layout = object_layout(CAN_BODY if kind == CAN_MESSAGE else ERROR_BODY, HEADER_SIZE)
+    objects = np.zeros(len(identifier), dtype=layout)
+    objects["signature"] = OBJECT_SIGNATURE
+    objects["header_size"] = HEADER_SIZE
+    objects["header_version"] = 1
+    objects["size"] = layout.itemsize
+    objects["type"] = kind
+    objects["flags"] = NANOSECONDS
+    objects["time"] = batch.t_ns[which] - start_ns
+    objects["body_channel"] = channel_number(batch.channel)
+    if kind == CAN_MESSAGE:
+        objects["body_flags"] = np.where(identifier & REMOTE_FLAG, REMOTE, 0)
+    objects["body_dlc"] = batch.dlc[which]
+    objects["body_id"] = identifier & (IDENTIFIER_BITS | EXTENDED_FLAG)
+    objects["body_data"] = batch.data[which]
+    return objects
+
+
+def _container(contents: memoryview) -> bytes:
+    deflated = zlib.compress(contents, COMPRESSION)
+    base = np.zeros((), dtype=OBJECT_BASE)
+    base["signature"] = OBJECT_SIGNATURE
+    base["header_size"] = OBJECT_BASE.itemsize
+    base["header_version"] = 1
+    size = CONTAINER_OVERHEAD + len(deflated)
+    base["size"] = size
+    base["type"] = LOG_CONTAINER
+    head = np.zeros((), dtype=CONTAINER_HEAD)
+    head["method"] = DEFLATED
+    head["inflated_size"] = len(contents)
+    return base.tobytes() + head.tobytes() + deflated + bytes(size % 4)
+
+
+def _system_time(t_ns: int) -> tuple[int, ...]:
+    if t_ns == 0:
+        return (0,) * 8
+    t = datetime.fromtimestamp(t_ns // (1000 * MILLISECOND), tz=UTC)
+    return (t.year, t.month, t.isoweekday() % 7, t.day, t.hour, t.minute, t.second, t_ns // MILLISECOND % 1000)

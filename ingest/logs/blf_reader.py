@@ -44,117 +44,110 @@ class ObjectBase:
     kind: int
 
 
-def file_header(file: BinaryIO, path: Path) -> FileHeader:
+def file_header(file: BinaryIO) -> FileHeader:
     """Return the header of a BLF file."""
     raw = file.read(blf.FILE_HEADER_SIZE)
     length = file.seek(0, 2)
     if len(raw) < blf.FILE_HEADER_SIZE or not raw.startswith(blf.FILE_SIGNATURE):
-        raise LogFileError("is no BLF file: no LOGG header at byte 0", file=path)
+        raise LogFileError("is no BLF file: no LOGG header at byte 0")
     header = np.frombuffer(raw, dtype=blf.FILE_HEADER, count=1)[0]
     header_size, file_size = int(header["header_size"]), int(header["file_size"])
     if header_size < blf.FILE_HEADER.itemsize or header_size > length:
-        raise LogFileError(f"header size {header_size} at byte 4 is impossible", file=path)
+        raise LogFileError(f"header size {header_size} at byte 4 is impossible")
     if file_size != length:
         raise LogFileError(
-            f"is truncated or was never closed: the header at byte 16 says {file_size} bytes, there are {length}",
-            file=path,
+            f"is truncated or was never closed: the header at byte 16 says {file_size} bytes, there are {length}"
         )
-    start_ns = _moment_ns(header["start"], "start time at byte 40", path)
-    stop_ns = _moment_ns(header["stop"], "stop time at byte 56", path)
+    start_ns = _moment_ns(header["start"], "start time at byte 40")
+    stop_ns = _moment_ns(header["stop"], "stop time at byte 56")
     return FileHeader(header_size, start_ns, stop_ns, int(header["objects"]))
 
 
-def _moment_ns(moment: np.void, what: str, path: Path) -> int:
+def _moment_ns(moment: np.void, what: str) -> int:
     year, month, _, day, hour, minute, second, millisecond = moment.tolist()
     if (year, month, day) == (0, 0, 0):
         return 0
     try:
         found = datetime(year, month, day, hour, minute, second, millisecond * 1000, tzinfo=UTC)
     except ValueError as error:
-        raise LogFileError(f"the {what} is no date: {error}", file=path) from error
+        raise LogFileError(f"the {what} is no date: {error}") from error
     t_ns = int(found.replace(microsecond=0).timestamp()) * 1_000_000_000 + millisecond * 1_000_000
     if not 0 <= t_ns <= blf.LATEST_NS:
-        raise LogFileError(f"the {what} is a time beyond this age: {found:%Y-%m-%d}", file=path)
+        raise LogFileError(f"the {what} is a time beyond this age: {found:%Y-%m-%d}")
     return t_ns
 
 
-def object_base(buffer: bytes, at: int, where: str, first_byte: int, path: Path) -> ObjectBase:
+def object_base(buffer: bytes, at: int, where: str, first_byte: int) -> ObjectBase:
     """Return what the object at a byte begins with."""
     if buffer[at : at + 4] != blf.OBJECT_SIGNATURE or at + blf.BASE_SIZE > len(buffer):
-        raise LogFileError(f"no object at byte {first_byte + at} {where}: truncated or corrupt", file=path)
+        raise LogFileError(f"no object at byte {first_byte + at} {where}: truncated or corrupt")
     base = np.frombuffer(buffer, dtype=blf.OBJECT_BASE, count=1, offset=at)[0]
     size = int(base["size"])
     if size < blf.SMALLEST_OBJECT:
-        raise LogFileError(f"object size {size} at byte {first_byte + at + 8} {where} is impossible", file=path)
+        raise LogFileError(f"object size {size} at byte {first_byte + at + 8} {where} is impossible")
     return ObjectBase(int(base["header_size"]), int(base["header_version"]), size, int(base["type"]))
 
 
-def inflated_containers(file: BinaryIO, at: int, path: Path, limits: ReadLimits) -> Iterator[bytes]:
+def inflated_containers(file: BinaryIO, at: int, limits: ReadLimits) -> Iterator[bytes]:
     """Yield the contents of the containers of a file."""
     end = file.seek(0, 2)
     total = 0
     while at < end:
         file.seek(at)
-        base = object_base(file.read(blf.BASE_SIZE), 0, "of the file", at, path)
+        base = object_base(file.read(blf.BASE_SIZE), 0, "of the file", at)
         if at + base.size > end:
-            raise LogFileError(f"object of {base.size} bytes at byte {at} of the file is cut off", file=path)
+            raise LogFileError(f"object of {base.size} bytes at byte {at} of the file is cut off")
         if base.kind == blf.LOG_CONTAINER:
-            contents = _container(file, at, base, path, limits)
+            contents = _container(file, at, base, limits)
             total += len(contents)
             if total > limits.inflated_bytes:
                 raise LogFileError(
                     f"inflates to more than {limits.inflated_bytes} bytes, the limit for a file of its size "
-                    f"(container at byte {at})",
-                    file=path,
+                    f"(container at byte {at})"
                 )
             yield contents
         elif base.kind in blf.FRAME_KINDS:
-            raise LogFileError(f"frame outside a container at byte {at}", file=path)
+            raise LogFileError(f"frame outside a container at byte {at}")
         at += base.size + base.size % 4
 
 
-def _container(file: BinaryIO, at: int, base: ObjectBase, path: Path, limits: ReadLimits) -> bytes:
+def _container(file: BinaryIO, at: int, base: ObjectBase, limits: ReadLimits) -> bytes:
     if base.size < blf.CONTAINER_OVERHEAD or base.header_size != blf.BASE_SIZE:
-        raise LogFileError(f"container of {base.size} bytes at byte {at} has no head", file=path)
+        raise LogFileError(f"container of {base.size} bytes at byte {at} has no head")
     head = np.frombuffer(file.read(blf.CONTAINER_HEAD.itemsize), dtype=blf.CONTAINER_HEAD, count=1)[0]
     method, declared = int(head["method"]), int(head["inflated_size"])
     if max(declared, base.size - MEBIBYTE) > limits.container_bytes:
         raise LogFileError(
             f"container at byte {at} declares {declared} bytes in {base.size}, more than the limit of "
-            f"{limits.container_bytes}",
-            file=path,
+            f"{limits.container_bytes}"
         )
     contents = file.read(base.size - blf.CONTAINER_OVERHEAD)
     if method == blf.STORED:
         inflated = contents
     elif method == blf.DEFLATED:
-        inflated = _inflate(contents, declared, at, path)
+        inflated = _inflate(contents, declared, at)
     else:
-        raise LogFileError(f"container at byte {at} has the unknown compression {method}", file=path)
+        raise LogFileError(f"container at byte {at} has the unknown compression {method}")
     if len(inflated) != declared:
-        raise LogFileError(f"container at byte {at} holds {len(inflated)} bytes, declares {declared}", file=path)
+        raise LogFileError(f"container at byte {at} holds {len(inflated)} bytes, declares {declared}")
     return inflated
 
 
-def _inflate(contents: bytes, declared: int, at: int, path: Path) -> bytes:
+def _inflate(contents: bytes, declared: int, at: int) -> bytes:
     machine = zlib.decompressobj()
     try:
         inflated = machine.decompress(contents, declared + 1)
     except zlib.error as error:
-        raise LogFileError(f"container at byte {at} is corrupt: {error}", file=path) from error
+        raise LogFileError(f"container at byte {at} is corrupt: {error}") from error
     if len(inflated) > declared:
-        raise LogFileError(f"container at byte {at} inflates to more than the {declared} bytes it declares", file=path)
+        raise LogFileError(f"container at byte {at} inflates to more than the {declared} bytes it declares")
     if not machine.eof:
-        raise LogFileError(f"container at byte {at} is cut off", file=path)
+        raise LogFileError(f"container at byte {at} is cut off")
     return inflated
 
 
-PIECE_BYTES = 1 << 20
-"""Containers are joined to pieces of so many bytes, inflated."""
-
-RUN_OBJECTS = 32_768
-"""Objects that are decoded at once."""
-
+PIECE_BYTES = 1 << 20  # containers are joined to pieces of so many bytes, inflated
+RUN_OBJECTS = 32_768  # objects that are decoded at once
 HEADER_TOLERANCE_NS = 2_000_000_000
 """How far the last stamp may be from the stop time in the header, which is of whole seconds with some writers."""
 
@@ -177,13 +170,13 @@ def read_blf(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
 
     Raises:
         LogFileError: The file is no BLF file, truncated, corrupt, too large when inflated, holds several buses or CAN
-            FD frames of more than eight bytes; names file and byte.
+            FD frames of more than eight bytes; names the byte. The file is named by who asked for it.
     """
     with path.open("rb") as file:
-        header = file_header(file, path)
-        reader = _ObjectReader(path, header, limits, sink)
+        header = file_header(file)
+        reader = _ObjectReader(header, limits, sink)
         pending, size = [b""], 0
-        for contents in inflated_containers(file, header.size, path, limits):
+        for contents in inflated_containers(file, header.size, limits):
             reader.containers += 1
             pending.append(contents)
             size += len(contents)
@@ -195,7 +188,6 @@ def read_blf(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
 
 @dataclass
 class _ObjectReader:
-    path: Path
     header: FileHeader
     limits: ReadLimits
     sink: FrameSink
@@ -216,7 +208,7 @@ class _ObjectReader:
                 continue
             self.frames += len(part.t_ns)
             self.latest_ns = max(self.latest_ns, int(part.t_ns.max()))
-            self._put(part)
+            self.sink.add(part)
         self.first_byte += at
         return contents[at:]
 
@@ -224,18 +216,12 @@ class _ObjectReader:
         """Count what the header says otherwise; writers do not agree on which objects they count."""
         said = self.header.objects
         if said and not self.objects:
-            raise self._error(f"holds no object, the header at byte 32 says {said}")
+            raise LogFileError(f"holds no object, the header at byte 32 says {said}")
         stop_ns = self.header.stop_ns
         disagrees = said > self.objects + self.containers
         if stop_ns and self.frames:
             disagrees |= abs(self.latest_ns - stop_ns) > HEADER_TOLERANCE_NS
         self.sink.count(HEADER_DISAGREES, int(disagrees))
-
-    def _put(self, part: FramePart) -> None:
-        try:
-            self.sink.add(part)
-        except LogFileError as error:
-            raise LogFileError(error.reason, file=self.path) from error
 
     def _runs(self, contents: bytes, *, last: bool) -> Iterator[tuple[npt.NDArray[np.uint8], ObjectBase, int]]:
         """Yield runs of objects of equal size and type, with what they begin with and where the next one is."""
@@ -246,13 +232,13 @@ class _ObjectReader:
             at = self._next_object(contents, at)
             if at == end:
                 return
-            base = object_base(contents, at, WHERE, self.first_byte, self.path)
+            base = object_base(contents, at, WHERE, self.first_byte)
             if base.size > self.limits.container_bytes:
-                raise self._error(f"object of {base.size} bytes at byte {self.first_byte + at} {WHERE} is too large")
+                raise LogFileError(f"object of {base.size} bytes at byte {self.first_byte + at} {WHERE} is too large")
             if not last and at + base.size + blf.BASE_SIZE + blf.LONGEST_PADDING > end:
                 return
             if at + base.size > end:
-                raise self._error(f"object of {base.size} bytes at byte {self.first_byte + at} {WHERE} is cut off")
+                raise LogFileError(f"object of {base.size} bytes at byte {self.first_byte + at} {WHERE} is cut off")
             stride = self._next_object(contents, at + base.size) - at
             objects = _run(contents, at, stride)
             at += objects.size
@@ -264,28 +250,28 @@ class _ObjectReader:
             return found
         if len(contents) - at < blf.LONGEST_PADDING and not any(contents[at:]):
             return len(contents)
-        raise self._error(f"no object at byte {self.first_byte + at} {WHERE}: truncated or corrupt")
+        raise LogFileError(f"no object at byte {self.first_byte + at} {WHERE}: truncated or corrupt")
 
     def _decode(self, objects: npt.NDArray[np.uint8], base: ObjectBase, at: int) -> FramePart | None:
         where = f"object of type {base.kind} at byte {at} {WHERE}"
         if base.kind in (blf.CAN_FD_MESSAGE, blf.CAN_FD_MESSAGE_64):
-            raise self._error(f"{where} is a CAN FD frame: a vehicle bus is classic CAN")
+            raise LogFileError(f"{where} is a CAN FD frame: a vehicle bus is classic CAN")
         if base.kind not in _BODIES:
             return None
         layout = blf.object_layout(_BODIES[base.kind], base.header_size)
         if base.header_size != blf.HEADER_SIZES.get(base.version) or layout.itemsize > objects.shape[1]:
-            raise self._error(f"{where} has an impossible header")
+            raise LogFileError(f"{where} has an impossible header")
         fields = objects[:, : layout.itemsize].view(layout)[:, 0]
         dlc = np.ascontiguousarray(fields["body_dlc"])
         if int(dlc.max()) > DATA_BYTES:
-            raise self._error(f"{where} or after it: a frame of {int(dlc.max())} bytes")
+            raise LogFileError(f"{where} or after it: a frame of {int(dlc.max())} bytes")
         words = np.ascontiguousarray(fields["body_data"]).view("<u8").ravel()
         if int(dlc.min()) < DATA_BYTES:
             words = words & _BYTES_MASK[dlc]
         channel = fields["body_channel"]
         if (channel != channel[0]).any():
             numbers = ", ".join(map(str, np.unique(channel)))
-            raise self._error(f"holds several buses (channels {numbers}): one file, one bus")
+            raise LogFileError(f"holds several buses (channels {numbers}): one file, one bus")
         return FramePart(
             channel_name(int(channel[0])),
             self._times(fields, where),
@@ -302,7 +288,7 @@ class _ObjectReader:
             most = np.where(raw & np.uint32(blf.EXTENDED), np.uint32(_IDENTIFIER_BITS), np.uint32(_STANDARD_BITS))
             beyond = (raw & np.uint32(~blf.EXTENDED & 0xFFFF_FFFF)) > most
             if beyond.any():
-                raise self._error(f"{where} or after it: identifier {int(raw[beyond][0]):#x} is out of range")
+                raise LogFileError(f"{where} or after it: identifier {int(raw[beyond][0]):#x} is out of range")
         remote = fields["body_flags"] & blf.REMOTE
         return raw | np.where(remote, np.uint32(REMOTE_FLAG), np.uint32(0)) if remote.any() else raw
 
@@ -311,16 +297,13 @@ class _ObjectReader:
         coarse = units == blf.TEN_MICROSECONDS
         unknown = ~coarse & (units != blf.NANOSECONDS)
         if unknown.any():
-            raise self._error(f"{where} or after it: unknown unit of time {int(units[unknown][0])}")
+            raise LogFileError(f"{where} or after it: unknown unit of time {int(units[unknown][0])}")
         unit = np.where(coarse, np.uint64(blf.NANOSECONDS_PER_UNIT[blf.TEN_MICROSECONDS]), np.uint64(1))
         if coarse.all() or not coarse.any():
             unit = unit[:1]  # of all of them
         if (time > np.uint64(blf.LATEST_NS - self.header.start_ns) // unit).any():
-            raise self._error(f"{where} or after it: a time beyond this age")
+            raise LogFileError(f"{where} or after it: a time beyond this age")
         return np.asarray((time * unit).view(np.int64) + self.header.start_ns)
-
-    def _error(self, reason: str) -> LogFileError:
-        return LogFileError(reason, file=self.path)
 
 
 def _run(contents: bytes, at: int, stride: int) -> npt.NDArray[np.uint8]:

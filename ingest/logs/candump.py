@@ -19,7 +19,7 @@ _STANDARD_DIGITS, _EXTENDED_DIGITS = 3, 8
 
 def read_candump(path: Path, _: ReadLimits, sink: FrameSink) -> None:
     """Read a candump file."""
-    TextLog(path, LineFormat(_FRAME, _facts), _other, sink).read()
+    TextLog(path, LineFormat(_FRAME, _facts), lambda _, text: None if text.strip() else 0, sink).read()
 
 
 def _facts(match: re.Match[str]) -> Facts | None:
@@ -33,10 +33,6 @@ def _facts(match: re.Match[str]) -> Facts | None:
         flags |= REMOTE_FLAG
     length = int(match["length"] or 0) if match["remote"] else len(match["data"]) // 2
     return Facts(library_channel_name(match["channel"]), flags, most, length)
-
-
-def _other(_: int, text: str) -> int | None:
-    return None if text.strip() else 0
 
 
 FORMAT = LogFormat(suffix=".log", name="candump", is_held=lambda head: head.startswith(b"("), read=read_candump)

@@ -45,10 +45,6 @@ def limits_of(size_bytes: int, bytes_per_s: int, more_memory: int = 0) -> ReadLi
     """Return the limits for a file: a day of a vehicle passes with room to spare, a bomb does not.
 
     Memory does not grow with the file, because no reader keeps more of it than a few containers or lines.
-
-    Args:
-        bytes_per_s: What its reader reads at least.
-        more_memory: Bytes that reading the format needs beyond those of every format.
     """
     seconds = size_bytes / bytes_per_s
     return ReadLimits(
@@ -60,8 +56,7 @@ def limits_of(size_bytes: int, bytes_per_s: int, more_memory: int = 0) -> ReadLi
     )
 
 
-OWN_BYTES_PER_S = 2 << 20
-"""What a reader of our own reads at least, of the slowest format on a slow machine."""
+OWN_BYTES_PER_S = 2 << 20  # what a reader of our own reads at least, of the slowest format on a slow machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +96,7 @@ STEP_BACK_NS = 100_000_000
 """How far a stamp may be before the one that stands before it: recorders that read two queues write frames out of order
 by some milliseconds."""
 
-ALONE_NS = 3_600_000_000_000
-"""A first or last frame that is further from all others has a wrong stamp."""
-
+ALONE_NS = 3_600_000_000_000  # a first or last frame that is further from all others has a wrong stamp
 FRAMES_OUT_OF_TIME = "frames_out_of_time"
 STEPS_BACK = "recorder_steps_back"
 
@@ -149,11 +142,7 @@ class FrameSink:
             self._counts[name] += number
 
     def add(self, part: FramePart) -> None:
-        """Write frames.
-
-        Raises:
-            LogFileError: More frames than the limit, a stamp that is no time, or another bus.
-        """
+        """Write frames."""
         if len(part.t_ns) == 0:
             return
         if part.channel != (self._channel or part.channel):
@@ -173,7 +162,8 @@ class FrameSink:
         """Write what was held back and return what there is."""
         if self._held is not None:
             held, self._held = self._held, None
-            if self._before is not None and len(held[0]) and int(held[0][-1]) > self._latest(held) + ALONE_NS:
+            latest = int(held[0][-2]) if len(held[0]) > 1 else int(self._before or 0)
+            if self._before is not None and len(held[0]) and int(held[0][-1]) > latest + ALONE_NS:
                 held = [column[:-1] for column in held]
                 self.count(FRAMES_OUT_OF_TIME)
             self._write(held, len(held[0]))
@@ -187,9 +177,6 @@ class FrameSink:
         frames = self._frames - self._counts[FRAMES_OUT_OF_TIME]
         return SinkSummary(self._channel or DEFAULT_CHANNEL, frames, {k: n for k, n in self._counts.items() if n})
 
-    def _latest(self, held: Sequence[npt.NDArray[np.generic]]) -> int:
-        return int(held[0][-2]) if len(held[0]) > 1 else int(self._before or 0)
-
     def _write(self, columns: Sequence[npt.NDArray[np.generic]], decided: int) -> None:
         if decided <= 0 and len(columns[0]) > 0:
             self._held = list(columns)
@@ -202,19 +189,13 @@ class FrameSink:
         if self._before is None and len(t_ns) > 1 and int(t_ns[1]) > int(t_ns[0]) + ALONE_NS:
             out[0] = True
         self._before = int(t_ns[decided - 1])
-        kept = slice(None, decided)
-        chosen = [column[kept] for column in columns]
+        chosen = [column[:decided] for column in columns]
         if out.any():
             self.count(FRAMES_OUT_OF_TIME, int(np.count_nonzero(out)))
             chosen = [column[~out] for column in chosen]
         if len(chosen[0]) == 0:
             return
         stamps = chosen[0].astype(np.int64, copy=False)
-        self._follow(stamps)
-        for file, column, layout in zip(self._files, chosen, COLUMNS, strict=True):
-            file.write(np.ascontiguousarray(column, dtype=layout.base).data)
-
-    def _follow(self, stamps: IntArray) -> None:
         steps = int(np.count_nonzero(np.diff(stamps) < -STEP_BACK_NS))
         if self._written is not None:
             steps += int(stamps[0]) < self._written - STEP_BACK_NS
@@ -223,14 +204,12 @@ class FrameSink:
         low, high = int(stamps.min()), int(stamps.max())
         self._first = low if self._first is None else min(self._first, low)
         self._last = high if self._last is None else max(self._last, high)
+        for file, column, layout in zip(self._files, chosen, COLUMNS, strict=True):
+            file.write(np.ascontiguousarray(column, dtype=layout.base).data)
 
 
 def _out_of_time(t_ns: IntArray, before: int | None) -> BoolArray:
-    """Return which stamps (n,) stand alone: far from the ones on both sides, which agree with each other.
-
-    Args:
-        t_ns: (n,) stamps; of the last two it is not known yet.
-    """
+    """Return which stamps (n,) stand alone: far from the ones on both sides, which agree with each other."""
     if np.all(np.diff(t_ns) >= -STEP_BACK_NS) and (before is None or t_ns[0] >= before - STEP_BACK_NS):
         return np.zeros(len(t_ns), dtype=np.bool_)
     previous = np.concatenate([[-LATEST_NS if before is None else before], t_ns[:-1]])

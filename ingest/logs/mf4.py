@@ -23,9 +23,7 @@ BUS_EVENT, BUS_SOURCE, CAN_BUS = 0x02, 2, 2
 
 DATA, ERROR, REMOTE = "CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame"
 KINDS = (DATA, ERROR, REMOTE)
-RECORDS = 131_072
-"""That are read of a group at a time."""
-
+RECORDS = 131_072  # that are read of a group at a time
 IDENTIFIER_BITS = 0x1FFF_FFFF
 MICROSECONDS = 1_000_000
 
@@ -194,8 +192,7 @@ def _data(samples: npt.NDArray[Any], kind: str, length: IntArray) -> tuple[IntAr
     return length, data
 
 
-BYTES_PER_S = 128 << 10
-"""What is read at least of a file whose frames are compressed to few bytes, on a slow machine."""
+BYTES_PER_S = 128 << 10  # what is read at least of a file whose frames are compressed to few bytes, on a slow machine
 
 
 def read_mf4(path: Path, limits: ReadLimits, sink: FrameSink) -> None:

@@ -43,8 +43,7 @@ ENVIRONMENT = {"TZ": "UTC", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 PATIENCE_S = 30.0
 """How much longer than its limit the answer of a process may take: the server imports what a format needs."""
 
-STARVED = 0.5
-"""A process that was ended by the clock and had less than this share of its CPU limit was kept waiting."""
+STARVED = 0.5  # a process that was ended by the clock and had less than this share of its CPU limit was kept waiting
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,13 +21,13 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from estimation.errors import LogFileError, PassingFaultError
 from estimation.values.reasons import ReasonCode
 from ingest.input_file import end_with, limit_memory
 from ingest.logs.formats import format_of
-from ingest.logs.log_format import COLUMNS, MEBIBYTE, FrameSink, ReadLimits, SinkSummary
+from ingest.logs.log_format import COLUMNS, MEBIBYTE, FrameSink, ReadLimits
 
 REQUEST_BYTES = 16_384
 DESCRIPTORS = 1 + len(COLUMNS)
@@ -120,22 +120,20 @@ PASSING = {
 }
 """Errors of the machine, not of the file: the same file can be read later."""
 
-RESERVE_BYTES = 1 << 20
-"""Of memory that is given back so that the answer can be written when memory has run out."""
+RESERVE_BYTES = 1 << 20  # of memory that is given back so that the answer can be written when memory has run out
 
 
 def read_and_end(path: Path, limits: ReadLimits, answer: int, columns: Sequence[int], parent: int) -> None:
-    """Read one file in this process, write the answer as one line of JSON, and end the process.
-
-    Args:
-        answer: Descriptor that the answer is written to.
-    """
+    """Read one file in this process, write the answer as one line of JSON, and end the process."""
     end_with(parent)
     reserve = bytearray(RESERVE_BYTES)
     try:
         files = [os.fdopen(column, "wb", closefd=False) for column in columns]
         _limit(limits)
-        found = _read(path, limits, files)
+        sink = FrameSink(files, limits)
+        format_of(path).read(path, limits, sink)
+        summary = sink.finish()
+        found = {"channel": summary.channel, "frames": summary.frames, "counts": summary.counts}
     except LogFileError as error:
         found = {"error": error.reason, "line": error.line}
     except PassingFaultError as error:
@@ -174,13 +172,6 @@ def _limit(limits: ReadLimits) -> None:
     largest = limits.frames * max(layout.itemsize for layout in COLUMNS) + RESERVE_BYTES
     resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
     limit_memory(limits.memory_bytes)
-
-
-def _read(path: Path, limits: ReadLimits, files: Sequence[BinaryIO]) -> dict[str, Any]:
-    sink = FrameSink(files, limits)
-    format_of(path).read(path, limits, sink)
-    summary: SinkSummary = sink.finish()
-    return {"channel": summary.channel, "frames": summary.frames, "counts": summary.counts}
 
 
 if __name__ == "__main__":

@@ -25,12 +25,8 @@ from ingest.logs.log_format import FramePart, FrameSink
 
 BLOCK_BYTES = 1 << 20
 LONGEST_LINE = 1000
-LAYOUTS = 4
-"""Layouts that are tried of lines of one length; the rest is read line by line."""
-
-FEWEST = 8
-"""Lines of one length that are worth a layout."""
-
+LAYOUTS = 4  # layouts that are tried of lines of one length; the rest is read line by line
+FEWEST = 8  # lines of one length that are worth a layout
 STANDARD_BITS, EXTENDED_BITS = 0x7FF, 0x1FFF_FFFF
 LARGEST_BYTE = 0xFF
 DECIMAL, HEXADECIMAL = 10, 16
@@ -243,9 +239,7 @@ def identifier_limits(extended: bool) -> tuple[int, int]:  # noqa: FBT001 - the 
 LINES_PER_LOST = 1000
 """Of so many lines one may be damaged; at least one of a log. More are no damage to a log, but no such log."""
 
-LOST_AT_ONCE = 100
-"""So many lost lines may come before the others are counted."""
-
+LOST_AT_ONCE = 100  # so many lost lines may come before the others are counted
 LINES_LOST = "lines_lost"
 LINES_SKIPPED = "lines_not_frames"
 
@@ -275,7 +269,10 @@ class TextLog:
             self.lines += len(block.starts)
             shift = self._shifts(block)
             frames = block.is_frame & self._of_the_bus(block)
-            self._put(block, frames, shift)
+            if frames.any():
+                assert self.channel is not None
+                columns = (block.identifier[frames], block.dlc[frames], block.data[frames])
+                self.sink.add(FramePart(self.channel, block.t_ns[frames] + shift[frames], *columns))
             self._check_lost(max(LOST_AT_ONCE, self.lines // LINES_PER_LOST))
         self._check_lost(max(1, self.lines // LINES_PER_LOST))
         self.sink.count(LINES_LOST, self.lost)
@@ -306,31 +303,12 @@ class TextLog:
             self._lose(block.first_line + index, f"holds several buses ({self.channel}, {name}): one file, one bus")
         return np.asarray(own)
 
-    def _put(self, block: LineBlock, frames: BoolArray, shift: IntArray) -> None:
-        if not frames.any():
-            return
-        assert self.channel is not None
-        part = FramePart(
-            self.channel,
-            block.t_ns[frames] + shift[frames],
-            block.identifier[frames],
-            block.dlc[frames],
-            block.data[frames],
-        )
-        try:
-            self.sink.add(part)
-        except LogFileError as error:
-            raise LogFileError(error.reason, file=self.path) from error
-
     def _lose(self, number: int, reason: str) -> None:
         self.lost += 1
         if self.first_lost is None:
-            self.first_lost = LogFileError(reason, file=self.path, line=number)
+            self.first_lost = LogFileError(reason, line=number)
 
     def _check_lost(self, most: int) -> None:
         if self.lost > most and self.first_lost is not None:
-            raise LogFileError(
-                f"{self.first_lost.reason}; {self.lost} such lines, at most {most}",
-                file=self.path,
-                line=self.first_lost.line,
-            )
+            reason = f"{self.first_lost.reason}; {self.lost} such lines, at most {most}"
+            raise LogFileError(reason, line=self.first_lost.line)

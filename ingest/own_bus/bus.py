@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
 
 from estimation.errors import CatalogueError, ParameterError
+from estimation.values.registry import MAX_AXLES
 from ingest.catalogue import Catalogue, MessagePlan, SignalPlan
+from ingest.input_file import InputTable, Location, Positive, Text, field_error
+from ingest.units import DERIVATIVES, Quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +123,7 @@ class BusChoice:
     others_missing: bool = False
 
     def of_class(self, vehicle_class: str | None) -> Catalogue:
-        """Return the bus of a class; of a vehicle that the registry does not know, that of all other classes.
-
-        Raises:
-            ParameterError: The mapping file of its bus is missing.
-        """
+        """Return the bus of a class; of a vehicle that the registry does not know, that of all other classes."""
         found = self.others if vehicle_class is None else self.by_class.get(vehicle_class, self.others)
         if vehicle_class in self.missing or (self.others_missing and found is self.others):
             raise ParameterError(
@@ -148,3 +150,128 @@ def bus_choice(shipped: Catalogue, buses: Sequence[OwnBus]) -> BusChoice:
                 raise CatalogueError(f"class {code!r} is in two mapping files", field="vehicle_classes")
             by_class[code] = bus
     return BusChoice(others[0] if others else shipped, by_class)
+
+
+QUANTITIES: Mapping[str, tuple[Quantity, ...]] = {
+    "lateral": (Quantity.ACCELERATION,),
+    "yaw": tuple(DERIVATIVES),
+    "roll": tuple(DERIVATIVES),
+    "mass_lateral": (Quantity.ACCELERATION,),
+    "speed": (Quantity.SPEED,),
+    "odometer": (Quantity.LENGTH,),
+    "distance": (Quantity.LENGTH,),
+    "track_section": (Quantity.NUMBER,),
+    "position_quality": (Quantity.NUMBER,),
+    "milliseconds": (Quantity.TIME, Quantity.NUMBER),
+    "days": (Quantity.TIME, Quantity.NUMBER),
+    "counter": (Quantity.NUMBER,),
+}
+"""What a signal may measure; those that are not here are bits and counters."""
+
+
+class SignalTable(InputTable):
+    """A signal of a message; ``unit`` where the DBC file has none, or another one."""
+
+    message: Text
+    signal: Text
+    unit: str | None = None
+    multiplexer: int | None = None  # value under which the message carries it
+
+
+class SensorTable(SignalTable):
+    """A signal of a sensor; beyond ``limit``, in its unit, it is clipped."""
+
+    turned: bool = False
+    limit: Positive | None = None
+
+
+class StateTable(SignalTable):
+    """A signal that says how good samples are: since the message of it before, up to this one."""
+
+    good: int
+
+
+class NodeTable(InputTable):
+    """The signals of the sensors of one axle."""
+
+    axle: int = Field(ge=1, le=MAX_AXLES)
+    lateral: SensorTable
+    yaw: SensorTable
+    roll: SensorTable
+    mass_lateral: SensorTable
+    sequence: SignalTable | None = None  # counts the samples, in the message of the lateral acceleration
+    valid: StateTable | None = None  # samples are valid where it is ``good``
+    clipped: StateTable | None = None  # samples are clipped where it is not ``good``
+    fault: StateTable | None = None  # the sensor has failed where it is not ``good``
+
+
+class VehicleTable(InputTable):
+    """The signals of the vehicle; a ``track_section`` that is a number is that one always."""
+
+    speed: SignalTable
+    odometer: SignalTable
+    distance: SignalTable
+    track_section: SignalTable | int
+    position_quality: SignalTable | None = None
+
+
+class ClockTable(InputTable):
+    """Where the sampling instants come from.
+
+    ``canopen``: SYNC with a counter 1 + k mod 240 of the sampling intervals k since 1970, and TIME_OF_DAY. ``stamps``:
+    the stamps of the log, which are the vehicle's clock then; ``reference`` is the message that comes first in each
+    cycle.
+    """
+
+    kind: Literal["canopen", "stamps"]
+    rate_hz: float = Field(ge=50.0, le=1000.0)
+    reference: Text | None = None
+    counter: SignalTable | None = None
+    milliseconds: SignalTable | None = None
+    days: SignalTable | None = None
+
+    @model_validator(mode="after")
+    def _check_kind(self) -> Self:
+        needed = {"canopen": ("counter", "milliseconds", "days"), "stamps": ("reference",)}[self.kind]
+        for name in ("reference", "counter", "milliseconds", "days"):
+            if (getattr(self, name) is not None) != (name in needed):
+                problem = "is needed" if name in needed else "has no meaning"
+                raise field_error(f"{problem} where the kind is {self.kind!r}", name)
+        interval = 1e9 / self.rate_hz
+        if interval != round(interval):
+            raise field_error(f"{self.rate_hz:g} Hz is no whole number of nanoseconds", "rate_hz")
+        return self
+
+
+class MappingFile(InputTable):
+    """The whole mapping file."""
+
+    dbc: Text
+    vehicle_classes: list[Text] = Field(default_factory=list)
+    clock: ClockTable
+    vehicle: VehicleTable
+    nodes: list[NodeTable] = Field(min_length=1, max_length=MAX_AXLES)
+
+    @model_validator(mode="after")
+    def _check_nodes(self) -> Self:
+        numbers = [node.axle for node in self.nodes]
+        for at, number in enumerate(numbers):
+            if number in numbers[:at]:
+                raise field_error(f"axle {number} is there twice", "nodes", at, "axle")
+            sequence = self.nodes[at].sequence
+            if sequence is not None and sequence.message != self.nodes[at].lateral.message:
+                raise field_error("must be in the message of the lateral acceleration", "nodes", at, "sequence")
+        return self
+
+    @property
+    def signals(self) -> list[tuple[Location, SignalTable]]:
+        """All signals, and where in the file they are."""
+        found: list[tuple[Location, SignalTable]] = []
+        tables: list[tuple[Location, InputTable]] = [(("clock",), self.clock), (("vehicle",), self.vehicle)]
+        tables += [(("nodes", at), node) for at, node in enumerate(self.nodes)]
+        for location, table in tables:
+            for name in type(table).model_fields:
+                value = getattr(table, name)
+                if isinstance(value, SignalTable):
+                    found.append(((*location, name), value))
+        return found

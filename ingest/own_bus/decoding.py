@@ -11,7 +11,6 @@ import numpy as np
 from estimation.errors import LogFileError
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-from estimation.values.windows import ACCELERATIONS
 from ingest.align.clock import (
     TIME_REACH_NS,
     AlignCounts,
@@ -23,31 +22,20 @@ from ingest.align.clock import (
     time_frames,
 )
 from ingest.align.cycles import SyncClock, sync_clock_of
-from ingest.align.samples import LONGEST_GAP_NS, NodeSamples, SampleBlock, Track, VehicleMotion
+from ingest.align.samples import LONGEST_GAP_NS, NodeSamples, Track, VehicleMotion
 from ingest.align.windows import VehicleSamples
 from ingest.catalogue import SYNC_ID, SYNC_PERIOD, TIME_ID, MessagePlan, SignalPlan
 from ingest.codec import Decoded, FrameCounts, MessageValues
 from ingest.derivative import REACH, clipped_reach, derivative_with_gaps
 from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
-from ingest.own_bus.bus import (
-    CanopenClock,
-    OwnBus,
-    OwnMessage,
-    OwnNode,
-    SignalBits,
-    SignalReference,
-    StampClock,
-    StateReference,
-)
+from ingest.own_bus.bus import CanopenClock, OwnBus, OwnNode, SignalBits, SignalReference, StateReference
 
 PHASE_REACH_NS = 1_000_000_000
 """Stamps this near give the phase of the reference message; less than the reach of TIME, which joins recordings."""
 
 RATE_TOLERANCE = 0.25
 FEWEST_FRAMES = 50
-LEAD = 4
-"""A sampling instant begins a fourth of a cycle before the stamp of its reference message."""
-
+LEAD = 4  # a sampling instant begins a fourth of a cycle before the stamp of its reference message
 LARGEST_COUNTER, LARGEST_DAYS, DAY_MS = SYNC_PERIOD, 65_535, 86_400_000
 
 
@@ -60,19 +48,16 @@ def align_own(bus: OwnBus, batch: FrameBatch) -> AlignedFrames:
         clock, counts = sync_clock(named, batch, bus.sample_interval_ns)
         times = time_frames(named, batch)
     else:
-        stamps = batch.t_ns[_frames_of(bus.clock, bus, batch)]
+        reference = bus.clock.reference
+        stamps = batch.t_ns[(batch.arbitration_id == reference) & (batch.dlc == bus.lengths[reference])]
         _check_rate(bus, stamps)
         clock, counts = stamp_clock(stamps, bus.sample_interval_ns)
         ends = batch.t_ns[[0, -1]] if len(batch) else batch.t_ns
         times = TimeFrames(ends, ends)
     found = align_decoded(decoded, batch, clock, times)
-    samples = sum(len(found.messages[key].tick) for key in _sampled(bus) if key in found.messages)
+    sampled = {node.sensors[0].message for node in bus.nodes}  # one sample each
+    samples = sum(len(found.messages[key].tick) for key in sampled if key in found.messages)
     return replace(found, align_counts=found.align_counts + counts + AlignCounts(samples=samples))
-
-
-def _sampled(bus: OwnBus) -> set[int]:
-    """Return the keys of the messages with a lateral acceleration: one sample each."""
-    return {node.sensors[0].message for node in bus.nodes}
 
 
 def decode_own(bus: OwnBus, batch: FrameBatch) -> Decoded:
@@ -96,7 +81,8 @@ def decode_own(bus: OwnBus, batch: FrameBatch) -> Decoded:
             strange_multiplexers[index] |= ~np.isin(value, bus.multiplexers[message.identifier])
             index = index[value == message.multiplexer_value]
         if len(index):
-            messages[key] = MessageValues(message.plan, index, _unpacked(message, batch, index))
+            columns = [_raw(batch, index, *pair) for pair in zip(message.plan.signals, message.bits, strict=True)]
+            messages[key] = MessageValues(message.plan, np.column_stack(columns), index)
     extended = unknown & ((identifier & EXTENDED_FLAG) != 0)
     counts = FrameCounts(
         frames=len(batch),
@@ -109,11 +95,6 @@ def decode_own(bus: OwnBus, batch: FrameBatch) -> Decoded:
         invalid_values=sum(int(np.count_nonzero(values.invalid())) for values in messages.values()),
     )
     return Decoded(MappingProxyType(messages), counts)
-
-
-def _unpacked(message: OwnMessage, batch: FrameBatch, index: IntArray) -> IntArray:
-    columns = [_raw(batch, index, *pair) for pair in zip(message.plan.signals, message.bits, strict=True)]
-    return np.column_stack(columns)
 
 
 def _raw(batch: FrameBatch, index: IntArray, plan: SignalPlan, bits: SignalBits) -> IntArray:
@@ -144,7 +125,7 @@ def _renamed(decoded: Decoded, plan: MessagePlan, signals: tuple[SignalReference
         np.rint(values.raw[:, signal.column] * signal.plan.scale + signal.plan.offset).astype(np.int64)
         for signal in signals
     ]
-    return MessageValues(plan, values.index, np.column_stack(columns))
+    return MessageValues(plan, np.column_stack(columns), values.index)
 
 
 def _plan(name: str, identifier: int, limits: dict[str, tuple[int, int]]) -> MessagePlan:
@@ -153,10 +134,6 @@ def _plan(name: str, identifier: int, limits: dict[str, tuple[int, int]]) -> Mes
         for signal, (low, high) in limits.items()
     )
     return MessagePlan(name, name, None, identifier, 0, 0, signals)
-
-
-def _frames_of(clock: StampClock, bus: OwnBus, batch: FrameBatch) -> BoolArray:
-    return np.asarray((batch.arbitration_id == clock.reference) & (batch.dlc == bus.lengths[clock.reference]))
 
 
 def _check_rate(bus: OwnBus, stamps: IntArray) -> None:
@@ -196,9 +173,7 @@ def stamp_clock(stamps: IntArray, interval_ns: int) -> tuple[SyncClock, AlignCou
 
 
 BRIDGED = SignalParameters().bridged_samples
-FLOAT_COUNT = 2.0**-20
-"""SI; what derivatives of signals without counts are rounded to."""
-
+FLOAT_COUNT = 2.0**-20  # SI; what derivatives of signals without counts are rounded to
 Messages = Mapping[int, TickedValues]
 
 
@@ -217,7 +192,7 @@ def own_samples(vehicle: str, bus: OwnBus, messages: Messages) -> tuple[VehicleS
     nodes: dict[int, NodeSamples] = {}
     counts = AlignCounts()
     for node in bus.nodes:
-        found = _node_samples(vehicle, node, bus.sample_interval_ns, messages)
+        found = _node_samples(node, bus.sample_interval_ns, messages)
         if found is not None:
             nodes[node.axle] = found[0]
             counts += found[1]
@@ -235,9 +210,7 @@ def _count(signal: SignalReference, interval_s: float) -> float:
     return abs(signal.scale) * float(per_derivative**signal.derivatives)
 
 
-def _node_samples(
-    vehicle: str, node: OwnNode, interval_ns: int, messages: Messages
-) -> tuple[NodeSamples, AlignCounts] | None:
+def _node_samples(node: OwnNode, interval_ns: int, messages: Messages) -> tuple[NodeSamples, AlignCounts] | None:
     found = [_values(signal, messages) for signal in node.sensors]
     if all(len(item.tick) == 0 for item in found):
         return None
@@ -266,12 +239,13 @@ def _node_samples(
             good = np.rint(good / step) * step  # the same bits wherever a recording was cut
         saturated[at, column] = good
         values[at, column] = np.where(cut_off, np.nan, good)
-    fault = np.empty(0, np.int64)
-    if node.fault is not None:
-        fault = _states(node.fault, messages) * interval_ns
+    fault: IntArray = np.empty(0, np.int64)
+    if node.fault is not None and (ticked := messages.get(node.fault.signal.message)) is not None:
+        failed = (ticked.raw[:, node.fault.signal.column] != node.fault.good) & ~ticked.conflict
+        fault = ticked.tick[failed] * interval_ns
         counts += AlignCounts(self_test_failures=len(fault))
-    block = SampleBlock(vehicle, node.axle, ACCELERATIONS, tick * interval_ns, values, ~np.isnan(values))
-    return NodeSamples(block, saturated, clipped, invalid, fault), counts
+    t_ns, valid = tick * interval_ns, ~np.isnan(values)
+    return NodeSamples(node.axle, t_ns, values, valid, saturated, clipped, invalid, fault), counts
 
 
 def _values(signal: SignalReference, messages: Messages) -> _Values:
@@ -281,7 +255,8 @@ def _values(signal: SignalReference, messages: Messages) -> _Values:
         return _Values(empty, np.empty(0), empty.astype(np.bool_), empty.astype(np.bool_))
     raw, plan = np.asarray(ticked.raw[:, signal.column], np.int64), signal.plan
     if signal.is_float:
-        numbers = _floats(raw, plan.bits)
+        whole = plan.bits == raw.itemsize * 8
+        numbers = raw.view(np.float64) if whole else raw.astype(np.uint32).view(np.float32).astype(np.float64)
         invalid = ~np.isfinite(numbers)
         ends = np.zeros(len(raw), np.bool_)
     else:
@@ -295,12 +270,6 @@ def _values(signal: SignalReference, messages: Messages) -> _Values:
         clipped = ~invalid & (ends | (np.abs(values) >= signal.limit))
     values[invalid | ticked.conflict] = np.nan
     return _Values(ticked.tick, values, invalid, clipped)
-
-
-def _floats(raw: IntArray, bits: int) -> FloatArray:
-    if bits == raw.itemsize * 8:
-        return raw.view(np.float64)
-    return raw.astype(np.uint32).view(np.float32).astype(np.float64)
 
 
 def _sequence(signal: SignalReference, messages: Messages, interval_ns: int) -> tuple[IntArray, AlignCounts]:
@@ -320,13 +289,6 @@ def _sequence(signal: SignalReference, messages: Messages, interval_ns: int) -> 
         counter_mismatches=int(np.count_nonzero(repeated)),
     )
     return tick[1:][repeated], counts
-
-
-def _states(state: StateReference, messages: Messages) -> IntArray:
-    ticked = messages.get(state.signal.message)
-    if ticked is None:
-        return np.empty(0, np.int64)
-    return np.asarray(ticked.tick[(ticked.raw[:, state.signal.column] != state.good) & ~ticked.conflict])
 
 
 def _not_good(state: StateReference, messages: Messages, tick: IntArray, interval_ns: int) -> BoolArray:

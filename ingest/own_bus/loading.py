@@ -9,22 +9,27 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from estimation.errors import InputError, ParameterError
-from ingest.catalogue import NO_SCALE, MessagePlan, SignalPlan, parse_dbc
+from estimation.errors import CatalogueError, ParameterError
+from ingest.catalogue import NO_SCALE, MessagePlan, SignalPlan, parse_dbc, plan_of, raw_range
 from ingest.frames import DATA_BYTES, EXTENDED_FLAG
-from ingest.input_file import InputFile, Location
+from ingest.input_file import InputFile, Location, read_toml
 from ingest.own_bus.bus import (
+    QUANTITIES,
     CanopenClock,
+    MappingFile,
+    NodeTable,
     OwnBus,
     OwnMessage,
     OwnNode,
     OwnVehicle,
+    SensorTable,
     SignalBits,
     SignalReference,
+    SignalTable,
     StampClock,
     StateReference,
+    StateTable,
 )
-from ingest.own_bus.mapping_file import QUANTITIES, NodeTable, SensorTable, SignalTable, StateTable, read_mapping
 from ingest.units import DERIVATIVES, Quantity, unit_of
 
 FIRST_KEY = 1 << 32  # behind every identifier with its flags
@@ -55,7 +60,8 @@ def load_own_bus(path: Path) -> OwnBus:
         CatalogueError: A file cannot be read, or a signal is missing, in another unit, too coarse, multiplexed
             otherwise, or of a form that is not read; names file, line and field.
     """
-    mapping, toml = read_mapping(path)
+    toml = read_toml(path, CatalogueError)
+    mapping = toml.parse(MappingFile)
     dbc = path.parent / mapping.dbc
     database = parse_dbc(dbc)
     builder = _Builder(toml, {message.name: message for message in database.messages})
@@ -79,7 +85,7 @@ def load_own_bus(path: Path) -> OwnBus:
         sample_interval_ns=round(1e9 / mapping.clock.rate_hz),
         own=MappingProxyType(builder.messages),
         lengths=MappingProxyType({_identifier(message): message.length for message in database.messages}),
-        multiplexers=MappingProxyType({_identifier(item): _multiplexer_values(item) for item in database.messages}),
+        multiplexers=MappingProxyType({_identifier(message): _values(message) for message in database.messages}),
         clock=clock,
         vehicle=vehicle,
         nodes=nodes,
@@ -115,9 +121,6 @@ class _Builder:
     messages: dict[int, OwnMessage] = field(default_factory=dict)
     _keys: dict[tuple[str, int | None], int] = field(default_factory=dict)
 
-    def error(self, reason: str, location: Location) -> InputError:
-        return self.toml.error(reason, location)
-
     def identifier(self, name: str, location: Location) -> int:
         """Return the identifier of a message, with the flag of extended ones."""
         return _identifier(self._message(name, location))
@@ -128,11 +131,16 @@ class _Builder:
         signal = next((item for item in message.signals if item.name == table.signal), None)
         if signal is None:
             names = ", ".join(item.name for item in message.signals)
-            raise self.error(
+            raise self.toml.error(
                 f"message {message.name} has no signal {table.signal!r}; it has {names}", (*location, "signal")
             )
         value = self._multiplexer_value(message, signal, table, location)
-        key = self._key(message, value, location)
+        key = self._keys.setdefault((message.name, value), FIRST_KEY + len(self._keys))
+        if key not in self.messages:
+            try:
+                self.messages[key] = _own_message(message, value, key)
+            except ParameterError as error:
+                raise self.toml.error(f"message {message.name}: {error}", (*location, "message")) from error
         plan = self.messages[key].plan
         column = plan.names.index(signal.name)
         found = self._in_si(
@@ -144,9 +152,9 @@ class _Builder:
     def _message(self, name: str, location: Location) -> Any:  # noqa: ANN401 - cantools is untyped
         message = self.database.get(name)
         if message is None:
-            raise self.error(f"the DBC file has no message {name!r}", location)
+            raise self.toml.error(f"the DBC file has no message {name!r}", location)
         if message.is_fd or message.length > DATA_BYTES:
-            raise self.error(f"message {name} has more than 8 bytes: CAN FD is not read", location)
+            raise self.toml.error(f"message {name} has more than 8 bytes: CAN FD is not read", location)
         return message
 
     def _multiplexer_value(
@@ -159,26 +167,17 @@ class _Builder:
         values = list(signal.multiplexer_ids or [])
         if not values:
             if table.multiplexer is not None:
-                raise self.error(f"signal {signal.name} is not multiplexed", (*location, "multiplexer"))
+                raise self.toml.error(f"signal {signal.name} is not multiplexed", (*location, "multiplexer"))
             return None
         top = [item for item in message.signals if item.is_multiplexer]
         if len(top) != 1 or signal.multiplexer_signal != top[0].name or len(values) != 1:
-            raise self.error(f"signal {signal.name} is multiplexed more than once", (*location, "signal"))
+            raise self.toml.error(f"signal {signal.name} is multiplexed more than once", (*location, "signal"))
         if table.multiplexer not in {None, values[0]}:
-            raise self.error(
+            raise self.toml.error(
                 f"signal {signal.name} is sent where {top[0].name} is {values[0]}, not {table.multiplexer}",
                 (*location, "multiplexer"),
             )
         return int(values[0])
-
-    def _key(self, message: Any, value: int | None, location: Location) -> int:  # noqa: ANN401 - cantools is untyped
-        key = self._keys.setdefault((message.name, value), FIRST_KEY + len(self._keys))
-        if key not in self.messages:
-            try:
-                self.messages[key] = _own_message(message, value, key)
-            except ParameterError as error:
-                raise self.error(f"message {message.name}: {error}", (*location, "message")) from error
-        return key
 
     def _in_si(self, location: Location, table: SignalTable, found: SignalReference) -> SignalReference:
         allowed = QUANTITIES.get(str(location[-1]))
@@ -189,7 +188,7 @@ class _Builder:
                 unit = unit_of(written, allowed)
             except ParameterError as error:
                 where = "of the DBC file " if table.unit is None else ""
-                raise self.error(f"signal {table.signal}: unit {where}{error}", (*location, "unit")) from error
+                raise self.toml.error(f"signal {table.signal}: unit {where}{error}", (*location, "unit")) from error
             scale, offset, times = scale * unit.factor, offset * unit.factor, DERIVATIVES.get(unit.quantity, 0)
             if isinstance(table, SensorTable):
                 sign = -1.0 if table.turned else 1.0
@@ -205,7 +204,7 @@ class _Builder:
             return
         largest = LARGEST_POSITION_COUNT if location[-1] == "distance" else RANGES[quantity][1]
         if count > largest:
-            raise self.error(
+            raise self.toml.error(
                 f"signal {table.signal}: one count is {count:.3g} in SI, {largest:g} at most is useful: a wrong unit?",
                 location,
             )
@@ -228,7 +227,7 @@ class _Builder:
         if max(ends) < least or (signed and min(ends) > -least):
             span = f"{min(ends):.4g} to {max(ends):.4g}"
             sign = "+-" if signed else ""
-            raise self.error(
+            raise self.toml.error(
                 f"signal {found.plan.name}: its range is {span} in SI, {sign}{least:g} is needed: a wrong unit?",
                 location,
             )
@@ -238,7 +237,7 @@ def _identifier(message: Any) -> int:  # noqa: ANN401 - cantools is untyped
     return int(message.frame_id) | (EXTENDED_FLAG if message.is_extended_frame else 0)
 
 
-def _multiplexer_values(message: Any) -> tuple[int, ...]:  # noqa: ANN401 - cantools is untyped
+def _values(message: Any) -> tuple[int, ...]:  # noqa: ANN401 - cantools is untyped
     return tuple(sorted({int(value) for signal in message.signals for value in signal.multiplexer_ids or []}))
 
 
@@ -269,28 +268,14 @@ def _plan(signal: Any) -> SignalPlan:  # noqa: ANN401 - cantools is untyped
         raise ParameterError("a float has 32 or 64 bits", field=signal.name)
     if not signal.scale:
         raise ParameterError(NO_SCALE, field=signal.name)
-    lowest = -(1 << (signal.length - 1)) if signal.is_signed or signal.is_float else 0
-    highest = lowest + (1 << signal.length) - 1
+    lowest, highest = raw_range(signal)
     minimum, maximum = lowest, highest
     if signal.minimum is not None and signal.maximum is not None and not signal.is_float:
         ends = [round((float(end) - signal.offset) / signal.scale) for end in (signal.minimum, signal.maximum)]
         minimum, maximum = max(min(ends), lowest), min(max(ends), highest)
     if minimum >= maximum:
         raise ParameterError("the limits do not fit the number of bits", field=signal.name)
-    attribute = signal.dbc.attributes.get("InvalidRawValue") if signal.dbc else None
-    return SignalPlan(
-        name=signal.name,
-        start_bit=signal.start,
-        bits=signal.length,
-        signed=signal.is_signed,
-        scale=float(signal.scale),
-        offset=float(signal.offset),
-        unit=signal.unit or "",
-        raw_minimum=minimum,
-        raw_maximum=maximum,
-        raw_invalid=None if attribute is None else int(attribute.value),
-        clips=False,
-    )
+    return plan_of(signal, minimum, maximum, clips=False)
 
 
 def _bits(signal: Any) -> SignalBits:  # noqa: ANN401 - cantools is untyped

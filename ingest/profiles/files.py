@@ -25,9 +25,6 @@ def parse_columns(text: str, file: str) -> FilePoints:
     """Return the points of a two-column file in mm; separators are commas, semicolons or blanks.
 
     Lines that begin with ``#`` and leading lines without any number are skipped. Further columns are ignored.
-
-    Raises:
-        ProfileError: Decimal commas, a row with fewer than two columns or with something that is not a finite number.
     """
     rows: list[tuple[int, float, float]] = []
     for line, raw in enumerate(text.lstrip("\ufeff").splitlines(), start=1):
@@ -49,17 +46,11 @@ _MILLIMETRE = 1e-3
 
 
 class ProfileOptions(TypedDict, total=False):
-    """What a file leaves open.
+    """What a file leaves open; None: the shape and the points show it."""
 
-    Attributes:
-        mirror: Of a rail: True if its gauge side is at positive y of the file, False if at negative y; None decides
-            from the shape.
-        noise_std: Known noise of the instrument, m; 0 takes the points as they are; None estimates it from the points.
-    """
-
-    mirror: bool | None
+    mirror: bool | None  # of a rail: whether its gauge side is at positive y of the file
     origin: Origin
-    noise_std: float | None
+    noise_std: float | None  # of the instrument, m; 0 takes the points as they are
 
 
 def read_profile(path: Path | str, kind: ProfileKind, **options: Unpack[ProfileOptions]) -> Profile:
@@ -94,7 +85,11 @@ def measured_profile_of(text: str, file: Path, kind: ProfileKind, **options: Unp
     parse = next((item.parse for item in FORMATS if suffix in item.suffixes), parse_columns)
     noise = None if noise_std is None else noise_std / _MILLIMETRE
     origin = options.get("origin", Origin.AUTO)
-    return oriented(parse(text, str(file)), kind, file.stem, mirror=mirror, origin=origin, noise_std=noise)
+    points = parse(text, str(file))
+    try:
+        return oriented(points, kind, file.stem, mirror=mirror, origin=origin, noise_std=noise)
+    except ProfileError as error:
+        raise ProfileError(error.reason, file=file, line=error.line, field=error.field) from error
 
 
 def _refuse_lists(file: Path) -> None:
@@ -132,14 +127,9 @@ def read_stored_profile(path: Path) -> Profile:
 
 def stored_profile_text(profile: Profile) -> str:
     """Return the content of the file of a profile."""
-    content = {
-        "format": FORMAT,
-        "name": profile.name,
-        "y_m": profile.y.tolist(),
-        "z_m": profile.z.tolist(),
-        "slope_1": profile.slope.tolist(),
-    }
-    return json.dumps(content)
+    columns = {"y_m": profile.y, "z_m": profile.z, "slope_1": profile.slope}
+    named = {key: values.tolist() for key, values in columns.items()}
+    return json.dumps({"format": FORMAT, "name": profile.name, **named})
 
 
 FLANGE_END = -0.045  # m from the tread datum: contact in flanging comes 2 mm nearer to the tip at most

@@ -66,19 +66,12 @@ def _rows(lines: list[str], start: int, end: int, header: dict[str, tuple[int, s
             raise ProfileError(f"{len(cells)} columns, X and Y are expected", file=file, line=index + 1)
         across = number(cells[x], file=file, line=index + 1, field="X")
         rows.append((index + 1, across, number(cells[y], file=file, line=index + 1, field="Y")))
-    _check_count(len(rows) + removed, header, file)
-    return points_of(file, rows)
-
-
-def _check_count(found: int, header: dict[str, tuple[int, str]], file: str) -> None:
     line, announced = header.get("xypoints", (0, ""))
-    if not announced:
-        return
-    expected = number(announced, file=file, line=line, field="XYPoints")
-    if found < expected:
-        raise ProfileError(
-            f"{announced} points are announced, {found} follow: truncated?", file=file, line=line, field="XYPoints"
-        )
+    follow = len(rows) + removed
+    if announced and follow < number(announced, file=file, line=line, field="XYPoints"):
+        reason = f"{announced} points are announced, {follow} follow: truncated?"
+        raise ProfileError(reason, file=file, line=line, field="XYPoints")
+    return points_of(file, rows)
 
 
 FORMAT = ProfileFormat("MiniProf", (".whl", ".ban"), parse_miniprof)

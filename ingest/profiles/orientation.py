@@ -33,9 +33,7 @@ from ingest.profiles.points import FilePoints, Origin
 _GAUGE_DEPTH = GAUGE_DEPTH * 1e3  # mm
 _DEPTHS = np.arange(14.5, 30.1, 0.5)  # mm below the crown, where sides are straight and not worn
 _FEWEST_DEPTHS = 9
-LEAST_LEAN = 0.012
-"""Tangent from which a head counts as leaning; rails are inclined by 1:40 to 1:20."""
-
+LEAST_LEAN = 0.012  # tangent from which a head counts as leaning; rails are inclined by 1:40 to 1:20
 _MOST_LEAN = 0.07
 _MOST_DIVERGENCE = 0.15  # of the sides, whose own slopes are 1:20 at most; a worn gauge face exceeds it
 _ALIKE = 0.05  # mm, root mean square
@@ -109,16 +107,12 @@ _TREAD = (-32.0, 28.0)  # mm from the tread datum: there a wheel has no corner o
 _GENTLE = 0.5  # slope up to which a surface is no flank
 
 
-def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind, file: str) -> None:
+def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind) -> None:
     """Raise where tread or crown have a step that no wear makes.
 
     At each gap between points straight lines through the 2 mm on either side are continued to it; a step is where
     they differ by more than 0.08 mm and by 6 standard deviations, and both are flatter than 1:2. Single points far from
     their neighbours make no step.
-
-    Args:
-        y, z: (n,) mm, in the axes of the profile, y increasing on the whole.
-        lines: (n,) of the file.
     """
     order = np.argsort(y, kind="stable")
     order = order[_where(y[order], z[order], kind)]
@@ -141,7 +135,6 @@ def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind
         raise ProfileError(
             f"a step of {worst:.2f} mm at y = {y[at]:.1f} mm: the instrument moved or two measurements were joined; "
             "measure again, or leave out one side of it",
-            file=file,
             line=int(lines[at]),
             field="z",
         )
@@ -201,7 +194,6 @@ def oriented(
     Args:
         points: Points in mm in the order of the file, and whether the file fixes z.
         mirror: Of a rail: whether its gauge side is at positive y of the file; None decides from the shape.
-        origin: Of a wheel: what y = 0 of the file is.
         noise_std: Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
     """
     _check_span(points, kind)
@@ -212,23 +204,23 @@ def oriented(
     if y[-1] < y[0]:
         y, z, lines = y[::-1], z[::-1], lines[::-1]
     shown = thinned(np.column_stack([y, z]))
-    _check_order(y[shown], z[shown], lines[shown], kind, points.file)
+    _check_order(y[shown], z[shown], lines[shown], kind)
     if kind == "wheel":
-        y, z, lines = _from_datum(y, z, lines, origin, points.file)
+        y, z, lines = _from_datum(y, z, lines, origin)
     else:
         z = z - z.min()
-        _check_groove(y[shown], z[shown], points.file)
-        _check_head(y, z, points.file)
+        _check_groove(y[shown], z[shown])
+        _check_head(y, z)
         if _is_mirrored(y, z, points) if mirror is None else mirror:
             y, z, lines = -y[::-1], z[::-1], lines[::-1]
     shown = thinned(np.column_stack([y, z]))
-    check_steps(y[shown], z[shown], lines[shown], kind, points.file)
+    check_steps(y[shown], z[shown], lines[shown], kind)
     try:
         shape = smoothed_profile(kind, name, np.column_stack([y, z]), noise_std)
     except ProfileError as error:
-        raise ProfileError(error.reason, file=points.file, field=error.field or "y") from error
+        raise ProfileError(error.reason, field=error.field or "y") from error
     if kind == "wheel":
-        _check_wheel(shape.profile, points.file)
+        _check_wheel(shape.profile)
     return shape
 
 
@@ -247,13 +239,12 @@ def _width_at(y: FloatArray, depth: FloatArray) -> float:
 
 
 def _from_datum(
-    y: FloatArray, z: FloatArray, lines: IntArray, origin: Origin, file: str
+    y: FloatArray, z: FloatArray, lines: IntArray, origin: Origin
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     if np.ptp(z) < _LEAST_FLANGE:
         raise ProfileError(
             f"no flange: its tip is expected between {_TIP_WITHIN[0]:.0f} and {_TIP_WITHIN[1]:.0f} mm from the tread "
             f"datum, {_LEAST_FLANGE:.0f} mm high or more; the height of this profile varies by {np.ptp(z):.1f} mm",
-            file=file,
             field="z",
         )
     tip = float(y[np.argmax(z)])
@@ -271,7 +262,6 @@ def _is_mirrored(y: FloatArray, depth: FloatArray, points: FilePoints) -> bool:
             "both sides reach 14 mm below the crown, they differ, and the head does not lean enough to show which one "
             "is the gauge side; say whether it is at positive y of the file: --mirror or --no-mirror, in a scenario "
             "rail_file_mirror = true or false",
-            file=points.file,
             field="mirror",
         )
     return bool(shown)
@@ -281,14 +271,11 @@ def _check_span(points: FilePoints, kind: ProfileKind) -> None:
     """Raise where the numbers are in another unit, or are no profile at all, as those of a track are none."""
     width = float(np.ptp(points.y))
     if width < _METRES_BELOW:
-        raise ProfileError(
-            f"spans {width:.3g} mm: the numbers look like metres; give them in mm", file=points.file, field="y"
-        )
+        raise ProfileError(f"spans {width:.3g} mm: the numbers look like metres; give them in mm", field="y")
     if width < _NARROWEST:
         raise ProfileError(
             f"spans {width:.3g} mm, and a {kind} at least {_NARROWEST:.0f} mm: is it in another unit? "
             "Give the whole profile in mm",
-            file=points.file,
             field="y",
         )
     for field, values in (("y", points.y), ("z", points.z)):
@@ -296,12 +283,11 @@ def _check_span(points: FilePoints, kind: ProfileKind) -> None:
             raise ProfileError(
                 f"spans {np.ptp(values):.0f} mm, and a {kind} at most {_LARGEST_SPAN:.0f} mm: give a file of the "
                 "lateral and the vertical coordinate of one profile, in mm",
-                file=points.file,
                 field=field,
             )
 
 
-def _check_head(y: FloatArray, depth: FloatArray, file: str) -> None:
+def _check_head(y: FloatArray, depth: FloatArray) -> None:
     crown = int(np.argmin(depth))
     shoulders = min(float(depth[: crown + 1].max()), float(depth[crown:].max()))
     width = float(np.ptp(y[depth <= GAUGE_DEPTH / _MILLIMETRE]))
@@ -310,12 +296,11 @@ def _check_head(y: FloatArray, depth: FloatArray, file: str) -> None:
             f"cannot be a rail head: {width:.1f} mm wide within 14 mm of its crown ({_HEAD_WIDTH[0]:.0f} to "
             f"{_HEAD_WIDTH[1]:.0f} mm are expected), falling by {shoulders:.1f} mm on the shallower side; give a file "
             "of a whole head",
-            file=file,
             field="z",
         )
 
 
-def _check_wheel(wheel: Profile, file: str) -> None:
+def _check_wheel(wheel: Profile) -> None:
     tip = int(np.argmax(wheel.z))
     at, end = float(wheel.y[tip]) / _MILLIMETRE, float(wheel.y[-1]) / _MILLIMETRE
     if not _TIP_WITHIN[0] <= at <= _TIP_WITHIN[1] or wheel.z[tip] < _LEAST_FLANGE * _MILLIMETRE:
@@ -323,18 +308,16 @@ def _check_wheel(wheel: Profile, file: str) -> None:
             f"no flange: its tip is expected between {_TIP_WITHIN[0]:.0f} and {_TIP_WITHIN[1]:.0f} mm from the tread "
             f"datum, {_LEAST_FLANGE:.0f} mm high or more; the lowest point is {wheel.z[tip] / _MILLIMETRE:.1f} mm "
             f"below the tread at {at:+.1f} mm",
-            file=file,
             field="z",
         )
     if end < _LEAST_TREAD:
         raise ProfileError(
             f"ends {end:+.1f} mm from the tread datum; the tread to {_LEAST_TREAD:+.0f} mm is needed",
-            file=file,
             field="y",
         )
 
 
-def _check_groove(y: FloatArray, depth: FloatArray, file: str) -> None:
+def _check_groove(y: FloatArray, depth: FloatArray) -> None:
     kept = advancing(y, int(np.argmin(depth)))
     across, down = y[kept], depth[kept]
     first, last = np.flatnonzero(down < _HEAD_DEPTH)[[0, -1]]
@@ -343,12 +326,11 @@ def _check_groove(y: FloatArray, depth: FloatArray, file: str) -> None:
         raise ProfileError(
             f"two heads with a groove of {groove:.0f} mm between them, at y = {across[first]:.0f} and "
             f"{across[last]:.0f} mm (a guard rail?); give the running rail alone",
-            file=file,
             field="y",
         )
 
 
-def _check_order(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind, file: str) -> None:
+def _check_order(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind) -> None:
     kept = advancing(y, int(np.argmax(z) if kind == "wheel" else np.argmin(z)))
     gap = float(np.diff(y[kept]).max(initial=0.0))
     rows = np.diff(y)
@@ -358,7 +340,6 @@ def _check_order(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKin
         raise ProfileError(
             f"points are not in order along the profile (rows run {back:.0f} mm backwards in all, largest gap "
             f"{gap:.1f} mm); sort them along it, and measure what a gap leaves out",
-            file=file,
             line=int(first) if back > 0.0 else int(lines.min()),
             field="y",
         )

@@ -48,12 +48,7 @@ class ProfileFormat:
 
 
 def points_of(file: str, rows: list[tuple[int, float, float]], *, axes_known: bool = False) -> FilePoints:
-    """Return rows as points.
-
-    Args:
-        rows: Line number, y and z of each, in mm.
-        axes_known: Whether z points down and a wheel's y starts at its tread datum.
-    """
+    """Return rows as points."""
     if len(rows) < 4:  # noqa: PLR2004 - a profile needs four points
         raise ProfileError(f"{len(rows)} profile points found, at least 4 are needed: rows of y and z in mm", file=file)
     if len(rows) > MOST_ROWS:

@@ -28,24 +28,17 @@ def parse_simpack(text: str, file: str) -> FilePoints:
         if content.lower() in ("point.begin", "point.end"):
             state = "inside" if content.lower() == "point.begin" else "after"
         elif state == "inside" and content:
-            rows.append(_row(content, file, line))
+            cells = re.split(r"[\s,]+", content)
+            if len(cells) < 2:  # noqa: PLR2004 - y and z
+                raise ProfileError(f"{len(cells)} column, y and z are expected", file=file, line=line)
+            across = number(cells[0], file=file, line=line, field="y")
+            rows.append((line, across, number(cells[1], file=file, line=line, field="z")))
         elif "=" in content:
             keyword, _, value = content.partition("=")
             keywords[keyword.strip().lower()] = (line, value.strip())
     if state != "after":
         raise ProfileError(f"no {'point.end: truncated?' if rows else 'points (point.begin)'}", file=file)
     return _transformed(points_of(file, rows), keywords)
-
-
-def _row(content: str, file: str, line: int) -> tuple[int, float, float]:
-    cells = re.split(r"[\s,]+", content)
-    if len(cells) < 2:  # noqa: PLR2004 - y and z
-        raise ProfileError(f"{len(cells)} column, y and z are expected", file=file, line=line)
-    return (
-        line,
-        number(cells[0], file=file, line=line, field="y"),
-        number(cells[1], file=file, line=line, field="z"),
-    )
 
 
 def _transformed(points: FilePoints, keywords: dict[str, tuple[int, str]]) -> FilePoints:

@@ -9,19 +9,12 @@ from functools import cache
 
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.errors import ProfileError
-from estimation.jobs.steps.running_mileage import most_km, running_mileage
+from estimation.motion.mileage import most_km, running_mileage
 from estimation.values.reasons import utc_text
 from estimation.values.registry import Mounting, SensorChange, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.wheelset_events import (
-    MOUNTINGS,
-    LifeOnFile,
-    any_windows,
-    lives_on_file,
-    mountings_where,
-    windows_beside,
-)
+from fleet_db.stores.wheelset_events import MOUNTINGS, any_windows, lives_on_file, mountings_where, windows_beside
 from ingest.registry_entry.contents import Contradiction, Kind, RecordName, Rule
 
 LEAST_RADIUS_MM, MOST_RADIUS_MM = 140.0, 650.0
@@ -87,9 +80,7 @@ def unknown_profile(record: RecordName, field: str, name: str) -> list[Contradic
     return []
 
 
-TOLERANCE_KM = 1000.0
-"""By which books, odometers and the sums of trips may differ."""
-
+TOLERANCE_KM = 1000.0  # by which books, odometers and the sums of trips may differ
 _SECOND = 1_000_000_000
 
 
@@ -134,24 +125,18 @@ def distance_contradictions(
         elif forward_km > most_km(abs(entered.at_ns - other.at_ns) / _SECOND) + TOLERANCE_KM:
             jumps.append(other)
     found = []
-    if backwards:
-        found.append(_contradiction(entered, backwards, rules.backwards, f"{rules.name} would run backwards"))
-    if jumps:
-        found.append(
-            _contradiction(entered, jumps, rules.jump, f"{rules.name} would run faster than any vehicle (metres?)")
-        )
+    faster = "would run faster than any vehicle (metres?)"
+    for others, rule, what in ((backwards, rules.backwards, "would run backwards"), (jumps, rules.jump, faster)):
+        if others:
+            named = "; ".join(f"{other.km:,.0f} km by the {other.record}" for other in others[:3])
+            more = f"; and {len(others) - 3} more" if len(others) > 3 else ""  # noqa: PLR2004 - as many as are named
+            reason = f"{entered.km:,.0f} km: {rules.name} {what}, there is {named}{more}"
+            records = tuple(other.record for other in others)
+            found.append(Contradiction(rule, entered.record, entered.field, reason, records))
     return found
 
 
-def _contradiction(entered: DistancePoint, others: list[DistancePoint], rule: Rule, what: str) -> Contradiction:
-    named = "; ".join(f"{other.km:,.0f} km by the {other.record}" for other in others[:3])
-    more = f"; and {len(others) - 3} more" if len(others) > 3 else ""  # noqa: PLR2004 - as many as are named
-    reason = f"{entered.km:,.0f} km: {what}, there is {named}{more}"
-    return Contradiction(rule, entered.record, entered.field, reason, tuple(other.record for other in others))
-
-
-AHEAD_NS = 86_400 * 1_000_000_000
-"""By which the clock of a vehicle or of a depot may be ahead of ours."""
+AHEAD_NS = 86_400 * 1_000_000_000  # by which the clock of a vehicle or of a depot may be ahead of ours
 
 
 def in_the_future(record: RecordName, field: str, at_ns: int, now_ns: int) -> list[Contradiction]:
@@ -207,16 +192,15 @@ class Entered:
         return [*map(mileage_of, self.mountings), *self.reprofilings, *self.measurements]
 
 
-def mileage_of(mounting: Mounting) -> DistancePoint:
-    """Return the mileage of the wheelset that a mounting gives for its start."""
+def mileage_of(mounting: Mounting, field: str = "wheelset_mileage_km") -> DistancePoint:
+    """Return the mileage of the wheelset, or another distance, that a mounting gives for its start."""
     name = RecordName(Kind.MOUNTING, mounting.wheelset, mounting.from_ns)
-    return DistancePoint(name, mounting.from_ns, mounting.wheelset_mileage_km, "wheelset_mileage_km")
+    return DistancePoint(name, mounting.from_ns, getattr(mounting, field), field)
 
 
 def odometer_of(mounting: Mounting) -> DistancePoint:
     """Return what the odometer of the vehicle showed at the start of a mounting."""
-    name = RecordName(Kind.MOUNTING, mounting.wheelset, mounting.from_ns)
-    return DistancePoint(name, mounting.from_ns, mounting.vehicle_odometer_km, "vehicle_odometer_km")
+    return mileage_of(mounting, "vehicle_odometer_km")
 
 
 def mileage_point(kind: Kind, wheelset: str, at_ns: int, km: float) -> DistancePoint:
@@ -247,19 +231,17 @@ def _sizes(unit: SqlUnitOfWork, entered: Entered) -> Iterable[Contradiction]:
         found += unusual_radius(name, wheelset.nominal_radius_m)
         if not is_known("wheel_profile", wheelset.wheel_profile):
             found += unknown_profile(name, "wheel_profile", wheelset.wheel_profile)
-    contacts = _contacts(unit) if entered.sections else []
+    contacts: list[float] = []
+    if entered.sections:
+        codes = {vehicle.vehicle_class for vehicle in unit.registry.vehicles_page(None, None, 1 << 31)}
+        classes = (unit.registry.vehicle_class(code) for code in sorted(codes))
+        contacts = [2.0 * one.vehicle_class.parameters.half_contact_distance for one in classes if one is not None]
     for section in entered.sections:
         name = RecordName(Kind.SECTION, section.code)
         found += unusual_gauge(name, section.nominal_gauge_m, contacts)
         if not is_known("rail_profile", section.rail_profile):
             found += unknown_profile(name, "rail_profile", section.rail_profile)
     return found
-
-
-def _contacts(unit: SqlUnitOfWork) -> list[float]:
-    codes = {vehicle.vehicle_class for vehicle in unit.registry.vehicles_page(None, None, 1 << 31)}
-    classes = (unit.registry.vehicle_class(code) for code in sorted(codes))
-    return [2.0 * one.vehicle_class.parameters.half_contact_distance for one in classes if one is not None]
 
 
 def _future(entered: Entered, now_ns: int) -> Iterable[Contradiction]:
@@ -277,7 +259,14 @@ def _future(entered: Entered, now_ns: int) -> Iterable[Contradiction]:
 
 def _lives(unit: SqlUnitOfWork, entered: Entered) -> Iterable[Contradiction]:
     lives = lives_on_file(unit.connection, {point.record.key for point in entered.dated()})
-    known = {serial: _points(serial, life) for serial, life in lives.items()}
+    known = {
+        serial: [
+            *map(mileage_of, life.mountings),
+            *(mileage_point(Kind.REPROFILING, serial, at_ns, km) for at_ns, km in life.reprofilings),
+            *(mileage_point(Kind.MEASUREMENT, serial, at_ns, km) for at_ns, km in life.measurements),
+        ]
+        for serial, life in lives.items()
+    }
     measured = any_windows(unit.connection)
     found: list[Contradiction] = []
     for point in entered.reprofilings:
@@ -291,14 +280,6 @@ def _lives(unit: SqlUnitOfWork, entered: Entered) -> Iterable[Contradiction]:
         if measured:
             found += _against_windows(unit, point)
     return [*found, *_odometers(unit, entered.mountings, measured=measured)]
-
-
-def _points(serial: str, life: LifeOnFile) -> list[DistancePoint]:
-    return [
-        *map(mileage_of, life.mountings),
-        *(mileage_point(Kind.REPROFILING, serial, at_ns, km) for at_ns, km in life.reprofilings),
-        *(mileage_point(Kind.MEASUREMENT, serial, at_ns, km) for at_ns, km in life.measurements),
-    ]
 
 
 def _window_points(unit: SqlUnitOfWork, wheelset: str, at_ns: int) -> list[DistancePoint]:

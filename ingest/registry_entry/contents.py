@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import InputError
 from estimation.values.reasons import utc_text
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
-from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
-from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.receipts import EstimatedAgain
 from fleet_db.registry_events import Decision
 from ingest.input_file import Location
+
+if TYPE_CHECKING:  # the help of a command that names rules does not wait for the numerics
+    from estimation.contact.profiles import MeasuredProfiles
+    from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
+    from estimation.vehicle.vehicle_class import VehicleClass
 
 
 class Rule(StrEnum):
@@ -61,10 +63,7 @@ class Kind(StrEnum):
 
 
 _NOUNS = {
-    Kind.FLEET: "fleet",
     Kind.VEHICLE_CLASS: "vehicle class",
-    Kind.VEHICLE: "vehicle",
-    Kind.WHEELSET: "wheelset",
     Kind.MOUNTING: "mounting of wheelset",
     Kind.REPROFILING: "reprofiling of wheelset",
     Kind.MEASUREMENT: "measured profiles of wheelset",
@@ -72,6 +71,7 @@ _NOUNS = {
     Kind.SECTION: "track section",
     Kind.WINDOW: "window of wheelset",
 }
+"""Of kinds whose noun is not the name of the array without its s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class RecordName:
     def __str__(self) -> str:
         """Return it as a person reads it."""
         when = "" if self.at_ns is None else f" at {utc_text(self.at_ns)}"
-        return f"{_NOUNS[self.kind]} {self.key!r}{when}"
+        return f"{_NOUNS.get(self.kind, self.kind.removesuffix('s'))} {self.key!r}{when}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,15 +168,5 @@ class LoadedRegistry:
     without_class: tuple[VehicleRecord, ...]  # vehicles that are not estimated: nobody knows their class
 
 
-ARRAYS = {
-    Kind.FLEET: "fleets",
-    Kind.VEHICLE_CLASS: "classes",
-    Kind.VEHICLE: "vehicles",
-    Kind.WHEELSET: "wheelsets",
-    Kind.MOUNTING: "mountings",
-    Kind.REPROFILING: "reprofilings",
-    Kind.MEASUREMENT: "measured_profiles",
-    Kind.SENSOR_CHANGE: "sensor_changes",
-    Kind.SECTION: "sections",
-}
+ARRAYS = {kind: str(kind) for kind in Kind} | {Kind.VEHICLE_CLASS: "classes", Kind.SECTION: "sections"}
 """Field of :class:`RegistryContents` by kind of record."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import convolve1d
@@ -45,7 +46,7 @@ def displacement_limit(scenario: Scenario, track: TrackTruth) -> float:
     """Return the lateral displacement, m, beyond which a wheelset of the scenario derails."""
     recipe = scenario.section.recipe
     _, widest = track.gauge_range()
-    more = _rounded_up(0.5 * max(widest, 0.0))
+    more = LIMIT_STEP * math.ceil(0.5 * max(widest, 0.0) / LIMIT_STEP - 1e-9)
     varied = track.surface is not None or bool(scenario.running.stretches)
     if recipe is None or not recipe.plain or scenario.files or varied:
         return ROUGH_LIMIT + more
@@ -53,10 +54,6 @@ def displacement_limit(scenario: Scenario, track: TrackTruth) -> float:
         wide = GAUGE_LIMIT + more
         return wide if scenario.drawn is None else max(wide, DRAWN_LIMIT_WIDE)
     return more + (DISPLACEMENT_LIMIT if scenario.drawn is None else DRAWN_LIMIT)
-
-
-def _rounded_up(length: float) -> float:
-    return LIMIT_STEP * math.ceil(length / LIMIT_STEP - 1e-9)
 
 
 def first_climb(table: ContactTable, motion: WheelsetMotion) -> int | None:
@@ -116,9 +113,6 @@ def axle_motions(
 
     Args:
         tables: Contact geometry of each; None to compute it here.
-
-    Raises:
-        DerailmentError: A wheelset leaves the range of its contact geometry: the scenario lets it derail.
     """
     found = [
         contact_of(scenario, track, run.vehicle.wheelsets[axle], run.odometer).table if table is None else table
@@ -134,7 +128,18 @@ def axle_motions(
     else:
         motions = simulate_gear(gear, contacts, track, run.speed, start)
     for axle, table, motion in zip(axles, found, motions, strict=True):
-        _check_on_rails(run, axle, table, motion)
+        at = first_climb(table, motion)
+        if at is None:
+            continue
+        error = DerailmentError(
+            f"{run.vehicle.wheelsets[axle].serial} derails in campaign {run.campaign + 1}: at "
+            f"{motion.distance[at]:.1f} m of the section a wheel climbs its rail, "
+            f"{1e3 * motion.relative_displacement[at]:+.1f} mm beside the track centre in "
+            f"{1e3 * motion.gauge_deviation[at]:+.1f} mm of gauge deviation",
+            field=f"vehicles.{run.vehicle.code}",
+        )
+        error.axle = axle
+        raise error
     return motions
 
 
@@ -188,39 +193,12 @@ def averaged(table: ContactTable, half_width: float) -> ContactTable:
         return table
     weights = np.sqrt(1.0 - (step * np.arange(-reach, reach + 1) / half_width) ** 2)
     weights /= weights.sum()
-    left, right, angle_left, angle_right, roll = (
-        convolve1d(getattr(table, name), weights, axis=0, mode="nearest") for name in MEANS
-    )
-    return replace(
-        table,
-        rolling_radius_left=left,
-        rolling_radius_right=right,
-        contact_angle_left=angle_left,
-        contact_angle_right=angle_right,
-        roll=roll,
-    )
-
-
-def _check_on_rails(run: VehicleRun, axle: int, table: ContactTable, motion: WheelsetMotion) -> None:
-    at = first_climb(table, motion)
-    if at is None:
-        return
-    error = DerailmentError(
-        f"{run.vehicle.wheelsets[axle].serial} derails in campaign {run.campaign + 1}: at {motion.distance[at]:.1f} m "
-        f"of the section a wheel climbs its rail, {1e3 * motion.relative_displacement[at]:+.1f} mm beside the track "
-        f"centre in {1e3 * motion.gauge_deviation[at]:+.1f} mm of gauge deviation",
-        field=f"vehicles.{run.vehicle.code}",
-    )
-    error.axle = axle
-    raise error
+    means: dict[str, Any] = {name: convolve1d(getattr(table, name), weights, axis=0, mode="nearest") for name in MEANS}
+    return replace(table, **means)
 
 
 def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> WornContact:
-    """Return the contact geometry of a wheelset at one mileage of its vehicle.
-
-    Raises:
-        ScenarioError: The profiles do not touch on both sides at every gauge of the track, or cannot wear that much.
-    """
+    """Return the contact geometry of a wheelset at one mileage of its vehicle."""
     gauges, limit = gauge_grid(track), displacement_limit(scenario, track)
     with _named(scenario, plan):
         section, step = section_at(scenario, odometer), scenario.running.contact_step

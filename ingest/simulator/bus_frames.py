@@ -23,9 +23,7 @@ from ingest.simulator.scenario import NORMAL_REACH, BusPlan, FaultKind, Scenario
 from ingest.simulator.sensors import SensorRecord
 
 SECOND_NS = 1_000_000_000
-SLOT_NS = 230_000
-"""Time on a 500 kbit/s bus of a frame with 8 bytes, stuffing included."""
-
+SLOT_NS = 230_000  # time on a 500 kbit/s bus of a frame with 8 bytes, stuffing included
 FRAME_BITS = 47  # base format, with the space between frames
 STUFFING = 1.035  # a bit in 29: recorded traffic has less than the one in 5 that is possible
 
@@ -64,7 +62,12 @@ def _arbitrated(bus: BusPlan, messages: Sequence[MessagePlan], interval_ns: int)
     """Return the delays of the second of two seconds: what the first leaves waiting is then on the bus as well."""
     ticks = SECOND_NS // interval_ns
     plans = {plan.arbitration_id: plan for plan in messages}
-    due = _due(bus, messages, interval_ns, 2 * ticks)
+    due = sorted(  # time at which a frame is handed over, identifier, tick
+        (tick * interval_ns + _ready_ns(bus, plan), plan.arbitration_id, tick)
+        for plan in messages
+        if plan.kind != kinds.EMERGENCY
+        for tick in range(0, 2 * ticks, max(1, plan.cycle_ns // interval_ns))
+    )
     delays = {identifier: np.full(2 * ticks, _ready_ns(bus, plan)) for identifier, plan in plans.items()}
     waiting: list[tuple[int, int]] = []  # identifier, tick
     now, place = 0, 0
@@ -85,16 +88,6 @@ def _arbitrated(bus: BusPlan, messages: Sequence[MessagePlan], interval_ns: int)
             field="bus.bitrate_kbit_s",
         )
     return BusTiming({identifier: delay[ticks:] for identifier, delay in delays.items()})
-
-
-def _due(bus: BusPlan, messages: Sequence[MessagePlan], interval_ns: int, ticks: int) -> list[tuple[int, int, int]]:
-    """Return when frames are handed over: time, identifier, tick; in the order of time."""
-    return sorted(
-        (tick * interval_ns + _ready_ns(bus, plan), plan.arbitration_id, tick)
-        for plan in messages
-        if plan.kind != kinds.EMERGENCY
-        for tick in range(0, ticks, max(1, plan.cycle_ns // interval_ns))
-    )
 
 
 def _ready_ns(bus: BusPlan, plan: MessagePlan) -> int:
@@ -159,21 +152,17 @@ def vehicle_frames(
     rng = generator(scenario.seed, Stream.BUS, scenario.vehicles.index(run.vehicle), run.campaign)
     ticks = _ticks(catalogue, scenario, run, rng)
     batches = [*_master(catalogue, ticks), *_vehicle_node(catalogue, scenario, run, ticks)]
-    for axle, record in enumerate(_as_connected(scenario, records)):
-        batches += _wheelset_node(catalogue, run, axle, record, ticks)
-    whole = sort_by_time(concatenate(batches, channel="can0"))
-    keep = _kept(scenario, whole, rng)
-    return whole if keep.all() else take(whole, keep)
-
-
-def _as_connected(scenario: Scenario, records: Sequence[SensorRecord | None]) -> list[SensorRecord | None]:
     connected = list(records)
     if not scenario.sensors.on_mass:
         connected = [None if record is None else _without_mass(record) for record in connected]
     if scenario.bus.nodes_swapped:
         for first in range(0, len(connected) - 1, 2):
             connected[first], connected[first + 1] = connected[first + 1], connected[first]
-    return connected
+    for axle, record in enumerate(connected):
+        batches += _wheelset_node(catalogue, run, axle, record, ticks)
+    whole = sort_by_time(concatenate(batches))
+    keep = _kept(scenario, whole, rng)
+    return whole if keep.all() else take(whole, keep)
 
 
 def _without_mass(record: SensorRecord) -> SensorRecord:
@@ -253,7 +242,9 @@ def _wheelset_node(
     at = ticks.every(plan.cycle_ns)
     status: dict[str, npt.ArrayLike] = {"sample_counter": at + 1, "self_test_failed": float(dead)}
     if record is not None and not dead:
-        status |= {name: _within_cycle(record.clipped[:, i], at) for i, name in enumerate(_STATUS_BITS)}
+        seen = np.concatenate([np.zeros((1, len(_STATUS_BITS)), np.int64), np.cumsum(record.clipped, axis=0)])
+        since = np.diff(seen[np.concatenate([[0], at + 1])], axis=0) > 0  # the status before
+        status |= {name: since[:, i].astype(np.float64) for i, name in enumerate(_STATUS_BITS)}
         status["temperature"] = 12.0 + 6.0 * np.sin(2.0 * np.pi * at / max(len(every), 1))
     yield encode(plan, ticks.stamps(plan, at), status)
     plan = catalogue.find(kinds.HEARTBEAT, node)
@@ -262,13 +253,6 @@ def _wheelset_node(
         plan = catalogue.find(kinds.EMERGENCY, node)
         error = {"error_code": float(HARDWARE_ERROR), "error_register": float(ERROR_REGISTER)}
         yield encode(plan, ticks.stamps(plan, every[:1]), error)
-
-
-def _within_cycle(flags: BoolArray, at: IntArray) -> npt.NDArray[np.float64]:
-    """Return for each tick of ``at`` whether a flag was set since the one before it."""
-    seen = np.concatenate([[0], np.cumsum(flags)])
-    between = np.diff(seen[np.concatenate([[0], at + 1])])
-    return np.asarray(between > 0, dtype=np.float64)
 
 
 def _kept(scenario: Scenario, batch: FrameBatch, rng: np.random.Generator) -> BoolArray:

@@ -19,26 +19,17 @@ from estimation.errors import ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from ingest.simulator.irregularity import Waves, superpose
 from ingest.simulator.motion import STEP, WheelsetMotion, travelled
-from ingest.simulator.running import (
-    CONTACT_STEP,
-    STRETCH_END,
-    FrictionPlan,
-    FrictionStretch,
-    RunningPlan,
-    with_flat,
-    with_track_blows,
-)
+from ingest.simulator.running import CONTACT_STEP, STRETCH_END, FrictionPlan, RunningPlan, with_flat, with_track_blows
 from ingest.simulator.scenario import (
     NORMAL_REACH,
     Scenario,
-    SpeedRange,
     Stream,
     VehiclePlan,
     WheelsetPlan,
     generator,
     seed_of,
 )
-from ingest.simulator.sensor_errors import NodeErrors, draw_node_errors
+from ingest.simulator.sensor_errors import draw_node_errors
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
 from ingest.simulator.track import Surface, TrackRecipe, TrackTruth, from_zero, make_track, read_track
 
@@ -92,15 +83,10 @@ def with_stretches(track: TrackTruth, plan: RunningPlan, campaign: int, mean_fri
     surface = track.surface or Surface(np.zeros(len(track.s)), flat, flat)
     friction = surface.friction
     for one in there:
-        inside = _inside(one, track.s)
+        depth = np.clip(np.minimum(track.s - one.begin, one.end - track.s) / STRETCH_END, 0.0, 1.0)
+        inside = depth * depth * (3.0 - 2.0 * depth)  # smooth at both ends, so that the spline of the track is
         friction = friction + inside * (one.friction / mean_friction - friction)
     return replace(track, surface=replace(surface, friction=friction))
-
-
-def _inside(stretch: FrictionStretch, s: FloatArray) -> FloatArray:
-    """Return 1 in a stretch and 0 beside it (n,), smooth at both ends so that the spline of the track is."""
-    depth = np.clip(np.minimum(s - stretch.begin, stretch.end - s) / STRETCH_END, 0.0, 1.0)
-    return np.asarray(depth * depth * (3.0 - 2.0 * depth))
 
 
 def _drawn(track: TrackTruth, waves: Waves, rng: np.random.Generator, key: str) -> FloatArray:
@@ -191,16 +177,15 @@ def with_margins(scenario: Scenario, recipe: TrackRecipe) -> TrackRecipe:
 
 
 def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, campaign: int) -> VehicleRun:
-    """Return where and how fast ``vehicle`` runs in ``campaign`` (from 0).
-
-    Raises:
-        ScenarioError: The track is too short for the run.
-    """
+    """Return where and how fast ``vehicle`` runs in ``campaign`` (from 0)."""
     rng = generator(scenario.seed, Stream.SPEED, scenario.vehicles.index(vehicle), campaign)
     speed = _speed(scenario, rng)[: round(scenario.duration(vehicle) / STEP) + 1]
     if scenario.sessions.whole_section:
-        speed, distance = _across(scenario, vehicle, speed)
-        return _run(scenario, vehicle, campaign, speed, distance)
+        assert scenario.section.recipe is not None
+        distance = travelled(speed, -LEAD_IN)
+        end = scenario.section.recipe.length + vehicle.axle_offsets[-1] + RUN_OUT
+        count = int(np.searchsorted(distance, end)) + 1
+        return _run(scenario, vehicle, campaign, speed[:count], distance[:count])
     run = float(travelled(speed, 0.0)[-1])
     first = float(track.s[0]) + vehicle.axle_offsets[-1] + 1.0 + scenario.position.largest_offset
     room = float(track.s[-1]) - 1.0 - first - run
@@ -211,15 +196,6 @@ def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, cam
         )
     distance = travelled(speed, first + min(room, scenario.sessions.start_within) * float(rng.uniform()))
     return _run(scenario, vehicle, campaign, speed, distance)
-
-
-def _across(scenario: Scenario, vehicle: VehiclePlan, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return speed and distance (n,) from before the section until the last axle is behind it."""
-    assert scenario.section.recipe is not None
-    distance = travelled(speed, -LEAD_IN)
-    end = scenario.section.recipe.length + vehicle.axle_offsets[-1] + RUN_OUT
-    count = int(np.searchsorted(distance, end)) + 1
-    return speed[:count], distance[:count]
 
 
 def _run(
@@ -267,11 +243,14 @@ def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: Whee
     order = scenario.vehicles.index(run.vehicle)
     offsets = draw_offsets(scenario.sensors, generator(scenario.seed, Stream.OFFSETS, order, axle))
     rng = generator(scenario.seed, Stream.SENSOR, order, axle, run.campaign)
-    errors = _node_errors(scenario, order, axle, run.campaign)
+    errors = None
+    if not scenario.sensors.errors.none:
+        node = generator(scenario.seed, Stream.NODE_ERRORS, order, axle)
+        temperature = generator(scenario.seed, Stream.TEMPERATURE, order, axle, run.campaign)
+        errors = draw_node_errors(scenario.sensors.errors, node, temperature)
     narrow = scenario.running.contact_step < CONTACT_STEP
-    return measure(
-        _with_blows(scenario, run, axle, motion), scenario.sensors, rng, offsets, errors, short_pulses=narrow
-    )
+    motion = _with_blows(scenario, run, axle, motion)
+    return measure(motion, scenario.sensors, rng, offsets, errors, short_pulses=narrow)
 
 
 def _with_blows(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> WheelsetMotion:
@@ -285,14 +264,6 @@ def _with_blows(scenario: Scenario, run: VehicleRun, axle: int, motion: Wheelset
     return motion if blows is None else with_track_blows(motion, blows)
 
 
-def _node_errors(scenario: Scenario, order: int, axle: int, campaign: int) -> NodeErrors | None:
-    if scenario.sensors.errors.none:
-        return None
-    node = generator(scenario.seed, Stream.NODE_ERRORS, order, axle)
-    temperature = generator(scenario.seed, Stream.TEMPERATURE, order, axle, campaign)
-    return draw_node_errors(scenario.sensors.errors, node, temperature)
-
-
 def failed(plan: WheelsetPlan, campaign: int) -> bool:
     """Whether the node of the wheelset has failed in ``campaign`` (from 0)."""
     return plan.fault is not None and campaign + 1 >= plan.fault.from_campaign
@@ -302,29 +273,20 @@ def _speed(scenario: Scenario, rng: np.random.Generator) -> FloatArray:
     """Return a speed (n,) that wanders within the scenario's range: three slow waves, squeezed smoothly into it."""
     plan, n = scenario.speed, round(scenario.sessions.duration / STEP) + 1
     t = STEP * np.arange(n, dtype=np.float64)
-    if plan.steady:
-        return _steady(plan, t, rng)
+    if plan.steady:  # a mean of its own, and one slow wave of some per cent about it
+        width = plan.highest - plan.lowest
+        swing, period = rng.uniform(0.045, 0.18) * width, rng.uniform(60.0, 200.0)
+        mean = rng.uniform(plan.lowest + 0.1 * width, plan.highest - 0.18 * width)
+        slow = np.sin(2.0 * np.pi * t / period + rng.uniform(0.0, 2.0 * np.pi))
+        return np.clip(mean + swing * slow, plan.lowest, plan.highest)
     wave = np.zeros(n)
     for order in (1.0, 1.7, 2.9):
         wave += (
             rng.uniform(0.5, 1.0) / order * np.sin(2.0 * np.pi * order * t / plan.period + rng.uniform(0, 2 * np.pi))
         )
     middle, half = 0.5 * (plan.lowest + plan.highest), 0.5 * (plan.highest - plan.lowest)
-    return np.minimum(middle + half * np.tanh(wave), _stopping(scenario.speed, np.asarray(t)))
-
-
-def _steady(plan: SpeedRange, t: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return a speed (n,) with a mean of its own and one slow wave of some per cent about it."""
-    width = plan.highest - plan.lowest
-    swing, period = rng.uniform(0.045, 0.18) * width, rng.uniform(60.0, 200.0)
-    mean = rng.uniform(plan.lowest + 0.1 * width, plan.highest - 0.18 * width)
-    wave = np.sin(2.0 * np.pi * t / period + rng.uniform(0.0, 2.0 * np.pi))
-    return np.clip(mean + swing * wave, plan.lowest, plan.highest)
-
-
-def _stopping(plan: SpeedRange, t: FloatArray) -> FloatArray:
-    """Return the speed (n,) that the next and the last stop allow; infinite where there are none."""
+    speed = middle + half * np.tanh(wave)
     if plan.stop_every <= 0.0:
-        return np.full(len(t), np.inf)
+        return np.asarray(speed)
     from_stop = np.abs((t % plan.stop_every) - 0.5 * plan.stop_every)  # stops are in the middle of each period
-    return np.asarray(plan.braking * np.maximum(from_stop - 0.5 * plan.stop, 0.0))
+    return np.minimum(speed, plan.braking * np.maximum(from_stop - 0.5 * plan.stop, 0.0))

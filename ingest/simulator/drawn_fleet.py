@@ -12,7 +12,7 @@ from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import BogieParameters
-from ingest.simulator.drawn_plan import DrawnFleet, FleetWear, ProfilePair, WearDistribution
+from ingest.simulator.drawn_plan import DrawnFleet, ProfilePair, WearDistribution
 from ingest.simulator.scenario import (
     Scenario,
     Stream,
@@ -129,19 +129,17 @@ def no_wear_left(scenario: Scenario, vehicle: str, axle: int, last: ScenarioErro
 
 def _vehicles(scenario: Scenario, fleet: DrawnFleet, seed: int) -> tuple[VehiclePlan, ...]:
     """Return the vehicles: wheelsets are numbered across the vehicles, the first axle of all before the second."""
-    plans = []
-    for number in range(fleet.vehicles):
-        ranks = range(number, fleet.places, fleet.vehicles)
-        plans.append(
-            VehiclePlan(
-                code=f"V{number}",
-                vehicle_class=fleet.vehicle_class,
-                max_speed=fleet.max_speed,
-                axle_offsets=usual_offsets(len(ranks), scenario.bogie),
-                wheelsets=tuple(_wheelset(scenario, fleet, seed, rank) for rank in ranks),
-            )
+    return tuple(
+        VehiclePlan(
+            code=f"V{number}",
+            vehicle_class=fleet.vehicle_class,
+            max_speed=fleet.max_speed,
+            axle_offsets=usual_offsets(len(ranks), scenario.bogie),
+            wheelsets=tuple(_wheelset(scenario, fleet, seed, rank) for rank in ranks),
         )
-    return tuple(plans)
+        for number in range(fleet.vehicles)
+        for ranks in [range(number, fleet.places, fleet.vehicles)]
+    )
 
 
 def _wheelset(scenario: Scenario, fleet: DrawnFleet, seed: int, rank: int) -> WheelsetPlan:
@@ -179,18 +177,15 @@ def _depth(fleet: DrawnFleet, pair: ProfilePair, rank: int, rng: np.random.Gener
     if wear.distribution is WearDistribution.UNIFORM:
         return rng.uniform(wear.lowest, highest)
     for _ in range(MOST_DRAWS):
-        depth = _unlimited(wear, rng)
+        if wear.distribution is WearDistribution.NORMAL:
+            depth = rng.normal(wear.mean, wear.std)
+        else:
+            variance = math.log1p((wear.std / wear.mean) ** 2)  # of the logarithm
+            depth = rng.lognormal(math.log(wear.mean) - 0.5 * variance, math.sqrt(variance))
         if wear.lowest <= depth <= highest:
             return depth
     reason = f"{MOST_DRAWS} draws gave no wear between {1e3 * wear.lowest:g} and {1e3 * highest:g} mm"
     raise ScenarioError(reason, field="drawn_fleet.wear.mean_mm")
-
-
-def _unlimited(wear: FleetWear, rng: np.random.Generator) -> float:
-    if wear.distribution is WearDistribution.NORMAL:
-        return rng.normal(wear.mean, wear.std)
-    variance = math.log1p((wear.std / wear.mean) ** 2)  # of the logarithm
-    return rng.lognormal(math.log(wear.mean) - 0.5 * variance, math.sqrt(variance))
 
 
 def _wheel_files(pair: ProfilePair, seed: int, rank: int) -> SideFiles:

@@ -87,11 +87,7 @@ class FleetWear:
         return self
 
     def check(self, deepest: float) -> None:
-        """Refuse limits that leave no room for the mean.
-
-        Args:
-            deepest: Of the pair, m: the upper limit where there is none.
-        """
+        """Refuse limits that leave no room for the mean."""
         highest = deepest if self.highest is None else self.highest
         lowest_mm, highest_mm, mean_mm = 1e3 * self.lowest, 1e3 * highest, 1e3 * self.mean
         if highest < self.lowest:

@@ -20,7 +20,7 @@ from estimation.values.arrays import FloatArray
 from ingest.bus import send
 from ingest.catalogue import default_catalogue
 from ingest.frames import FrameBatch
-from ingest.logs.blf_writer import write_blf
+from ingest.logs.blf_layout import write_blf
 from ingest.simulator.axle_motion import DerailmentError, axle_motions, contact_of, together, true_geometry
 from ingest.simulator.bus_frames import vehicle_frames
 from ingest.simulator.campaign import (
@@ -39,9 +39,9 @@ from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less
 from ingest.simulator.motion import WheelsetMotion
 from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, generator, seed_of
 from ingest.simulator.sensors import SensorRecord
-from ingest.simulator.side_files import WheelsetTruth, wheelset_truth, write_registry, write_truth
+from ingest.simulator.side_files import WheelsetTruth, write_registry, write_truth
 from ingest.simulator.track import TrackTruth, from_zero, make_track, read_track
-from ingest.simulator.wear import GeometryTruth, WornContact
+from ingest.simulator.wear import GeometryTruth, WornContact, wear_at
 
 LEAST_SHARE = 0.9  # of the section that the survey of another one must cover
 
@@ -59,7 +59,7 @@ def surveyed(scenario: Scenario, track: TrackTruth) -> TrackTruth:
         other = _other_section(scenario, track)
         source = other if plan.other_section else replace(track, gauge_deviation=other.gauge_deviation)
     if plan.shift:
-        source = _shifted(source, plan.shift)
+        source = replace(_on_grid(source, source.s - plan.shift), s=source.s)  # at its ends the first and last value
     rng = generator(scenario.seed, Stream.SURVEY)
     alignment_error = _error(len(track.s), section.survey_alignment_std, track.interval, rng)
     gauge_error = _error(len(track.s), section.survey_gauge_std, track.interval, rng)
@@ -80,11 +80,6 @@ def _other_section(scenario: Scenario, track: TrackTruth) -> TrackTruth:
         reason = f"has {other.length:.0f} m of track, the section {track.length:.0f} m"
         raise ScenarioError(reason, file=section.survey.file, field="section.survey.file")
     return _on_grid(other, track.s)
-
-
-def _shifted(track: TrackTruth, shift: float) -> TrackTruth:
-    """Return a track whose irregularities are ``shift`` m further on; at its ends the first and last value."""
-    return replace(_on_grid(track, track.s - shift), s=track.s)
 
 
 def _on_grid(track: TrackTruth, s: FloatArray) -> TrackTruth:
@@ -158,7 +153,10 @@ def run_fleet(
     chosen = [scenario.vehicle(code) for code in vehicles] if vehicles is not None else list(scenario.vehicles)
     track = scenario_track(scenario)
     registry = prepare(scenario, out)
-    tasks = _tasks(scenario, chosen)
+    every = tuple(range(scenario.sessions.campaigns))
+    tasks: list[tuple[str, Campaigns]] = [(plan.code, (campaign,)) for campaign in every for plan in chosen]
+    if scenario.drawn is not None:  # the wear of a drawn vehicle follows from all of its campaigns
+        tasks = [(plan.code, every) for plan in chosen]
     total = sum(len(campaigns) for _, campaigns in tasks)
     count = workers if workers is not None else min(os.cpu_count() or 1, len(tasks))
     recordings: list[Recording] = []
@@ -183,20 +181,15 @@ Campaigns = tuple[int, ...]
 """Campaigns (from 0) of one vehicle that are simulated together."""
 
 
-def _tasks(scenario: Scenario, vehicles: Sequence[VehiclePlan]) -> list[tuple[str, Campaigns]]:
-    """Return what is simulated together: all campaigns of a drawn vehicle, whose wear follows from all of them."""
-    every = tuple(range(scenario.sessions.campaigns))
-    if scenario.drawn is not None:
-        return [(plan.code, every) for plan in vehicles]
-    return [(plan.code, (campaign,)) for campaign in every for plan in vehicles]
-
-
 def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campaigns: Campaigns) -> list[Recording]:
     """Simulate campaigns of one vehicle and write their recordings, each whole or not at all."""
     if scenario.drawn is None:
         plan = scenario.vehicle(vehicle)
         return [_write(scenario, out, plan, c, *simulate_campaign(scenario, track, plan, c)) for c in campaigns]
-    scenario, axles = _on_the_rails(scenario, track, vehicle, campaigns)
+    axles: list[_Axle] = []
+    for group in _groups(scenario, scenario.vehicle(vehicle)):
+        scenario, moved = _group_on_the_rails(scenario, track, vehicle, group, campaigns)
+        axles += moved
     plan = scenario.vehicle(vehicle)
     return [
         _write(scenario, out, plan, campaign, *_campaign(scenario, track, plan, axles, campaign))
@@ -212,20 +205,6 @@ class _Axle:
     geometry: GeometryTruth
 
 
-def _on_the_rails(
-    scenario: Scenario, track: TrackTruth, vehicle: str, campaigns: Campaigns
-) -> tuple[Scenario, list[_Axle]]:
-    """Return the scenario with as much wear as keeps a vehicle on the rails, and its wheelsets.
-
-    In narrow places a worn wheelset may hunt until it leaves the rails, and a nearly new one too: no railway runs them.
-    """
-    axles: list[_Axle] = []
-    for group in _groups(scenario, scenario.vehicle(vehicle)):
-        scenario, found = _group_on_the_rails(scenario, track, vehicle, group, campaigns)
-        axles += found
-    return scenario, axles
-
-
 def _groups(scenario: Scenario, vehicle: VehiclePlan) -> list[tuple[int, ...]]:
     groups = (together(scenario, vehicle, axle) for axle in range(len(vehicle.wheelsets)))
     return list(dict.fromkeys(groups))
@@ -234,6 +213,10 @@ def _groups(scenario: Scenario, vehicle: VehiclePlan) -> list[tuple[int, ...]]:
 def _group_on_the_rails(
     scenario: Scenario, track: TrackTruth, vehicle: str, group: tuple[int, ...], campaigns: Campaigns
 ) -> tuple[Scenario, list[_Axle]]:
+    """Return the scenario with as much wear as keeps wheelsets on the rails, and these.
+
+    In narrow places a worn wheelset may hunt until it leaves the rails, and a nearly new one too: no railway runs them.
+    """
     shares = {axle: shares_of_wear(scenario.vehicle(vehicle).wheelsets[axle]) for axle in group}
     tries = dict.fromkeys(group, 0)
     while True:
@@ -290,7 +273,11 @@ def _campaign(
 ) -> tuple[FrameBatch, tuple[WheelsetTruth, ...]]:
     run = vehicle_run(scenario, track, vehicle, campaign)
     batch = vehicle_frames(default_catalogue(), scenario, run, [axle.records[campaign] for axle in axles])
-    truths = (wheelset_truth(vehicle, place, campaign, run.odometer, axle.geometry) for place, axle in enumerate(axles))
+    wears = [wear_at(wheelset, run.odometer) for wheelset in vehicle.wheelsets]
+    truths = (
+        WheelsetTruth(vehicle.code, place, campaign + 1, wear, axle.geometry)
+        for place, (wear, axle) in enumerate(zip(wears, axles, strict=True), start=1)
+    )
     return batch, tuple(truths)
 
 
@@ -315,11 +302,7 @@ def _write(
 def simulate_campaign(
     scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, campaign: int
 ) -> tuple[FrameBatch, tuple[WheelsetTruth, ...]]:
-    """Return all frames of one campaign of one vehicle, and the truth of its wheelsets.
-
-    Raises:
-        DerailmentError: A wheelset leaves the range of its contact geometry.
-    """
+    """Return all frames of one campaign of one vehicle, and the truth of its wheelsets."""
     groups = _groups(scenario, vehicle)
     axles = [axle for group in groups for axle in _group(scenario, track, vehicle.code, group, (campaign,))]
     return _campaign(scenario, track, vehicle, axles, campaign)
@@ -346,8 +329,7 @@ def _recordings(
             raise
 
 
-PAUSE_S = 5.0
-"""Pause between two campaigns: longer than a receiver extrapolates the vehicle's clock."""
+PAUSE_S = 5.0  # pause between two campaigns: longer than a receiver extrapolates the vehicle's clock
 
 
 def transmit(

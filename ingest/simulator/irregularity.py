@@ -25,7 +25,6 @@ from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 import scipy.fft
-import scipy.integrate
 import scipy.optimize
 import scipy.special
 from annotated_types import Interval
@@ -48,26 +47,10 @@ def density(kind: Irregularity, wavenumber: FloatArray, level: float = ALIGNMENT
     """Return the one-sided power spectral density (n,), m2/(rad/m), of an irregularity.
 
     Alignment: S = A Wc^2 / ((W^2 + Wr^2)(W^2 + Wc^2)). Gauge, as cross level: the same times W^2 / (W^2 + Ws^2).
-
-    Args:
-        wavenumber: (n,) angular wavenumber, rad/m.
-        level: A, m2 rad/m.
     """
     w2 = np.asarray(wavenumber, dtype=np.float64) ** 2
     S = level * CRITICAL_WAVENUMBER**2 / ((w2 + LOW_WAVENUMBER**2) * (w2 + CRITICAL_WAVENUMBER**2))
     return S * w2 / (w2 + GAUGE_WAVENUMBER**2) if kind == "gauge" else S
-
-
-def standard_deviation(kind: Irregularity, wavelengths: tuple[float, float], level: float) -> float:
-    """Return the standard deviation, m, of the density over a band.
-
-    Args:
-        wavelengths: Shortest and longest, m.
-        level: A, m2 rad/m.
-    """
-    low, high = _band(wavelengths)
-    variance, _ = scipy.integrate.quad(lambda w: float(density(kind, np.array(w), level)), low, high)
-    return math.sqrt(variance)
 
 
 def synthesise(
@@ -83,9 +66,6 @@ def synthesise(
 
     Every wavenumber line inside the band carries the amplitude of the density and a random phase. The mean is
     removed and the standard deviation set on the stretch that is returned.
-
-    Args:
-        wavelengths: Shortest and longest, m.
 
     Raises:
         ParameterError: The band is empty or not resolved by ``interval``, or the stretch is shorter than the longest
@@ -154,11 +134,17 @@ def with_kurtosis(period: FloatArray, count: int, target: float) -> FloatArray:
         )
     lines = np.abs(scipy.fft.rfft(period))
     gaussian = np.asarray(scipy.special.ndtri((np.arange(len(period)) + 0.5) / len(period)))
-    asked, values = target, period
+    asked, values, (lowest, highest) = target, period, (_CUBIC[0] - 0.01, _CUBIC[1] + 1.0)
     for _ in range(_ADJUSTMENTS):
-        marginal = _cubic(gaussian, asked)
+        c = float(scipy.optimize.brentq(lambda c, asked: _cubic_kurtosis(c) - asked, lowest, highest, (asked,)))
+        marginal = np.sort(gaussian + c * gaussian**3)
         for _ in range(_SWEEPS):
-            values = _with_lines(_with_values(values, marginal), lines)
+            ordered = np.empty_like(values)
+            ordered[np.argsort(values, kind="stable")] = marginal
+            spectrum = scipy.fft.rfft(ordered)
+            size = np.abs(spectrum)
+            phases = np.divide(spectrum, size, out=np.ones_like(spectrum), where=size > 0.0)
+            values = np.asarray(scipy.fft.irfft(lines * phases, len(values)))
         reached = kurtosis_of(values[:count])
         if abs(reached - target) <= 0.5 * TOLERANCE * target:
             return values
@@ -177,28 +163,6 @@ def _cubic_kurtosis(c: float) -> float:
 
 
 _CUBIC_KURTOSIS = tuple(_cubic_kurtosis(c) for c in _CUBIC)
-
-
-def _cubic(gaussian: FloatArray, kurtosis: float) -> FloatArray:
-    """Return the sorted values (n,) of u + c u^3 with that kurtosis."""
-    lowest, highest = _CUBIC
-    c = float(scipy.optimize.brentq(lambda c: _cubic_kurtosis(c) - kurtosis, lowest - 0.01, highest + 1.0))
-    return np.sort(gaussian + c * gaussian**3)
-
-
-def _with_values(shape: FloatArray, ordered: FloatArray) -> FloatArray:
-    """Return the values ``ordered`` (n,) in the order of ``shape`` (n,)."""
-    values = np.empty_like(shape)
-    values[np.argsort(shape, kind="stable")] = ordered
-    return values
-
-
-def _with_lines(values: FloatArray, lines: FloatArray) -> FloatArray:
-    """Return values (n,) whose spectral lines have the amplitudes ``lines`` and keep their phases."""
-    spectrum = scipy.fft.rfft(values)
-    size = np.abs(spectrum)
-    phases = np.divide(spectrum, size, out=np.ones_like(spectrum), where=size > 0.0)
-    return np.asarray(scipy.fft.irfft(lines * phases, len(values)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,27 +317,20 @@ class IsolatedTables:
 
 def isolated(items: Sequence[Isolated], s: FloatArray, rngs: Sequence[np.random.Generator]) -> FloatArray:
     """Return what isolated irregularities add to alignment and gauge deviation (2, n), m."""
-    added = np.zeros((2, len(s)))
+    added, interval = np.zeros((2, len(s))), float(s[1] - s[0])
     for item, rng in zip(items, rngs, strict=True):
-        _check(item, s)
+        if item.length < FEWEST_INTERVALS * interval:
+            reason = f"a {item.kind} of {item.length:g} m is too short for a grid of {interval:g} m"
+            raise ParameterError(reason, field="length_m")
         for at in item.at:
+            if not s[0] <= at <= s[-1]:
+                raise ParameterError(f"{at:g} m is not on the track, {s[0]:g} to {s[-1]:g} m", field="at_m")
             added += _shape(item, s, at)
         for _ in range(rng.poisson(item.per_metre * float(s[-1] - s[0]))):
             at, share = rng.uniform(float(s[0]), float(s[-1])), rng.uniform(*DRAWN_SHARE)
             side = rng.choice((-1.0, 1.0))
             added += share * np.array([[side], [1.0]]) * _shape(item, s, at)
     return added
-
-
-def _check(item: Isolated, s: FloatArray) -> None:
-    interval = float(s[1] - s[0])
-    if item.length < FEWEST_INTERVALS * interval:
-        raise ParameterError(
-            f"a {item.kind} of {item.length:g} m is too short for a grid of {interval:g} m", field="length_m"
-        )
-    for at in item.at:
-        if not s[0] <= at <= s[-1]:
-            raise ParameterError(f"{at:g} m is not on the track, {s[0]:g} to {s[-1]:g} m", field="at_m")
 
 
 def _shape(item: Isolated, s: FloatArray, at: float) -> FloatArray:

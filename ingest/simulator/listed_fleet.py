@@ -15,7 +15,7 @@ from estimation.values.fields import KM, KM_H, MM, FileUnit, Key
 from estimation.values.registry import MAX_AXLES
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, Arrangement, BogieParameters
-from ingest.file_value import FileBeside, IncreasingPlaces, Inline, between
+from ingest.file_value import FileBeside, IncreasingPlaces, Inline, between, taken
 from ingest.input_file import NotNegative, Positive, Text, field_error
 from ingest.simulator.scenario import Fault, VehiclePlan, WeakDamper, WheelsetPlan, usual_offsets
 from ingest.simulator.section import WheelName
@@ -110,9 +110,9 @@ class WheelsetTable:
         course = wear_course(WearFamily.S1002_ON_60E1 if "1002" in self.wheel_profile else WearFamily.P8_ON_56E1, 0.0)
         centre, half_width = self.wear_centre, self.wear_half_width
         initial_left, initial_right = self.initial_wear_left, self.initial_wear_right
-        return WheelsetPlan(
-            serial=self.serial,
-            wheel_profile=self.wheel_profile,
+        return taken(
+            WheelsetPlan,
+            self,
             nominal_radius=radius if self.nominal_radius is None else self.nominal_radius,
             rate_left=self.wear if self.wear_left is None else self.wear_left,
             rate_right=self.wear if self.wear_right is None else self.wear_right,
@@ -121,12 +121,8 @@ class WheelsetTable:
             flange_share=self.flange_wear_share,
             initial_left=self.initial_wear if initial_left is None else initial_left,
             initial_right=self.initial_wear if initial_right is None else initial_right,
-            initial_mileage=self.initial_mileage,
             reprofilings=tuple(1e3 * odometer_km for odometer_km in self.reprofiled),
-            diameter_difference=self.diameter_difference,
-            fault=self.fault,
             wheel_files=(self.wheel_file or self.wheel_left_file, self.wheel_file or self.wheel_right_file),
-            reprofilings_registered=self.reprofilings_registered,
         )
 
 
@@ -154,17 +150,6 @@ class VehicleTable:
         return usual_offsets(len(self.wheelsets), bogie) if self.axle_offsets is None else self.axle_offsets
 
     def plan(self, radius: float, bogie: BogieParameters | None) -> VehiclePlan:
-        """Return the vehicle.
-
-        Args:
-            radius: Nominal rolling radius of wheelsets that have none of their own, m.
-        """
-        return VehiclePlan(
-            code=self.code,
-            vehicle_class=self.vehicle_class,
-            max_speed=self.max_speed,
-            axle_offsets=self.offsets(bogie),
-            wheelsets=tuple(wheelset.plan(radius) for wheelset in self.wheelsets),
-            longest_run=self.longest_run,
-            weak_damper=self.weak_damper,
-        )
+        """Return the vehicle."""
+        wheelsets = tuple(wheelset.plan(radius) for wheelset in self.wheelsets)
+        return taken(VehiclePlan, self, axle_offsets=self.offsets(bogie), wheelsets=wheelsets)

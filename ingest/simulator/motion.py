@@ -152,9 +152,6 @@ def simulate_wheelset(
     Between samples the speed is linear; it may be zero, where the wheelset stands. ``initial`` (6,) holds y, y', psi,
     psi', ym, ym' in SI; without it wheelset and mass start at rest relative to the track, on its centre line. Two runs
     of the same input give the same bits.
-
-    Raises:
-        ParameterError: Speed that is negative or not finite, or the run leaves the track.
     """
     speed = frozen_array(speed, (None,), name="speed")  # read-only from every caller: it is compiled once
     prepared = table if isinstance(table, PreparedTable) else PreparedTable.of(table)
@@ -176,16 +173,31 @@ def simulate_wheelset(
         out,
     )
     out.flags.writeable = False
+    sensed = None if path is None else path.accelerations
+    return motion_of(out, speed, distance, outside=int(outside), path_accelerations=sensed)
+
+
+def motion_of(
+    out: FloatArray,
+    speed: FloatArray,
+    distance: FloatArray,
+    *,
+    outside: int,
+    path_accelerations: FloatArray | None,
+    frame_yaw: FloatArray | None = None,
+    mass_roll: FloatArray | None = None,
+) -> WheelsetMotion:
+    """Return the motion of a wheelset of which the loop wrote ``out`` (17, n), in the order of ``OUTPUTS``."""
     named = dict(zip(OUTPUTS, out, strict=True))
-    roll_acceleration = time_derivative(named["roll_rate"], STEP)
-    t = STEP * np.arange(len(speed), dtype=np.float64)
     return WheelsetMotion(
-        t=t,
+        t=STEP * np.arange(len(speed), dtype=np.float64),
         distance=distance,
         speed=speed,
-        roll_acceleration=roll_acceleration,
-        outside=int(outside),
-        path_accelerations=path.accelerations if path is not None else None,
+        roll_acceleration=time_derivative(named["roll_rate"], STEP),
+        outside=outside,
+        path_accelerations=path_accelerations,
+        frame_yaw=frame_yaw,
+        mass_roll=mass_roll,
         **named,
     )
 

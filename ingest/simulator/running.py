@@ -50,11 +50,7 @@ class TrackBlows:
 
 
 def with_flat(motion: WheelsetMotion, flat: WheelFlat, radius: float, rng: np.random.Generator) -> WheelsetMotion:
-    """Return the motion as sensors feel it on an axle with a flat.
-
-    Args:
-        radius: Of the wheel, m.
-    """
+    """Return the motion as sensors feel it on an axle with a flat."""
     turns = (motion.distance - motion.distance[0]) / (2.0 * np.pi * radius) + rng.uniform()
     return _struck(motion, turns, flat.size * (1.0 if flat.left else -1.0))
 

@@ -35,8 +35,9 @@ from ingest.simulator.motion import (
     WheelsetMotion,
     constants,
     course,
+    motion_of,
 )
-from ingest.simulator.rates import OUTPUTS, STANDSTILL, sub_steps, time_derivative
+from ingest.simulator.rates import OUTPUTS, STANDSTILL, sub_steps
 from ingest.simulator.track import Curves, TrackTruth
 
 
@@ -139,12 +140,15 @@ class RunningGear:
         """Return the parameters as the compiled loop takes them."""
         p, b = self.parameters, self.bogie
         mass = p.load / GRAVITY
-        driving, braking = (_of_two(shares, mass) for shares in (self.traction, self.braking))
+        none = 0.0  # where the speed is forced
+        driving, braking = (
+            (none, none) if shares is None else (mass * shares[0], mass * shares[-1])
+            for shares in (self.traction, self.braking)
+        )
         radii = self.nominal_radii or (p.nominal_radius,)
         each = tuple(constants(replace(p, nominal_radius=radius)) for radius in (radii[0], radii[-1]))
         pair = (each[0], each[1])
         if b is None:
-            none = 0.0
             mass_above = p.suspended_mass
             return GearConstants(pair, 1, none, mass_above, none, none, none, none, none, none, driving, braking)
         return GearConstants(
@@ -202,11 +206,13 @@ def simulate_gear(
         middle = courses[0] - gear.places[0]
         path, sensed = gear_path(gear.parameters, track.curves, track.s, middle, speed, STEP, gear.places)
     out, outside = np.empty((AXLES_OF_A_BOGIE, len(GEAR_OUTPUTS), len(speed))), np.zeros(AXLES_OF_A_BOGIE, np.int64)
+    axles = gear.wheels or ((Wheel(), Wheel()),)
+    (a, b), (c, d) = axles[0], axles[-1]
     integrate_gear(
         GearOnTrack(
             gear.constants(),
             gear.creep.constants()._replace(free_rolling=gear.free_rolling),
-            _wheels(gear),
+            Wheels((a.amplitude, b.amplitude, c.amplitude, d.amplitude), (a.phase, b.phase, c.phase, d.phase)),
             (prepared[0].nodes, prepared[-1].nodes),
             (prepared[0].grid(track), prepared[-1].grid(track)),
             track.spline_coefficients(),
@@ -222,26 +228,16 @@ def simulate_gear(
     )
     mass_roll = out[: gear.axles, GEAR_OUTPUTS.index("roll")].mean(axis=0)  # it rests on the axles
     return tuple(
-        replace(
-            _motion(out[axle], speed, at),
+        motion_of(
+            out[axle, : len(OUTPUTS)],
+            speed,
+            at,
             outside=int(outside[axle]),
             frame_yaw=None if gear.bogie is None else out[axle, -1],
             path_accelerations=None if sensed is None else sensed[axle],
             mass_roll=mass_roll,
         )
         for axle, at in enumerate(courses)
-    )
-
-
-def _motion(out: FloatArray, speed: FloatArray, distance: FloatArray) -> WheelsetMotion:
-    named = dict(zip(OUTPUTS, out[: len(OUTPUTS)], strict=True))
-    return WheelsetMotion(
-        t=STEP * np.arange(len(speed), dtype=np.float64),
-        distance=distance,
-        speed=speed,
-        roll_acceleration=time_derivative(named["roll_rate"], STEP),
-        outside=0,
-        **named,
     )
 
 
@@ -254,22 +250,6 @@ def _parts(gear: RunningGear, speed: FloatArray) -> np.ndarray:
     fewest = int(np.ceil(gear.fastest_mode() * STEP / RATE_LIMIT))
     stands = np.maximum(speed[1:], speed[:-1]) < STANDSTILL  # without creep
     return np.where(stands, fewest, np.maximum(sub_steps(speed, STEP, rate, RATE_LIMIT), fewest))
-
-
-def _of_two(shares: tuple[float, ...] | None, mass: float) -> tuple[float, float]:
-    """Return the mass that each axle accelerates, kg; 0 where the speed is forced."""
-    if shares is None:
-        return 0.0, 0.0
-    return mass * shares[0], mass * shares[-1]
-
-
-def _wheels(gear: RunningGear) -> Wheels:
-    axles = gear.wheels or ((Wheel(), Wheel()),)
-    (a, b), (c, d) = axles[0], axles[-1]
-    return Wheels(
-        (a.amplitude, b.amplitude, c.amplitude, d.amplitude),
-        (a.phase, b.phase, c.phase, d.phase),
-    )
 
 
 def _start(gear: RunningGear, track: TrackTruth, start: float, speed: float) -> FloatArray:

@@ -38,7 +38,7 @@ from ingest.simulator.scenario import (
 from ingest.simulator.section import RailFiles, SectionTable
 from ingest.simulator.sensors import SensorNode, SensorsTable
 from ingest.simulator.wear import DAYS_PER_YEAR, rail_in, wheel_in
-from ingest.vehicle_class_file import read_vehicle_class, shipped_classes, shipped_path
+from ingest.vehicle_class_schema import read_vehicle_class, shipped_classes, shipped_path
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,15 +105,21 @@ class ScenarioTable:
         if self.drawn_fleet is not None and "vehicles" in given:
             raise field_error("cannot be given beside 'drawn_fleet'", "vehicles")
         self._check_unique()
-        self._check_campaigns()
+        for index, vehicle in enumerate(self.vehicles):
+            for k, wheelset in enumerate(vehicle.wheelsets):
+                if wheelset.fault is not None:
+                    self._check_campaign(wheelset.fault.from_campaign, "vehicles", index, "wheelsets", k, "fault")
         for index, vehicle in enumerate(self.vehicles):
             if math.isfinite(vehicle.longest_run) and self.sessions.whole_section:
                 reason = "runs over the whole section are not shorter for one vehicle"
                 raise field_error(reason, "vehicles", index, "minutes_each")
-        self._check_stretches()
-        self._check_flats()
+        self._check_running()
         self._check_bogies()
-        self._check_driven_axles()
+        drawn = self.drawn_fleet
+        fewest = min(len(vehicle.wheelsets) for vehicle in self.vehicles) if drawn is None else drawn.wheelsets
+        for axle in () if self.traction is None else self.traction.driven_axles:
+            if axle > fewest:
+                raise field_error(f"there is no axle {axle} in every vehicle", "traction", "driven_axles")
         self._check_length()
         self._check_growth_of_rail_wear()
         return self
@@ -131,25 +137,17 @@ class ScenarioTable:
                 if count > 1:
                     raise field_error(f"{what} {name!r} occurs twice", "vehicles")
 
-    def _check_campaigns(self) -> None:
-        for i, vehicle in enumerate(self.vehicles):
-            for k, wheelset in enumerate(vehicle.wheelsets):
-                if wheelset.fault is not None:
-                    self._check_campaign(wheelset.fault.from_campaign, "vehicles", i, "wheelsets", k, "fault")
-
     def _check_campaign(self, campaign: int, *place: str | int) -> None:
         if campaign > self.sessions.campaigns:
             reason = f"{campaign} is outside the range: at most {self.sessions.campaigns}"
             raise field_error(reason, *place, "from_campaign")
 
-    def _check_stretches(self) -> None:
+    def _check_running(self) -> None:
         for i, stretch in enumerate(self.creep.stretches):
             if self.length is not None and stretch.end > self.length:
                 reason = f"{stretch.end:g} is outside the range: at most {self.length:g}, the length of the section"
                 raise field_error(reason, "creep", "stretches", i, "to_m")
             self._check_campaign(stretch.from_campaign, "creep", "stretches", i)
-
-    def _check_flats(self) -> None:
         serials = {wheelset.serial for vehicle in self.vehicles for wheelset in vehicle.wheelsets}
         if self.drawn_fleet is not None:
             serials = {drawn_serial(rank) for rank in range(self.drawn_fleet.places)}
@@ -168,13 +166,6 @@ class ScenarioTable:
             reason = impossible_bogies(vehicle.offsets(bogie), bogie.wheelbase)
             if reason is not None:
                 raise field_error(reason, "vehicles", index, "axle_offsets_m")
-
-    def _check_driven_axles(self) -> None:
-        drawn = self.drawn_fleet
-        fewest = min(len(vehicle.wheelsets) for vehicle in self.vehicles) if drawn is None else drawn.wheelsets
-        for axle in () if self.traction is None else self.traction.driven_axles:
-            if axle > fewest:
-                raise field_error(f"there is no axle {axle} in every vehicle", "traction", "driven_axles")
 
     def _check_length(self) -> None:
         length, duration = self.length, self.sessions.duration
@@ -207,22 +198,16 @@ class ScenarioTable:
         parameters, bogie, sessions = self.dynamics.parameters, self.dynamics.bogie, self.sessions
         if math.isinf(sessions.duration):
             sessions = replace(sessions, duration=((self.length or 0.0) + 2.0 * MARGIN) / self.speed.lowest)
-        scenario = Scenario(
-            name=self.name,
-            description=self.description,
-            seed=self.seed,
+        scenario = taken(
+            Scenario,
+            self,
             fleet_code=self.fleet.code,
             fleet_name=self.fleet.name,
             parameters=parameters,
             section=self.section.plan(),
-            sensors=self.sensors,
-            speed=self.speed,
             sessions=sessions,
-            bus=self.bus,
-            position=self.position,
             vehicles=tuple(vehicle.plan(parameters.nominal_radius, bogie) for vehicle in self.vehicles),
             drawn=self.drawn_fleet,
-            vehicle_errors=self.vehicle_errors,
             bogie=bogie,
             class_on_file=None if self.class_on_file is None else self.class_on_file.plan(),
             running=self._running(),
@@ -230,18 +215,16 @@ class ScenarioTable:
         return with_seed(scenario, self.seed)
 
     def _running(self) -> RunningPlan:
-        return RunningPlan(
+        return taken(
+            RunningPlan,
+            self.wheels,
             creep=taken(Creep, self.creep),
             friction=self.creep.friction_plan(),
             cross_level=self.section.cross_level,
             load_variation=self.section.load_variation,
-            out_of_round=self.wheels.out_of_round,
             traction=self.traction is not None,
             driven_axles=() if self.traction is None else self.traction.driven_axles,
-            contact_half_width=self.wheels.contact_half_width,
-            contact_step=self.wheels.contact_step,
             stretches=self.creep.stretches,
-            flats=self.wheels.flats,
             track_blows=self.section.blows,
         )
 
@@ -253,11 +236,7 @@ def builtin_scenarios() -> tuple[str, ...]:
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """Read a scenario.
-
-    Args:
-        name_or_path: The name of a built-in scenario, or else a file.
-    """
+    """Read a scenario."""
     if str(name_or_path) in builtin_scenarios():
         with as_file(files("ingest.simulator") / "scenarios" / f"{name_or_path}.toml") as path:
             return read_scenario(path)

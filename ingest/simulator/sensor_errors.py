@@ -69,11 +69,7 @@ class NodeErrors(FrozenArrays):
 
 
 def draw_node_errors(plan: SensorErrors, node: np.random.Generator, campaign: np.random.Generator) -> NodeErrors:
-    """Return what one node has in one campaign.
-
-    Args:
-        campaign: Random stream of the node and the campaign: the temperature.
-    """
+    """Return what one node has in one campaign."""
     scale, turned, skew = node.standard_normal(CHANNELS), node.standard_normal((2, AXES)), node.standard_normal()
     slope, drift = campaign.standard_normal((2, CHANNELS))
     return NodeErrors(
@@ -108,7 +104,6 @@ def in_sensor_axes(true: FloatArray, longitudinal: FloatArray, errors: NodeError
 
     Args:
         true: (4, n) in the axes of the vehicle, in the order of ``ACCELERATIONS``.
-        longitudinal: (n,) acceleration of the vehicle, m/s^2.
         gravity: Whether the transducers measure it: 9.81 m/s^2 upwards at rest.
     """
     lateral, yaw, roll, mass = true

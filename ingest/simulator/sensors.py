@@ -10,7 +10,7 @@ that they measure. Quantisation to int16 happens in the codec, by the scale of t
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Annotated, Self
 
@@ -124,14 +124,18 @@ def measure(
     """
     n, stride = len(motion), node.stride
     size = -(-n // stride)
-    signals = _true_signals(motion, node, errors, short_pulses=short_pulses and node.anti_alias)
-    if errors is not None:
-        signals = list(_with_errors(signals, errors, rng))
+    signals = _true_signals(motion, node, errors, rng, short_pulses=short_pulses and node.anti_alias)
     values, clipped = np.empty((size, 4)), np.zeros((size, 4), dtype=np.bool_)
     taps = _low_pass(stride) if node.anti_alias and stride > 1 else None
     for place, channel in enumerate(node.channels):
-        true = _rate(signals[place]) if channel.gyroscope else signals[place]
-        raw = _transduce(true, channel, float(offsets[place]), rng)
+        true = signals[place]
+        if channel.gyroscope:  # the integral from its begin: the rate, but for that at first
+            true = np.concatenate([[0.0], np.cumsum(0.5 * STEP * (true[1:] + true[:-1]))])
+        raw = np.asarray(true + float(offsets[place]))
+        if channel.noise_density > 0.0:
+            raw += channel.noise_density * np.sqrt(0.5 / STEP) * rng.standard_normal(n)
+        if channel.drift > 0.0:
+            raw += _random_walk(n, channel.drift, rng)
         if errors is not None and errors.offset_slope[place] != 0.0:
             raw += errors.offset_slope[place] * STEP * np.arange(n)
         if np.isfinite(channel.limit):
@@ -146,7 +150,12 @@ def measure(
 
 
 def _true_signals(
-    motion: WheelsetMotion, node: SensorNode, errors: NodeErrors | None, *, short_pulses: bool
+    motion: WheelsetMotion,
+    node: SensorNode,
+    errors: NodeErrors | None,
+    rng: np.random.Generator,
+    *,
+    short_pulses: bool,
 ) -> list[FloatArray]:
     """Return what the transducers are exposed to, four signals (n,) in the order of ``ACCELERATIONS``."""
     if short_pulses:
@@ -161,35 +170,17 @@ def _true_signals(
     if errors is None:
         return signals
     longitudinal = np.gradient(motion.speed, STEP)
-    return list(in_sensor_axes(np.stack(signals), longitudinal, errors, gravity=node.measures_gravity))
-
-
-def _with_errors(signals: Sequence[FloatArray], errors: NodeErrors, rng: np.random.Generator) -> FloatArray:
-    """Return the signals (4, n) of a node that is late, vibrates, and has another scale, which changes with time."""
-    late = sampled_late(np.stack(signals), errors.skew, STEP)
+    turned = in_sensor_axes(np.stack(signals), longitudinal, errors, gravity=node.measures_gravity)
+    late, n = sampled_late(turned, errors.skew, STEP), len(motion)
     if errors.vibration is not None:
-        late += vibration_of(errors.vibration, late.shape[1], STEP, rng)
-    passed = np.linspace(0.0, 1.0, late.shape[1])
-    return np.asarray(late * (errors.scale[:, None] + np.outer(errors.scale_drift, passed)))
-
-
-def _rate(acceleration: FloatArray) -> FloatArray:
-    """Return the integral (n,) of a signal from its begin: what a gyroscope measures, but for the rate at first."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * STEP * (acceleration[1:] + acceleration[:-1]))])
+        late += vibration_of(errors.vibration, n, STEP, rng)
+    drift = np.outer(errors.scale_drift, np.linspace(0.0, 1.0, n))
+    return list(np.asarray(late * (errors.scale[:, None] + drift)))
 
 
 def draw_offsets(node: SensorNode, rng: np.random.Generator) -> FloatArray:
     """Return the constant offsets (4,) of one sensor."""
     return np.array([channel.offset * rng.standard_normal() for channel in node.channels])
-
-
-def _transduce(true: FloatArray, channel: Channel, offset: float, rng: np.random.Generator) -> FloatArray:
-    raw = true + offset
-    if channel.noise_density > 0.0:
-        raw += channel.noise_density * np.sqrt(0.5 / STEP) * rng.standard_normal(len(true))
-    if channel.drift > 0.0:
-        raw += _random_walk(len(true), channel.drift, rng)
-    return np.asarray(raw)
 
 
 def _random_walk(n: int, per_root_second: float, rng: np.random.Generator) -> FloatArray:
@@ -291,8 +282,21 @@ class SensorsTable:
         if self.kind == "ideal":
             return ideal_node(self.rate_hz)
         angular = Channel(self.angular_noise, self.angular_offset, self.angular_drift, self.angular_limit)
+        linear_slope, angular_slope = self.offset_drift_std, self.angular_offset_drift_std
         if self.gyroscopes:
             angular = Channel(self.gyroscope_noise, limit=self.gyroscope_limit, gyroscope=True)
+            angular_slope = 0.0
+        box = self.axle_box_vibration, self.axle_box_angular_vibration
+        errors = SensorErrors(
+            scale=self.scale_error_std,
+            mounting=self.mounting_error_std,
+            skew=self.skew_std,
+            offset_slope=(linear_slope, angular_slope, angular_slope, linear_slope),
+            scale_drift=self.scale_drift_std,
+            vibration=Vibration(*box, self.mass_vibration_share, self.vibration_from_hz, self.vibration_to_hz)
+            if any(box)
+            else None,
+        )
         return SensorNode(
             Channel(self.lateral_noise, self.lateral_offset, self.lateral_drift, self.lateral_limit),
             angular,
@@ -300,26 +304,7 @@ class SensorsTable:
             Channel(self.mass_noise, self.mass_offset, self.mass_drift, self.mass_limit),
             rate_hz=self.rate_hz,
             anti_alias=self.anti_alias,
-            errors=self._errors(),
+            errors=errors,
             measures_gravity=self.measures_gravity,
             on_mass=self.mass_sensor,
-        )
-
-    def _errors(self) -> SensorErrors:
-        linear, angular = self.offset_drift_std, 0.0 if self.gyroscopes else self.angular_offset_drift_std
-        vibrates = self.axle_box_vibration > 0.0 or self.axle_box_angular_vibration > 0.0
-        vibration = Vibration(
-            self.axle_box_vibration,
-            self.axle_box_angular_vibration,
-            self.mass_vibration_share,
-            self.vibration_from_hz,
-            self.vibration_to_hz,
-        )
-        return SensorErrors(
-            scale=self.scale_error_std,
-            mounting=self.mounting_error_std,
-            skew=self.skew_std,
-            offset_slope=(linear, angular, angular, linear),
-            scale_drift=self.scale_drift_std,
-            vibration=vibration if vibrates else None,
         )

@@ -11,15 +11,17 @@ import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from estimation.values.arrays import FloatArray
 from estimation.values.fields import JsonValue
+from estimation.values.reasons import utc_text
+from estimation.values.registry import Mounting, Reprofiling
+from ingest.file_value import entry_of
 from ingest.simulator.campaign import failed
-from ingest.simulator.scenario import ClassOnFile, Scenario, VehiclePlan, WheelsetPlan
+from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
 from ingest.simulator.section import SectionPlan
 from ingest.simulator.sensors import Channel
 from ingest.simulator.track import TrackTruth, write_track
@@ -83,18 +85,16 @@ class WheelsetTruth:
     geometry: GeometryTruth
 
 
-def iso_time(t_ns: int) -> str:
-    """Return a time in whole seconds as ISO 8601 in UTC."""
-    return datetime.fromtimestamp(t_ns // 1_000_000_000, tz=UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
 def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: TrackTruth) -> Path:
     """Write the registry and, if there is one, the surveyed track into ``folder``; return the registry's path."""
     section = scenario.section
     track_file = f"{section.code.lower()}.csv"
     length = track.length if section.recipe is None else section.recipe.length
     if section.surveyed or section.gauge_surveyed:
-        write_track(folder / track_file, _on_section(survey, length), gauge_only=not section.surveyed)
+        on = (survey.s >= 0.0) & (survey.s <= length)
+        if not on.all() and survey.curves is None:
+            survey = TrackTruth(survey.s[on], survey.alignment[on], survey.gauge_deviation[on])
+        write_track(folder / track_file, survey, gauge_only=not section.surveyed)
     content: dict[str, JsonValue] = {
         "format": REGISTRY_FORMAT,
         "fleets": [{"code": scenario.fleet_code, "name": scenario.fleet_name}],
@@ -104,10 +104,12 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
         "vehicles": [_vehicle(scenario, plan) for plan in scenario.vehicles],
         "wheelsets": [_wheelset(scenario, item) for plan in scenario.vehicles for item in plan.wheelsets],
         "mountings": [
-            _mounting(scenario, plan, axle) for plan in scenario.vehicles for axle in range(len(plan.wheelsets))
+            entry_of(_mounting(scenario, plan, axle))
+            for plan in scenario.vehicles
+            for axle in range(len(plan.wheelsets))
         ],
         "reprofilings": [
-            _reprofiling(scenario, item, odometer)
+            entry_of(_reprofiling(scenario, item, odometer))
             for plan in scenario.vehicles
             for item in plan.wheelsets
             if item.reprofilings_registered
@@ -116,7 +118,9 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
         "track_sections": [_section(section, length, track_file)],
     }
     if scenario.class_on_file is not None:
-        content["vehicle_classes"] = [_class_file(folder, scenario.class_on_file)]
+        path = scenario.class_on_file.path
+        shutil.copyfile(path, folder / path.name)
+        content["vehicle_classes"] = [{"file": path.name}]
     if scenario.drawn is not None and scenario.drawn.profiles_measured:
         content["measured_profiles"] = _measured_profiles(folder, scenario, scenario.drawn.profiles_measured)
     return write_json(folder / REGISTRY_FILE, content)
@@ -172,14 +176,6 @@ def _section(section: SectionPlan, length: float, track_file: str) -> JsonValue:
     return entry
 
 
-def _on_section(track: TrackTruth, length: float) -> TrackTruth:
-    """Return the part of a track on the section itself, 0 to ``length`` m."""
-    on = (track.s >= 0.0) & (track.s <= length)
-    if on.all() or track.curves is not None:
-        return track
-    return TrackTruth(track.s[on], track.alignment[on], track.gauge_deviation[on])
-
-
 def _measured_profiles(folder: Path, scenario: Scenario, count: int) -> list[JsonValue]:
     wheelsets = sorted((item for plan in scenario.vehicles for item in plan.wheelsets), key=lambda item: item.serial)
     entries: list[JsonValue] = []
@@ -187,7 +183,7 @@ def _measured_profiles(folder: Path, scenario: Scenario, count: int) -> list[Jso
         wear = wear_at(plan, scenario.odometer(0))
         entry: dict[str, JsonValue] = {
             "wheelset": plan.serial,
-            "at": iso_time(scenario.sessions.start_ns),
+            "at": utc_text(scenario.sessions.start_ns),
             "mileage_km": 1e-3 * wear.mileage,
         }
         for side, profile in zip(("left", "right"), worn_profiles(plan, wear), strict=True):
@@ -196,11 +192,6 @@ def _measured_profiles(folder: Path, scenario: Scenario, count: int) -> list[Jso
             entry[side] = {"file": name}
         entries.append(entry)
     return entries
-
-
-def _class_file(folder: Path, on_file: ClassOnFile) -> JsonValue:
-    shutil.copyfile(on_file.path, folder / on_file.path.name)
-    return {"file": on_file.path.name}
 
 
 def _vehicle(scenario: Scenario, plan: VehiclePlan) -> JsonValue:
@@ -229,28 +220,15 @@ def _wheelset(scenario: Scenario, plan: WheelsetPlan) -> JsonValue:
     }
 
 
-def _mounting(scenario: Scenario, vehicle: VehiclePlan, axle: int) -> JsonValue:
-    plan = vehicle.wheelsets[axle]
-    odometer = scenario.sessions.first_odometer
-    return {
-        "wheelset": plan.serial,
-        "vehicle": vehicle.code,
-        "axle": axle + 1,
-        "from": iso_time(scenario.sessions.start_ns),
-        "to": None,
-        "vehicle_odometer_km": 1e-3 * odometer,
-        "wheelset_mileage_km": 1e-3 * (plan.initial_mileage + odometer),
-        "reversed": False,
-    }
+def _mounting(scenario: Scenario, vehicle: VehiclePlan, axle: int) -> Mounting:
+    plan, odometer = vehicle.wheelsets[axle], scenario.sessions.first_odometer
+    km = 1e-3 * odometer, 1e-3 * (plan.initial_mileage + odometer)
+    return Mounting(plan.serial, vehicle.code, axle + 1, scenario.sessions.start_ns, None, *km)
 
 
-def _reprofiling(scenario: Scenario, plan: WheelsetPlan, odometer: float) -> JsonValue:
-    return {
-        "wheelset": plan.serial,
-        "at": iso_time(scenario.at_odometer_ns(odometer)),
-        "mileage_km": 1e-3 * (plan.initial_mileage + odometer),
-        "note": "turned to the design profile",
-    }
+def _reprofiling(scenario: Scenario, plan: WheelsetPlan, odometer: float) -> Reprofiling:
+    mileage_km = 1e-3 * (plan.initial_mileage + odometer)
+    return Reprofiling(plan.serial, scenario.at_odometer_ns(odometer), mileage_km, "turned to the design profile")
 
 
 def _campaign(scenario: Scenario, vehicle: VehiclePlan, plan: WheelsetPlan, item: WheelsetTruth) -> JsonValue:
@@ -264,7 +242,7 @@ def _campaign(scenario: Scenario, vehicle: VehiclePlan, plan: WheelsetPlan, item
     }
     facts: dict[str, JsonValue] = {
         "campaign": item.campaign,
-        "start": iso_time(scenario.start_ns(vehicle, item.campaign - 1)),
+        "start": utc_text(scenario.start_ns(vehicle, item.campaign - 1)),
         "odometer_km": 1e-3 * scenario.odometer(item.campaign - 1),
         "mileage_km": 1e-3 * wear.mileage,
         "reprofilings": wear.reprofilings,
@@ -285,10 +263,3 @@ def _millimetres(values: FloatArray) -> list[JsonValue]:
 
 def _numbers(values: FloatArray, decimals: int) -> list[JsonValue]:
     return [round(float(value), decimals) if np.isfinite(value) else None for value in values]
-
-
-def wheelset_truth(
-    plan: VehiclePlan, axle: int, campaign: int, odometer: float, geometry: GeometryTruth
-) -> WheelsetTruth:
-    """Return the truth of one wheelset in one campaign."""
-    return WheelsetTruth(plan.code, axle + 1, campaign + 1, wear_at(plan.wheelsets[axle], odometer), geometry)

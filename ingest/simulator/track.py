@@ -109,8 +109,6 @@ def path_motion(
     Args:
         curves: Curvature (m,), 1/m, and cant (m,), m, on the grid ``s``.
         s: (m,) m along the section.
-        distance: (n,) m along the section at each sample.
-        speed: (n,) m/s.
     """
     curvature = np.interp(distance, s, curves.curvature)
     tilt = np.interp(distance, s, curves.cant) / (2.0 * p.half_contact_distance)

@@ -13,7 +13,7 @@ from estimation.contact.conicity import equivalent_conicity, nonlinearity_parame
 from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, refined_curve
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.wear import RailWear, TreadWear, worn, worn_rail
+from estimation.contact.wear import TreadWear, worn, worn_rail
 from estimation.values.arrays import FloatArray, FrozenArrays
 from ingest.profiles.files import read_profile, read_wheel_profile
 from ingest.simulator.running import CONTACT_STEP
@@ -23,25 +23,15 @@ from ingest.simulator.section import MGT_OF_GROWTH, SectionPlan
 DAYS_PER_YEAR = 365.25
 
 
-def depth_gained(section: SectionPlan, days: float) -> float:
-    """Return by how much the bands of both rails are deeper after some days of traffic, m."""
-    if section.tonnage is None:
-        return 0.0
-    return section.rail_growth * section.tonnage / MGT_OF_GROWTH * days / DAYS_PER_YEAR
-
-
 def section_at(scenario: Scenario, odometer: float) -> SectionPlan:
     """Return the section as its rails are when the vehicles' odometer stands at ``odometer``, m."""
     section, sessions = scenario.section, scenario.sessions
-    gained = depth_gained(section, (odometer - sessions.first_odometer) / sessions.distance_per_day)
+    days = (odometer - sessions.first_odometer) / sessions.distance_per_day
+    gained = section.rail_growth * (section.tonnage or 0.0) / MGT_OF_GROWTH * days / DAYS_PER_YEAR
     if gained == 0.0:
         return section
-    left, right = (_deeper(one, gained) for one in section.rail_wear)
+    left, right = (one and replace(one, depth=one.depth + gained) for one in section.rail_wear)
     return replace(section, rail_wear=(left, right))
-
-
-def _deeper(wear: RailWear | None, gained: float) -> RailWear | None:
-    return None if wear is None else replace(wear, depth=wear.depth + gained)
 
 
 @lru_cache(maxsize=256)
@@ -60,29 +50,19 @@ def rail_in(path: Path, mirror: bool | None) -> Profile:  # noqa: FBT001 - a pla
     return read_profile(path, "rail", mirror=mirror)
 
 
-def wheels_of(plan: WheelsetPlan) -> tuple[Profile, Profile]:
-    """Return left and right wheel of a wheelset before the wear of the scenario."""
-    left, right = (wheel_profile(plan.wheel_profile) if path is None else wheel_in(path) for path in plan.wheel_files)
-    return left, right
-
-
 def rails_of(section: SectionPlan) -> tuple[Profile, Profile, float]:
     """Return left and right rail of a section as worn, and the inclination (a tangent) that is to be given to them."""
-    left, right, inclination = _unworn_rails(section)
+    left = right = rail_profile(section.rail_profile)
+    inclination = section.inclination
+    if section.rail_files != (None, None):
+        inclination = section.file_inclination
+        left, right = (
+            rail_profile(section.rail_profile) if path is None else rail_in(path, mirror)
+            for path, mirror in zip(section.rail_files, section.rail_mirrors, strict=True)
+        )
     of_left, of_right = section.rail_wear
     left = left if of_left is None else worn_rail(left, of_left)
     return left, right if of_right is None else worn_rail(right, of_right), inclination
-
-
-def _unworn_rails(section: SectionPlan) -> tuple[Profile, Profile, float]:
-    if section.rail_files == (None, None):
-        rail = rail_profile(section.rail_profile)
-        return rail, rail, section.inclination
-    left, right = (
-        rail_profile(section.rail_profile) if path is None else rail_in(path, mirror)
-        for path, mirror in zip(section.rail_files, section.rail_mirrors, strict=True)
-    )
-    return left, right, section.file_inclination
 
 
 AMPLITUDES = tuple(float(a) for a in np.arange(2, 21) * 0.25e-3)  # m
@@ -128,11 +108,11 @@ def worn_contact(
 
     Args:
         gauge_deviation: (g,) m, for which gauges.
-        limit: m of lateral displacement to either side.
-        step: m of lateral displacement between the points of the table.
     """
     wheelset = _on_track(plan, wear, section)
-    return WornContact(wheelset, contact_table(wheelset, _grid(limit, step), gauge_deviation, outside="hold"))
+    half = round(limit / step)
+    grid = np.asarray(step * np.arange(-half, half + 1))
+    return WornContact(wheelset, contact_table(wheelset, grid, gauge_deviation, outside="hold"))
 
 
 def _on_track(plan: WheelsetPlan, wear: WearState, section: SectionPlan) -> WheelsetOnTrack:
@@ -148,11 +128,6 @@ def _on_track(plan: WheelsetPlan, wear: WearState, section: SectionPlan) -> Whee
         left_radius=plan.nominal_radius + 0.25 * plan.diameter_difference,
         right_radius=plan.nominal_radius - 0.25 * plan.diameter_difference,
     )
-
-
-def _grid(limit: float, step: float) -> FloatArray:
-    half = round(limit / step)
-    return np.asarray(step * np.arange(-half, half + 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,11 +150,7 @@ class GeometryTruth(FrozenArrays):
 
 
 def truth_of(contact: WornContact) -> GeometryTruth:
-    """Return the true geometry of a worn wheelset at nominal gauge, whatever gauge its line has.
-
-    Args:
-        contact: As :func:`worn_contact` returns it; contact is searched again, for the wheelset rolls in its table.
-    """
+    """Return the true geometry of a worn wheelset at nominal gauge, whatever gauge its line has."""
     grid = contact.table.lateral_displacement
     table = contact_table(contact.wheelset, grid, method=ContactMethod.EN15302, outside="hold")
     curve = refined_curve(contact.wheelset, table, 0)
@@ -199,7 +170,7 @@ def truth_of(contact: WornContact) -> GeometryTruth:
 
 def worn_profiles(plan: WheelsetPlan, wear: WearState) -> tuple[Profile, Profile]:
     """Return the profiles of the left and the right wheel of ``plan`` after that wear."""
-    left, right = wheels_of(plan)
+    left, right = (wheel_profile(plan.wheel_profile) if path is None else wheel_in(path) for path in plan.wheel_files)
     return _worn(plan, left, wear.depth_left), _worn(plan, right, wear.depth_right)
 
 

@@ -15,9 +15,7 @@ from estimation.errors import InputError, PassingFaultError
 from estimation.values.reasons import ReasonCode
 from ingest.input_file import SETTINGS_BYTES, read_text_within
 
-GROUP = "treadwatch"
-"""The one group of all consumers of a deployment."""
-
+GROUP = "treadwatch"  # the one group of all consumers of a deployment
 OURS = frozenset(
     {
         "bootstrap.servers",

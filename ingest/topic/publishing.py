@@ -24,15 +24,12 @@ from ingest.topic.reference import Reference, message_of, reference_of
 if TYPE_CHECKING:
     from confluent_kafka import KafkaError, Message, Producer
 
-MOST_WAITING = 10_000
-"""References that wait for a broker; what comes beyond is dropped."""
-CLOSE_S = 5.0
-"""How long an end waits for the brokers."""
+MOST_WAITING = 10_000  # references that wait for a broker; what comes beyond is dropped
+CLOSE_S = 5.0  # how long an end waits for the brokers
 POLL_S = 0.1
 BEGIN_AGAIN_EVERY_S = 10.0
 """How often a producer that the brokers refuse for good, such as one without permission, is replaced at most."""
-FLEET_COUNTS_S = 60.0
-"""How long the fleet of a vehicle counts that was looked up; it only decides the partition."""
+FLEET_COUNTS_S = 60.0  # how long the fleet of a vehicle counts that was looked up; it only decides the partition
 FLEETS_KEPT = 10_000
 
 _log = logging.getLogger(__name__)
@@ -51,7 +48,6 @@ class Publisher:
 
     Args:
         fleet_of: Returns the fleet of a vehicle; raises TreadwatchError where it is not known.
-        most_waiting: References that may wait.
     """
 
     def __init__(self, topic: Topic, fleet_of: Callable[[str], str], most_waiting: int = MOST_WAITING) -> None:

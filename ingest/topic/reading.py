@@ -16,8 +16,7 @@ from ingest.topic.reference import ConsumerStatus
 if TYPE_CHECKING:
     from confluent_kafka import Consumer, KafkaError, TopicPartition
 
-STAY_EVERY_S = 10.0
-"""A member that works for so long at one message takes part in its group in between."""
+STAY_EVERY_S = 10.0  # a member that works for so long at one message takes part in its group in between
 SHORT_POLL_S = 0.2
 ASK_S = 2.0
 

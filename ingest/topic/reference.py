@@ -40,12 +40,9 @@ class Refused:
 
 
 VERSION = 1
-MOST_BYTES = 4096
-"""Of the value of a message; what is larger is no reference."""
+MOST_BYTES = 4096  # of the value of a message; what is larger is no reference
 MOST_NAME_LETTERS = 255
-SHOWN = 200
-"""Letters of what is wrong with a message that the log shows."""
-
+SHOWN = 200  # letters of what is wrong with a message that the log shows
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _PRINTABLE = r"^[^\x00-\x1f\x7f]+$"
 

@@ -10,11 +10,11 @@ from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
 from estimation.values.geometry import BinStatus, BinValues, Centre, CentreOrigin, GeometryRecord, WheelsetGeometry
-from estimation.values.opinions import GEAR_DAMPERS, GearDamper, part_of_gear
-from estimation.values.quantities import Estimate, Forecast, Status, with_interval
-from estimation.values.rails import (
+from estimation.values.opinions import (
+    GEAR_DAMPERS,
     SECTION_RAILS,
     WHEELSET_RAILS,
+    GearDamper,
     RailKey,
     RailPart,
     RailsFinding,
@@ -23,7 +23,9 @@ from estimation.values.rails import (
     WheelKey,
     WheelPart,
     WheelsFinding,
+    part_of_gear,
 )
+from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.results import Result
@@ -41,7 +43,7 @@ from estimation.values.signatures import (
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.trend import SuspensionFinding, TrendRecord, WearTrend
 from estimation.values.windows import Window, WindowQuality
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 
 SECOND = 1_000_000_000
 DAY = 86_400 * SECOND

@@ -34,7 +34,7 @@ class Guarded:
         fleets = None if fleet is None else frozenset({fleet})
         with self.storage.write() as unit:
             _, token = make_key(unit, Wanted(owner, EVERYTHING - {without}, fleets, None), "a test", time.time_ns())
-        return {"Authorization": f"Bearer {token.text}"}
+        return {"Authorization": f"Bearer {token}"}
 
     def alert(self) -> str:
         """Return the path of a new alert of fleet ``alpha``."""

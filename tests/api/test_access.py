@@ -13,7 +13,7 @@ from guarded_service import Guarded, guarded_service, settings_in
 
 from api.access import key_ring
 from api.access.guard import plan_of
-from api.feed import streams
+from api.feed import watch as feed_watch
 from estimation.errors import ParameterError
 from fleet_db.stores.access import ApiKeyStore
 
@@ -68,7 +68,7 @@ def test_a_revoked_key_is_refused(guarded: Guarded, monkeypatch: pytest.MonkeyPa
 def test_the_stream_and_the_long_poll_of_a_revoked_key_end(guarded: Guarded, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(key_ring, "AGAIN_S", 0.0)
     monkeypatch.setattr(key_ring, "AT_MOST_S", 0.0)
-    monkeypatch.setattr(streams, "ASKED_EVERY_S", 0.2)
+    monkeypatch.setattr(feed_watch, "ASKED_EVERY_S", 0.2)
     boss, other = guarded.key("boss"), guarded.key("other")
     latest = guarded.client.get("/v1/alerts/feed?after=latest", headers=other).json()["next_cursor"]
     with (
@@ -85,13 +85,13 @@ def test_the_stream_and_the_long_poll_of_a_revoked_key_end(guarded: Guarded, mon
         assert guarded.client.post(f"/v1/keys/{prefix}/revoke", headers=boss).status_code == 200
         for _ in parts:
             pass
-        assert time.monotonic() - began < streams.HEARTBEAT_S  # it ends, and not at a sign of life
+        assert time.monotonic() - began < feed_watch.HEARTBEAT_S  # it ends, and not at a sign of life
         assert polled.result().status_code == 401
         assert polled.result().headers["www-authenticate"].endswith('error="invalid_token"')
 
 
 def test_how_often_a_stream_asks_for_its_key() -> None:
-    assert streams.ASKED_EVERY_S + key_ring.AT_MOST_S <= 20.0
+    assert feed_watch.ASKED_EVERY_S + key_ring.AT_MOST_S <= 20.0
 
 
 def test_a_key_is_read_once_for_many_requests(guarded: Guarded, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,15 +13,18 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from api.cli import build
-from api.comparison.report import as_json, nearest, sentences_of
+from api.comparison.report import as_json, draw_errors, nearest, sentences_of
 from api.comparison.study import AMPLITUDES, Example, PairStudy, Score, TrueWheelset, conicity_errors
 from api.comparison.study import TrackInformation as Track
-from api.plots.compare import draw_errors
 from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import SHIPPED, estimators
-from estimation.estimators.interface import EstimatorParameters
-from estimation.estimators.replicates import Replicates, curve_estimate
-from estimation.estimators.wheelset_geometry import PublishedBins, geometry_from_curve
+from estimation.estimators.interface import (
+    EstimatorParameters,
+    PublishedBins,
+    Replicates,
+    curve_estimate,
+    geometry_from_curve,
+)
 from estimation.tables.bin_table import BinParameters
 
 SCENARIO = """\

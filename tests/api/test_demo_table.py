@@ -6,7 +6,7 @@ import io
 
 from rich.console import Console
 
-from api.demo.table import WheelsetLine, tables
+from api.demo.findings import WheelsetLine, tables
 
 LINES = [
     WheelsetLine(

@@ -12,9 +12,7 @@ from running_service import Service
 
 from api.access.guard import security_headers
 from api.app import committed_document
-from api.openapi.document import DETAILS
 from api.openapi.words import OF_SCHEMA, undescribed
-from api.problems import TYPES
 
 DOCUMENT = json.loads(committed_document())
 SCHEMAS = DOCUMENT["components"]["schemas"]
@@ -29,8 +27,7 @@ def test_every_property_is_described_and_no_description_is_left_over() -> None:
     assert set(OF_SCHEMA) - fields == set()
 
 
-def test_every_kind_of_problem_has_an_example_and_each_example_validates() -> None:
-    assert set(DETAILS) == set(TYPES)
+def test_every_problem_has_an_example_that_validates() -> None:
     validator = jsonschema_rs.validator_for(
         {"$ref": "#/components/schemas/Problem", "components": DOCUMENT["components"]}
     )

@@ -11,10 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli import build
-from api.terminal.estimate import summary
-from api.terminal.reasons import fleet_reasons, summary_lines
+from api.terminal.estimate import fleet_reasons, summary, summary_lines
 from estimation.errors import ParameterError
-from estimation.jobs.steps.refusals import refusals_text
+from estimation.jobs.estimate_windows import refusals_text
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 from estimation.values.windows import WindowState

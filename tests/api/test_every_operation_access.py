@@ -24,7 +24,7 @@ from access_examples import Named
 from one_database import in_turn
 from running_service import running
 
-from api.access.key_ring import Wanted, make_key
+from api.access.key_ring import Wanted, digest_of, make_key
 from api.app import committed_document
 from api.factory import open_store
 from api.settings import Settings
@@ -170,13 +170,13 @@ def guarded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
         wanted |= {"revoked": wanted["all"], "expired": wanted["all"]}
         for name, one in wanted.items():
             made, token = make_key(unit, one, "the test", now_ns)
-            keys[name] = token.text
+            keys[name] = token
             if name == "revoked":
                 unit.api_keys.revoke(made.prefix, now_ns)
             if name == "expired":
                 other = f"{'c' * 8}"
-                keys[name] = token.text.replace(made.prefix, other)
-                digest = replace(token, text=keys[name]).digest
+                keys[name] = token.replace(made.prefix, other)
+                digest = digest_of(keys[name])
                 unit.api_keys.add(replace(made, prefix=other, digest=digest, expires_ns=now_ns - 1))
     with running(settings) as address, httpx.Client(base_url=address, timeout=60.0) as client:
         yield Guarded(client, keys, numbers)

@@ -19,7 +19,7 @@ from sqlalchemy import text
 
 from api import middleware
 from api.factory import open_store
-from api.feed import streams, watch
+from api.feed import watch as feed_watch
 from api.settings import Settings
 from estimation.values.alerts import Alert
 from fleet_db.migrate import upgrade
@@ -138,7 +138,7 @@ def test_a_stream_has_the_filter_of_its_cursor(service: Service) -> None:
 def test_a_stream_shows_that_it_lives_and_moves_its_cursor_on(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(streams, "HEARTBEAT_S", 0.3)
+    monkeypatch.setattr(feed_watch, "HEARTBEAT_S", 0.3)
     with streaming(service.url, params={"kind": "suspension_change", "after": "latest"}) as response:
         found = blocks(response)
         while (before := next(found))[""] != "still here":
@@ -221,8 +221,8 @@ def test_a_stream_of_another_history_is_refused_and_one_that_goes_on_ends(alone:
 def test_a_client_far_behind_reads_the_database_and_misses_nothing(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(watch, "KEPT", 3)
-    monkeypatch.setattr(streams, "CATCH_UP", 4)
+    monkeypatch.setattr(feed_watch, "KEPT", 3)
+    monkeypatch.setattr(feed_watch, "CATCH_UP", 4)
     alerts: list[int] = []
     with streaming(service.url, params={"after": "latest"}) as response:
         found = events(response)

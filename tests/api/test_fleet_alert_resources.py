@@ -9,7 +9,7 @@ import httpx
 from running_service import Service
 
 from estimation.alerts.rules.book import RuleBook
-from estimation.jobs.steps.fleet_alerts import raise_in_fleet
+from estimation.jobs.evaluate_alerts import raise_in_fleet
 from estimation.values.alerts import Alert, AlertEventKind, Transition
 
 MEMBERS = api_fleet.WHEELSETS[11:18]

@@ -11,7 +11,7 @@ from api.factory import rails_settings
 from api.routes.opinions import section_rails
 from api.settings import known_sections, load_settings
 from estimation.errors import ParameterError
-from estimation.jobs.rails_settings import KnownSection
+from estimation.jobs.settings import KnownSection
 from estimation.values.reasons import Reason, ReasonCode
 
 DAY_NS = 86_400 * 10**9

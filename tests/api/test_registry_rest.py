@@ -16,7 +16,7 @@ from running_service import Service
 from api.times import to_rfc3339
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.values.registry import Mounting, WheelsetRecord
-from ingest.vehicle_class_file import shipped_path
+from ingest.vehicle_class_schema import shipped_path
 
 DAY = api_fleet.DAY
 BEGIN = api_fleet.START + 20 * DAY

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from importlib import import_module
 
@@ -12,7 +13,7 @@ from in_process_command import Run
 
 from api.cli import COMMANDS
 from api.settings import Settings
-from api.terminal.settings import default_of, meanings, variable_of
+from api.terminal.settings import default_of, described, variable_of
 
 OWN = {("demo", "port"), ("rules replay", "rules_file"), ("simulate", "workers")}
 """Options that have a setting's name and are not read from it."""
@@ -39,7 +40,8 @@ def test_every_setting_is_listed_with_its_default_and_meaning(treadwatch: Run) -
     printed = treadwatch("settings").stdout
     for name in Settings.model_fields:
         assert re.search(rf"^{variable_of(name)} +{re.escape(default_of(name))}( |$)", printed, re.MULTILINE), name
-    assert set(meanings()) == set(Settings.model_fields)
+    documented = [name for names, _ in described(inspect.getdoc(Settings) or "") for name in names]
+    assert set(documented) == set(Settings.model_fields)
     assert all(len(line) <= 100 for line in printed.splitlines())
 
 

@@ -26,7 +26,7 @@ from estimation.values.windows import WindowPosition, WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.window_counts import COUNTED, _grouped
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 
 SERIAL, OTHER = "W-1", "W-2"
 AT = f"/v1/wheelsets/{SERIAL}"

@@ -9,7 +9,7 @@ import httpx
 import pytest
 from running_service import Service
 
-from ingest.vehicle_class_file import shipped_class, shipped_classes
+from ingest.vehicle_class_schema import shipped_class, shipped_classes
 
 COACH = replace(shipped_class("coach"), code="regional")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from in_process_command import Run
 
-from ingest.vehicle_class_file import shipped_classes, shipped_path
+from ingest.vehicle_class_schema import shipped_classes, shipped_path
 
 PAGE = Path(__file__).parents[2] / "docs" / "vehicles.md"
 

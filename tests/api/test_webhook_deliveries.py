@@ -34,8 +34,8 @@ from api.webhooks.targets import Network, Targets, networks_of
 from estimation.errors import StorageError
 from estimation.values.registry import FleetRecord, WheelsetRecord
 from fleet_db.migrate import upgrade
+from fleet_db.process_locks import sending_alone
 from fleet_db.session import database_engine
-from fleet_db.sole_sender import sending_alone
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.webhook_records import Delivery, DeliveryState, DisabledReason, Failure, Webhook, WebhookState
 

@@ -17,8 +17,8 @@ from one_database import in_turn
 from populated_service import populated_service
 from running_service import Service
 
+from api.answers import columns_of
 from api.app import committed_document
-from api.csv_tables import columns_of
 from api.routes.worklist import WheelsetRow, WorklistSort
 from estimation.values.alerts import AlertEventKind, Severity, Urgency
 from estimation.worklist.row import TURN

@@ -9,7 +9,7 @@ import pytest
 
 from ingest.simulator.fleet import prepare
 from ingest.simulator.scenario_file import read_scenario
-from ingest.vehicle_class_file import read_vehicle_class, shipped_class
+from ingest.vehicle_class_schema import read_vehicle_class, shipped_class
 
 SCENARIOS = Path(__file__).parents[2] / "bench" / "vehicle_scenarios"
 FILES = sorted(SCENARIOS.glob("*.toml"))

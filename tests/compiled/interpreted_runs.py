@@ -9,8 +9,7 @@ from types import CodeType, FrameType
 from typing import Protocol
 
 import numpy as np
-
-from api.kernel_runs import results
+from kernel_runs import results
 
 
 class Tracer(Protocol):

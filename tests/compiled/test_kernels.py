@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import linecache
 import os
-import pkgutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,13 +12,13 @@ from types import CodeType
 from typing import Any
 
 import interpreted_runs
+import kernel_runs
 import numpy as np
 import pytest
-from numba.core.registry import CPUDispatcher
+from kernel_runs import product_kernels, results
 
-from api.kernel_runs import results
+from api.compiled_code import SIGNATURES
 
-PACKAGES = ("api", "ingest", "fleet_db", "estimation")
 RUNS = Path(interpreted_runs.__file__)
 
 GUARDS = {
@@ -31,24 +29,10 @@ GUARDS = {
 """Lines against inputs that no pair of profiles here makes."""
 
 
-def _modules() -> list[str]:
-    found = []
-    for package in PACKAGES:
-        path = importlib.import_module(package).__path__
-        found += [module.name for module in pkgutil.walk_packages(path, f"{package}.")]
-    return [name for name in found if not name.endswith(("__main__", "migrations.env"))]  # both run when imported
-
-
 @pytest.fixture(scope="module")
 def kernels() -> dict[str, CodeType]:
     """Return the code of every compiled function of the product."""
-    found = {}
-    for name in _modules():
-        for value in vars(importlib.import_module(name)).values():
-            if isinstance(value, CPUDispatcher):
-                function = value.py_func
-                found[f"{function.__module__}.{function.__qualname__}"] = function.__code__
-    return found
+    return {name: kernel.py_func.__code__ for name, kernel in product_kernels().items()}
 
 
 @pytest.fixture(scope="module")
@@ -78,3 +62,10 @@ def test_kernels_give_the_same_compiled(interpreted: dict[str, Any]) -> None:
         assert len(plain) == len(compiled)
         for one, other in zip(plain, compiled, strict=True):
             np.testing.assert_allclose(np.array(one, float), np.ravel(other), rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+def test_the_command_compiles_the_signatures_of_the_runs() -> None:
+    command = [sys.executable, str(kernel_runs.__file__), "--print"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    drifted = "the signatures have drifted; run: python tests/compiled/kernel_runs.py"
+    assert done.stdout == SIGNATURES.read_text(encoding="utf-8"), drifted

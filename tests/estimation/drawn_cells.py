@@ -8,7 +8,7 @@ import numpy as np
 
 from estimation.rails.parameters import Anchors, ReferenceWheel
 from estimation.values.arrays import FloatArray
-from estimation.values.rails import RailKey, SectionConicity, WheelKey
+from estimation.values.opinions import RailKey, SectionConicity, WheelKey
 
 AMPLITUDE = np.array([2.0e-3, 3.0e-3])
 DESIGN = 0.2  # conicity of the wheel as designed on the reference rails

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sqlalchemy import Connection, and_, func, or_, select
 
-from fleet_db.alignment_due import EPOCHS, MEMBERS, OF_WINDOW, PLACED, POSITIONS, WINDOWS
+from fleet_db.due import EPOCHS, MEMBERS, OF_WINDOW, PLACED_MEMBER, POSITIONS, WINDOWS
 
 OF_EPOCH = and_(MEMBERS.c.section == EPOCHS.c.section, MEMBERS.c.epoch == EPOCHS.c.number)
 WITH_SAMPLES = WINDOWS.c.samples_purged_ns.is_(None)
@@ -14,7 +14,7 @@ Key = tuple[str, int]
 def placed(connection: Connection, section: str) -> dict[Key, int]:
     """Return by key the epoch of each window whose position is stored."""
     columns = (MEMBERS.c.wheelset, MEMBERS.c.start_ns, MEMBERS.c.epoch)
-    found = select(*columns).select_from(MEMBERS.join(POSITIONS, PLACED)).where(MEMBERS.c.section == section)
+    found = select(*columns).select_from(MEMBERS.join(POSITIONS, PLACED_MEMBER)).where(MEMBERS.c.section == section)
     return {(row.wheelset, row.start_ns): row.epoch for row in connection.execute(found)}
 
 

@@ -12,10 +12,15 @@ from smooth_wheelset import SmoothTable, ideal, run
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import SHIPPED, estimators
-from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
+from estimation.estimators.interface import (
+    CurveEstimate,
+    Estimator,
+    EstimatorParameters,
+    PublishedBins,
+    geometry_from_curve,
+    nothing,
+)
 from estimation.estimators.paper_algorithm import PaperAlgorithm
-from estimation.estimators.replicates import nothing
-from estimation.estimators.wheelset_geometry import PublishedBins, geometry_from_curve
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode

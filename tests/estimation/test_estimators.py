@@ -15,11 +15,10 @@ from smooth_wheelset import SmoothTable, ideal, run
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
-from estimation.estimators import paper_equations
+from estimation.estimators import paper_algorithm
 from estimation.estimators.catalogue import SHIPPED, CubicFit, LinearConicity, b_splines, estimator_named, estimators
-from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
+from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters, Replicates, curve_estimate
 from estimation.estimators.paper_algorithm import PaperAlgorithm
-from estimation.estimators.replicates import Replicates, curve_estimate
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
 from estimation.values.windows import Motion
@@ -122,22 +121,9 @@ def test_the_paper_in_stretches_is_the_paper_at_once() -> None:
     """At constant speed V is the same for every stretch, so that both run the same recursion."""
     motion = ideal(run(120))
     found = run_estimator(PaperAlgorithm(), CERTAIN, cut(motion, 9_000, 50_001))
-    plain = paper_equations.estimate(motion, paper_equations.PaperParameters())
+    plain = paper_algorithm.estimate(motion, paper_algorithm.PaperParameters())
     at = np.rint((found.displacement - plain.centre[0]) / 0.25e-3).astype(int)
     np.testing.assert_allclose(found.difference, plain.rolling_radius_difference[at], rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"width": 0.0}, {"width": 1.0}, {"threshold": 3}, {"forgetting": 0.0}, {"forgetting": 1.1}]
-)
-def test_impossible_paper_parameters_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ParameterError, match=next(iter(wrong))):
-        PaperAlgorithm(**wrong)
-
-
-def test_impossible_pieces_are_refused() -> None:
-    with pytest.raises(ParameterError, match="piece"):
-        CubicFit(piece=0.0)
 
 
 def test_splines_are_those_of_scipy() -> None:

@@ -11,7 +11,7 @@ from bogie_run import COACH, SOFT, ideal_in_bogie, motions, wheelset
 from smooth_wheelset import SmoothTable
 
 from estimation.contact.conicity import equivalent_conicity
-from estimation.estimators import paper_equations
+from estimation.estimators import paper_algorithm
 from estimation.estimators.catalogue import SHIPPED, estimators
 from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
 from estimation.geometry.uncertainty import ParameterUncertainty
@@ -77,11 +77,11 @@ def test_without_the_yaw_of_the_frame_a_stiff_bogie_gives_another_curve(estimato
 @pytest.mark.parametrize("yaw_stiffness", [SOFT, COACH])
 def test_the_printed_algorithm_has_the_moment_of_the_frame(yaw_stiffness: float, axle: int) -> None:
     motion = ideal_in_bogie(motions(yaw_stiffness)[axle - 1])
-    parameters = paper_equations.PaperParameters(vehicle=wheelset(yaw_stiffness))
+    parameters = paper_algorithm.PaperParameters(vehicle=wheelset(yaw_stiffness))
     table = SmoothTable(CONES[axle])
     errors = []
     for one in (motion, without_frame(motion)):
-        found = paper_equations.estimate(one, parameters)
+        found = paper_algorithm.estimate(one, parameters)
         use = np.isfinite(found.rolling_radius_difference) & (np.abs(found.centre) < 3e-3)
         true = table.left(found.centre) - table.right(found.centre)
         errors.append(float(np.abs(found.rolling_radius_difference - true)[use].max()))

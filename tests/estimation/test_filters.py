@@ -12,14 +12,12 @@ from smooth_wheelset import SmoothTable, ideal, run, track
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
-from estimation.estimators import block_filters, particle_filter
+from estimation.estimators import block_filters
 from estimation.estimators import filter_kernels as kernels
-from estimation.estimators.block_filters import Inputs, Posterior, follows
+from estimation.estimators.block_filters import ExtendedKalman, Inputs, ParticleFilter, Posterior, follows
 from estimation.estimators.catalogue import LinearConicity
-from estimation.estimators.extended_kalman import ExtendedKalman
 from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
-from estimation.estimators.known_irregularity import KnownIrregularity
-from estimation.estimators.particle_filter import ParticleFilter
+from estimation.estimators.series import KnownIrregularity
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
@@ -103,7 +101,7 @@ def test_particles_find_the_conicity_of_a_cone_within_their_own_covariance(conic
     """Blocks of 18 s each: the mean is right, and the spread from block to block is what they state."""
     vehicle, off = VehicleParameters(), []
     for seed in range(20):
-        found = particle_filter._filtered(vehicle, on_a_cone(conicity, seed=seed), NOISE, 48)
+        found = ParticleFilter().filter_block(vehicle, on_a_cone(conicity, seed=seed), NOISE)
         assert 0.8 < found.square < 1.3
         off.append((found.mean[1] - 2e-3 * conicity) / np.sqrt(found.covariance[1, 1]))
     assert abs(np.mean(off)) < 1.0
@@ -144,12 +142,6 @@ def test_without_the_interval_between_samples_a_filter_refuses(estimator: Estima
     motion = replace(ideal(run(40)), sample_interval_s=float("nan"))
     with pytest.raises(ParameterError, match="sample_interval_s"):
         estimator.update(estimator.init(CERTAIN), motion)
-
-
-def test_too_few_particles_are_refused() -> None:
-    with pytest.raises(ParameterError, match="particles"):
-        ParticleFilter(particles=15)
-    ParticleFilter(particles=16)
 
 
 @FILTERS

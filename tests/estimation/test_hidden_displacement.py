@@ -12,9 +12,8 @@ from smooth_wheelset import ideal, run
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
-from estimation.estimators import contact_jumps
-from estimation.estimators.contact_jumps import stepped
-from estimation.estimators.hidden_displacement import GRID, PRIOR_STD, HiddenDisplacement, smooth, steps, weigh
+from estimation.estimators import hidden_displacement
+from estimation.estimators.hidden_displacement import GRID, PRIOR_STD, HiddenDisplacement, smooth, stepped, steps, weigh
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
@@ -151,17 +150,12 @@ def test_a_window_costs_its_own_samples_alone() -> None:
     assert state.samples == sum(len(motion) for motion in motions)
 
 
-def test_no_round_is_refused() -> None:
-    with pytest.raises(ParameterError, match="rounds"):
-        HiddenDisplacement(rounds=0)
-
-
 def test_the_grid_reaches_three_times_as_far_as_the_slow_part() -> None:
     assert GRID[-1] == pytest.approx(3 * PRIOR_STD)
     assert np.diff(GRID) == pytest.approx(0.02e-3)
 
 
-def risen(step: float, spread: float) -> contact_jumps.Stepped:
+def risen(step: float, spread: float) -> hidden_displacement.Stepped:
     """Return a line with a step of ``step`` m that is spread evenly over some way (``spread``, m, std)."""
     x = 0.04e-3 * (np.arange(200) - 99.5)
     half = np.sqrt(3.0) * spread

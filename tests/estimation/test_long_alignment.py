@@ -11,8 +11,7 @@ from gauge_passes import LENGTH, Section, passes, section
 
 from estimation.filters import high_pass, local_cubic_kernel
 from estimation.track.gridded_pass import GriddedPass, grid_pass
-from estimation.track.panel.basis import Panel, PanelParameters
-from estimation.track.panel.normal_equations import init, update
+from estimation.track.panel.basis import Panel, PanelParameters, init, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass, ProfileLife
 from estimation.track.results import LongWaveAlignment, long_wave_alignment

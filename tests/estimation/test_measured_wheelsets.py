@@ -10,7 +10,7 @@ from sqlalchemy import update
 
 from estimation.accuracy.wheel_contact import wheel_contact
 from estimation.contact.profiles import MeasuredProfiles, Profile, wheel_profile
-from estimation.jobs.steps.compared_measurements import ComparisonReader, rests_on
+from estimation.jobs.steps.measured_wheelsets import ComparisonReader, rests_on
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.registry import Reprofiling

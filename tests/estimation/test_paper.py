@@ -6,7 +6,7 @@ import numpy as np
 from oracles import recursive_least_squares
 from smooth_wheelset import SmoothTable, ideal, run
 
-from estimation.estimators import paper_equations
+from estimation.estimators import paper_algorithm
 from estimation.estimators.paper_algorithm import jumps_elsewhere
 
 
@@ -15,8 +15,8 @@ def test_the_compiled_recursion_is_the_plain_one() -> None:
     features = np.column_stack([rng.standard_normal((900, 2)) * [2e-3, 5e-2], np.ones(900)])
     output = features @ [3.0, -2.0, 0.5] + 0.01 * rng.standard_normal(900)
     index = rng.integers(0, 3, 900)
-    parameters = paper_equations.PaperParameters(threshold=50, forgetting=0.999)
-    theta, count = paper_equations.recursion_in_bins(features, output, index, 4, parameters)
+    parameters = paper_algorithm.PaperParameters(threshold=50, forgetting=0.999)
+    theta, count = paper_algorithm.recursion_in_bins(features, output, index, 4, parameters)
     assert count.tolist() == [*np.bincount(index, minlength=4).tolist()]
     assert np.isnan(theta[3]).all()
     for b in range(3):
@@ -28,7 +28,7 @@ def test_the_compiled_recursion_is_the_plain_one() -> None:
 
 
 def test_radius_difference_and_angle_difference_converge_and_the_angle_sum_does_not() -> None:
-    found = paper_equations.estimate(ideal(run(200)), paper_equations.PaperParameters())
+    found = paper_algorithm.estimate(ideal(run(200)), paper_algorithm.PaperParameters())
     table = SmoothTable()
     good = found.samples > 2000
     x = found.centre[good]

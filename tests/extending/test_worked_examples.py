@@ -62,7 +62,7 @@ def test_the_example_works(extended: Path, tmp_path: Path, example: str) -> None
 
 FILES = {
     "An alert rule": 3,
-    "A stage": 4,
+    "A stage": 3,
     "A REST resource": 3,
     "One more number of a geometry": 3,
     "An estimator": 2,

@@ -14,7 +14,7 @@ from estimation.errors import DamagedError, ParameterError, PurgedError
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import EpochMember, FoldState, TrackEpoch
 from estimation.values.windows import DueStage, PassedOver, WindowPosition, WindowRecord, WindowState
-from fleet_db.keeping.deep_check import check_deep
+from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.kept_files import kept_files, orphaned_samples
 from fleet_db.keeping.purge import WAITING, Purged, purge
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention

@@ -141,8 +141,9 @@ def test_what_is_not_admitted_leaves_nothing(raw_behind: Behind, tmp_path: Path)
 
     source = tmp_path / "drive.blf"
     source.write_bytes(b"deleted before")
-    with pytest.raises(InputError, match=digest_of(b"deleted before")):
-        raw_behind.store.put_file(source, refuse)
+    refused = pytest.raises(InputError, match=digest_of(b"deleted before"))
+    with refused, raw_behind.store.taken_in(source, refuse):
+        pass
     assert (raw_behind.names(), raw_behind.left()) == ([], [])
 
 

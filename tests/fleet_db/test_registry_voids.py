@@ -28,7 +28,7 @@ from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
 from fleet_db.subjects import VERSIONS
 from fleet_db.tables import Base
-from ingest.vehicle_class_file import class_of_package, shipped_class
+from ingest.vehicle_class_schema import class_of_package, shipped_class
 
 AT = 5_000
 WHY = Decision("ada", "wrong", 77)

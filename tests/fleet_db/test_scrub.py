@@ -10,8 +10,8 @@ import pytest
 
 from estimation.errors import PassingFaultError
 from estimation.values.runs import QuarantineState, SubjectKind
-from fleet_db.keeping import scrub as scrubbing
-from fleet_db.keeping.scrub import STAGE, ScrubFault, ScrubPlan, scrub
+from fleet_db.keeping import checks
+from fleet_db.keeping.checks import STAGE, ScrubFault, ScrubPlan, scrub
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
@@ -104,7 +104,7 @@ def test_files_that_were_purged_or_deleted_are_not_looked_for(storage: SqlStorag
 def test_an_interrupted_scrub_goes_on_and_reads_no_file_twice_that_it_had_noted(
     storage: SqlStorage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scrubbing, "BATCH", 2)
+    monkeypatch.setattr(checks, "FILES_AT_ONCE", 2)
     digests = store(storage, 7)
     raw_of(storage).path(digests[0], ".blf").unlink()
     assert run(storage, stop_after=5) == (None, [digests[0]], [1, 2, 3, 4, 5])

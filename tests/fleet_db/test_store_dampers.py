@@ -10,7 +10,7 @@ import stored_values as make
 from same_values import same_values
 
 from estimation.errors import StorageError
-from estimation.jobs.made_from import made_from
+from estimation.jobs.stage import made_from
 from estimation.values.opinions import GEAR_DAMPERS, SHARES, DamperSums, GearDamper, WindowDamper, part_of_gear
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode

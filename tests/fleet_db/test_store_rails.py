@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from same_values import same_values
 
-from estimation.values.quantities import Estimate, Status
-from estimation.values.rails import (
+from estimation.values.opinions import (
     SECTION_RAILS,
     WHEELSET_RAILS,
     RailKey,
@@ -22,6 +21,7 @@ from estimation.values.rails import (
     WheelPart,
     WheelsFinding,
 )
+from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.results import Result
 from fleet_db.storage import SqlStorage

@@ -146,7 +146,8 @@ def test_windows_are_outdated_on_another_version_than_that_of_their_epoch_or_the
     put_epoch(epochs, 2, (THIRD,), 2, 2)  # from now on version 1 differs materially
     assert outdated(epochs) == [("WS-1", FIRST), ("WS-1", THIRD)]
     with epochs.read() as unit:
-        assert [unit.epochs.alignment_version("WS-1", at, 7) for at in (FIRST, SECOND, THIRD, 5)] == [2, 2, 2, 7]
+        keys = [("WS-1", at) for at in (FIRST, SECOND, THIRD)]
+        assert unit.epochs.alignment_versions([*keys, ("WS-1", 5)]) == dict.fromkeys(keys, 2)
 
 
 @pytest.mark.parametrize("code", [*OF_THE_ALIGNMENT, ReasonCode.FILE_DAMAGED])
@@ -154,7 +155,7 @@ def test_windows_that_another_alignment_may_admit_are_outdated(epochs: SqlStorag
     with epochs.write() as unit:
         for start_ns, version in ((FIRST, 1), (SECOND, None)):
             unit.windows.mark("WS-1", start_ns, WindowState.REFUSED, Reason(code, "so"))
-            unit.epochs.note_refused("WS-1", start_ns, version)
+            unit.epochs.note_all_refused({("WS-1", start_ns): version})
     assert outdated(epochs) == ([("WS-1", SECOND)] if code in OF_THE_ALIGNMENT else [])
 
 
@@ -169,7 +170,7 @@ def test_windows_of_a_vehicle_are_outdated_on_a_version_older_than_what_was_foun
         unit.epochs.put_found("S-7", 2, FoundOfVehicles(2, {"V-1": 0.9, "V-2": 1.0}))
     assert outdated(epochs) == [("WS-1", FIRST), ("WS-1", SECOND)]
     with epochs.read() as unit:
-        assert unit.epochs.alignment_version("WS-1", FIRST, 7) == 2
+        assert unit.epochs.alignment_versions([("WS-1", FIRST)]) == {("WS-1", FIRST): 2}
         assert unit.epochs.found("S-7", 3, 1) == {"V-1": 0.9, "V-2": 1.0}
         assert unit.epochs.found("S-7", 2, 1) == unit.epochs.found("S-7", 3, 2) == {}
     with epochs.write() as unit:

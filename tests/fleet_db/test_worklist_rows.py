@@ -14,10 +14,10 @@ import stored_values as make
 
 from api.factory import SystemClock
 from estimation.errors import NotFoundError
+from estimation.jobs.evaluate_alerts import WORKLIST
 from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.worklist_rows import WORKLIST
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity, Urgency
 from estimation.values.quantities import Forecast, Status

@@ -8,7 +8,7 @@ from test_reassembly import LENGTH_S, pieces_of
 from test_receiver import CountingClock, files_of
 from vehicle_bus import VEHICLE, Run
 
-from fleet_db.keeping.scrub import ScrubPlan, scrub
+from fleet_db.keeping.checks import ScrubPlan, scrub
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage

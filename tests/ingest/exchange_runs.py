@@ -19,7 +19,7 @@ from ingest.simulator.axle_motion import wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.motion import STEP
 from ingest.simulator.scenario_file import read_scenario
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 
 VEHICLE, SECTION, LENGTH_M = "X-1", "LINE", 3000.0
 START_NS = 1_767_592_800_000_000_000  # 2026-01-05T06:00:00Z

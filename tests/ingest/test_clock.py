@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from vehicle_bus import CATALOGUE, INTERVAL_NS, SECOND_NS, START_NS, VEHICLE, Run
+from vehicle_bus import CATALOGUE, INTERVAL_NS, SECOND_NS, START_NS, Run
 
 from estimation.errors import LogFileError
 from ingest import catalogue as kinds
@@ -34,7 +34,7 @@ def position_of(batch: FrameBatch, identifier: int, count: int) -> int:
 
 
 def samples_of(batch: FrameBatch) -> NodeSamples:
-    found = node_samples(VEHICLE, 1, CATALOGUE, placed(batch).messages)
+    found = node_samples(1, CATALOGUE, placed(batch).messages)
     assert found is not None
     return found[0]
 
@@ -51,10 +51,10 @@ def test_time_of_day_is_canopens() -> None:
 def test_samples_lie_on_the_vehicle_clock_whatever_the_recorder_thinks(offset_ns: int) -> None:
     run = Run(seconds=5.0, recorder_offset_ns=offset_ns)
     samples = samples_of(run.frames())
-    assert np.array_equal(samples.block.t_ns, run.ticks * INTERVAL_NS)
+    assert np.array_equal(samples.t_ns, run.ticks * INTERVAL_NS)
     for column, values in enumerate(run.accelerations(1).values()):
-        assert np.array_equal(samples.block.values[:, column], values)
-    assert samples.block.valid.all()
+        assert np.array_equal(samples.values[:, column], values)
+    assert samples.valid.all()
 
 
 def test_jitter_of_the_recorder_moves_no_sample() -> None:
@@ -72,8 +72,8 @@ def test_jitter_of_the_recorder_moves_no_sample() -> None:
     )
     assert not np.array_equal(jittered.arbitration_id, batch.arbitration_id), "some frames overtook their SYNC"
     samples = samples_of(jittered)
-    assert np.array_equal(samples.block.t_ns, run.ticks * INTERVAL_NS)
-    assert np.array_equal(samples.block.values[:, 0], run.accelerations(1)["lateral_acceleration"])
+    assert np.array_equal(samples.t_ns, run.ticks * INTERVAL_NS)
+    assert np.array_equal(samples.values[:, 0], run.accelerations(1)["lateral_acceleration"])
 
 
 def test_a_lost_sync_costs_no_sample_but_is_counted() -> None:
@@ -119,7 +119,7 @@ def test_gaps_are_gaps() -> None:
     acceleration = np.flatnonzero(batch.arbitration_id == ACCELERATION_1)
     result = placed(without(batch, np.isin(np.arange(len(batch)), acceleration[300:310])))
     assert np.array_equal(result.messages[ACCELERATION_1].tick, np.delete(run.ticks, slice(300, 310)))
-    found = node_samples(VEHICLE, 1, CATALOGUE, result.messages)
+    found = node_samples(1, CATALOGUE, result.messages)
     assert found is not None
     assert found[1].samples_lost == 10, "the node's sample counter shows it"
 
@@ -177,8 +177,8 @@ def test_the_same_frame_again_is_dropped_and_another_at_its_instant_is_a_conflic
     result = placed(concatenate([batch, late]))
     assert (result.align_counts.duplicate_frames, result.align_counts.conflicting_frames) == (1, 1)
     samples = samples_of(concatenate([batch, late]))
-    assert np.flatnonzero(~samples.block.valid.all(axis=1)).tolist() == [20]
-    assert np.isnan(samples.block.values[20]).all()
+    assert np.flatnonzero(~samples.valid.all(axis=1)).tolist() == [20]
+    assert np.isnan(samples.values[20]).all()
 
 
 def test_clipping_and_not_available_are_marked_per_sample() -> None:
@@ -190,9 +190,9 @@ def test_clipping_and_not_available_are_marked_per_sample() -> None:
     samples = samples_of(marked.frames())
     assert np.flatnonzero(samples.clipped).tolist() == [100, 101, 102]
     assert np.flatnonzero(samples.invalid).tolist() == [200]
-    assert np.flatnonzero(~samples.block.valid[:, 1]).tolist() == [100, 101, 102]
-    assert np.flatnonzero(~samples.block.valid[:, 2]).tolist() == [200]
-    assert samples.block.valid[:, 0].all()
+    assert np.flatnonzero(~samples.valid[:, 1]).tolist() == [100, 101, 102]
+    assert np.flatnonzero(~samples.valid[:, 2]).tolist() == [200]
+    assert samples.valid[:, 0].all()
 
 
 def test_the_clipping_bit_marks_the_second_that_it_belongs_to() -> None:
@@ -200,30 +200,30 @@ def test_the_clipping_bit_marks_the_second_that_it_belongs_to() -> None:
     bit = (ticks * INTERVAL_NS == START_NS + 2 * SECOND_NS).astype(float)
     samples = samples_of(Run(seconds=5.0, changes={(kinds.STATUS, 1): {"roll_clipped": bit}}).frames())
     assert samples.clipped_seconds is not None
-    marked = samples.block.t_ns[samples.clipped_seconds]
+    marked = samples.t_ns[samples.clipped_seconds]
     assert (marked[0], marked[-1]) == (START_NS + SECOND_NS + INTERVAL_NS, START_NS + 2 * SECOND_NS)
     assert len(marked) == 250
-    assert samples.block.valid.all(), "the sample itself may be good: the gate decides"
+    assert samples.valid.all(), "the sample itself may be good: the gate decides"
 
 
 def test_more_frames_than_the_node_says_it_sent_are_not_believed() -> None:
     counter = 1000 + np.arange(1250)
     counter[counter >= 1500] -= 7  # 243 samples in the second that had 250
     run = Run(seconds=5.0, changes={(kinds.STATUS, 1): {"sample_counter": counter}})
-    found = node_samples(VEHICLE, 1, CATALOGUE, placed(run.frames()).messages)
+    found = node_samples(1, CATALOGUE, placed(run.frames()).messages)
     assert found is not None
     assert found[1].counter_mismatches == 1
-    wrong = found[0].block.t_ns[~found[0].block.valid.all(axis=1)]
+    wrong = found[0].t_ns[~found[0].valid.all(axis=1)]
     assert (wrong[0], wrong[-1]) == (START_NS + SECOND_NS + INTERVAL_NS, START_NS + 2 * SECOND_NS)
 
 
 def test_a_restarted_node_is_counted_and_its_samples_are_kept() -> None:
     counter = np.where(np.arange(1250) < 600, 5000 + np.arange(1250), np.arange(1250) - 600)
     run = Run(seconds=5.0, changes={(kinds.STATUS, 1): {"sample_counter": counter}})
-    found = node_samples(VEHICLE, 1, CATALOGUE, placed(run.frames()).messages)
+    found = node_samples(1, CATALOGUE, placed(run.frames()).messages)
     assert found is not None
     assert (found[1].counter_resets, found[1].samples_lost) == (1, 0)
-    assert found[0].block.valid.all()
+    assert found[0].valid.all()
 
 
 def test_a_recording_of_another_rate_is_refused() -> None:

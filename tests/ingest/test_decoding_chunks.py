@@ -16,7 +16,7 @@ from vehicle_bus import CATALOGUE, SECOND_NS, START_NS, VEHICLE, Run, register
 from estimation.errors import StoppedError
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.runs import SubjectKind
-from fleet_db.decoding_locks import decoding_locks
+from fleet_db.process_locks import decoding_locks
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
@@ -102,7 +102,7 @@ def test_what_cannot_be_decoded_is_left_with_its_reason_and_never_tried_for_ever
     ]
     (third,) = hand_in(storage, runs(tmp_path, 1, seconds=9.0)[0])
     with monkeypatch.context() as patch:
-        patch.setattr(Receiver, "_decode_it", lambda *_: 1 / 0)
+        patch.setattr(Receiver, "_decode", lambda *_: 1 / 0)
         assert decode(storage) == DecodedChunks(0, 1)
     with storage.read() as unit:
         item = unit.quarantine.get(SubjectKind.RECORDING, third, "ingest")

@@ -26,7 +26,7 @@ from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
 from ingest.logs import write_blf
 from ingest.receiver import Receiver
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 
 PAGE = Path(__file__).parents[2] / "docs" / "exchange.md"
 LENGTH_S = 10.0

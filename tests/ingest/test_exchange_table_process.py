@@ -10,10 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from estimation.errors import ExchangeError, PassingFaultError
-from ingest.exchange import table_process
+from ingest.exchange import table
 from ingest.exchange.description import CsvTable
-from ingest.exchange.table import read_table
-from ingest.exchange.table_process import read_table_apart
+from ingest.exchange.table import read_table, read_table_apart
 from ingest.input_file import MEBIBYTE
 
 
@@ -41,7 +40,7 @@ def test_a_bomb_costs_its_own_process(tmp_path: Path, monkeypatch: pytest.Monkey
     path = tmp_path / "bomb.parquet"  # of 240 MB
     pq.write_table(pa.table({"t": np.zeros(rows), "note": text}), path, compression="zstd", store_schema=False)
     assert path.stat().st_size < 100_000
-    monkeypatch.setattr(table_process, "MEMORY_BYTES", 128 * MEBIBYTE)
+    monkeypatch.setattr(table, "MEMORY_BYTES", 128 * MEBIBYTE)
     with pytest.raises(ExchangeError, match="cannot be read with 128 MiB of memory"):
         read_table_apart(path, CsvTable(), ["t"])
 
@@ -49,10 +48,10 @@ def test_a_bomb_costs_its_own_process(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_no_room_for_the_columns_is_no_fault_of_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.csv"
     path.write_text("t\n0\n")
-    monkeypatch.setattr(table_process.sys, "executable", str(tmp_path / "none"))
+    monkeypatch.setattr(table.sys, "executable", str(tmp_path / "none"))
     with pytest.raises(PassingFaultError, match="No such file"):
         read_table_apart(path, CsvTable(), ["t"])
 
 
 def test_the_limits_of_a_table() -> None:
-    assert (table_process.MEMORY_BYTES, table_process.CPU_S, table_process.WALL_S) == (2 << 30, 120, 600.0)
+    assert (table.MEMORY_BYTES, table.CPU_S, table.WALL_S) == (2 << 30, 120, 600.0)

@@ -13,8 +13,8 @@ from test_receiver import CountingClock
 from vehicle_bus import register
 
 from estimation.errors import PassingFaultError
-from fleet_db.keeping.backup import BackupPlan, back_up, digests_file
-from fleet_db.keeping.deep_check import check_deep
+from fleet_db.keeping.backup import BackupPlan, back_up
+from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.kept_files import orphaned_recordings
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.restore import Installation, restore
@@ -109,7 +109,7 @@ def test_a_backup_of_either_becomes_either(
     assert (manifest.raw_files, manifest.recordings_kept, manifest.raw_store) == (3, copied, raw.url)
     assert (manifest.missing, (folder / "raw").is_dir()) == ((), copied)
     if not copied:
-        lines = digests_file(folder, manifest.name).read_text().splitlines()
+        lines = (folder / f"recordings-{manifest.name}.sha256").read_text().splitlines()
         assert sorted(lines) == lines == [f"{name[3:67]}  {name}" for name in raw_behind.names() if name != MARK_NAME]
     data = tmp_path / "restored"
     server = request.getfixturevalue("s3_server") if into == "s3" else None

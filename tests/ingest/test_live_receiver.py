@@ -41,7 +41,7 @@ from ingest.catalogue import default_catalogue
 from ingest.frames import OVERFLOW_ID, FrameBatch, concatenate, count_dropped, merge
 from ingest.live import storing
 from ingest.live.listening import BusSource
-from ingest.live.receiver import LiveSettings, receive_live
+from ingest.live.receiver import LiveSettings, ReceivedBus, receive_live
 from ingest.live.records import Record
 from ingest.live.spool import Spool, spool_folder
 from ingest.live.status import LiveStatus, Reports
@@ -77,7 +77,7 @@ class Live:
     def run(self) -> None:
         settings = LiveSettings(VEHICLE, self.folder / "spool", 1 << 24, 1 << 20, self.piece_seconds, 20.0)
         try:
-            receive_live(
+            bus = ReceivedBus(
                 settings,
                 BusSource("a bus", partial(open_bus, "virtual", self.channel)),
                 Stores(self.connect or self.receiver, lambda: None),
@@ -86,8 +86,8 @@ class Live:
                     lambda text, *, bad=False: self.said.append(f"{'bad: ' if bad else ''}{text}"),
                     lambda _, outcome: self.outcomes.append(outcome),
                 ),
-                self.stop,
             )
+            receive_live(bus, self.stop)
         except Exception as error:  # noqa: BLE001 - for the test to look at
             self.refused.append(error)
 

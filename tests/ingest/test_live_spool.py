@@ -229,7 +229,8 @@ def spooling_on(spool: Spool, buffer: FrameBuffer, said: list[str]) -> tuple[Spo
 def test_what_is_dropped_is_said_counted_and_kept_over_a_restart(tmp_path: Path) -> None:
     said: list[str] = []
     buffer = FrameBuffer(4 * FRAME_BYTES)
-    with held(tmp_path, limit_bytes=len(encode(Record(some_frames(0, 5))))) as spool:
+    limit_bytes = len(encode(Record(some_frames(0, 5))))
+    with held(tmp_path, limit_bytes=limit_bytes) as spool:
         spooling, status = spooling_on(spool, buffer, said)
         assert spooling._take_over()
         for round_of in range(3):  # 4 frames reach the disk, 4 the record that waits, 4 the memory; then it is full
@@ -242,7 +243,7 @@ def test_what_is_dropped_is_said_counted_and_kept_over_a_restart(tmp_path: Path)
         assert status.frames_dropped == 6
         assert spool.drop_count == DropCount(6, 0)
         assert [text for text in said if "dropped" in text] == [
-            f"bad: 6 frames dropped: the spool is full: {spool.size_bytes} of {spool.limit_bytes} bytes"
+            f"bad: 6 frames dropped: the spool is full: {spool.size_bytes} of {limit_bytes} bytes"
         ]
         assert spool.pieces_waiting == 1, "what waits can be stored"
     again = FrameBuffer(LIMIT)

@@ -47,7 +47,10 @@ def read_blf_here(path: Path) -> None:
     """Read a BLF file in this process, for many files in little time."""
     limits = limits_of(path.stat().st_size, 1)
     sink = FrameSink([BytesIO() for _ in COLUMNS], limits)
-    read_blf(path, limits, sink)
+    try:
+        read_blf(path, limits, sink)
+    except LogFileError as error:
+        raise LogFileError(error.reason, file=path) from error
     sink.finish()
 
 

@@ -27,7 +27,7 @@ from ingest.catalogue import ACCELERATION, SYNC_ID, TIME_ID, default_catalogue
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.logs import write_blf
 from ingest.receiver import ChunkReceipt, Receiver
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 
 LENGTH_S = 10.0
 

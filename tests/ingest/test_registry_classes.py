@@ -16,7 +16,7 @@ from estimation.errors import InputError
 from fleet_db.storage import SqlStorage
 from ingest.registry_entry.contents import LoadedRegistry
 from ingest.registry_file import load_registry
-from ingest.vehicle_class_file import class_of_package, shipped_class, shipped_path
+from ingest.vehicle_class_schema import class_of_package, shipped_class, shipped_path
 
 Content = dict[str, Any]
 COACH = {key: value for key, value in tomllib.loads(shipped_path("coach").read_text()).items() if key != "format"}

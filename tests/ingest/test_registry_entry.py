@@ -14,7 +14,7 @@ from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlStorage
 from ingest.registry_entry.contents import RegistryRefusedError, Rule
-from ingest.vehicle_class_file import class_of_package
+from ingest.vehicle_class_schema import class_of_package
 
 Content = dict[str, Any]
 TURNED = {"wheelset": "W-1", "at": at(20), "mileage_km": 60_000.0}

@@ -26,7 +26,7 @@ from ingest.registry_entry.contents import CONFIRMABLE
 from ingest.registry_export import export_registry, write_export
 from ingest.simulator.fleet import prepare
 from ingest.simulator.scenario_file import read_scenario
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 
 KEPT = (
     "fleets", "vehicle_classes", "vehicles", "wheelsets", "mountings", "reprofilings", "measured_profiles",

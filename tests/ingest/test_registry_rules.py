@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from estimation.jobs.steps.running_mileage import most_km
+from estimation.motion.mileage import most_km
 from estimation.values.registry import Mounting
 from ingest.registry_entry.checks import (
     AHEAD_NS,

@@ -17,7 +17,7 @@ from estimation.errors import InputError
 from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps.plausibility import JUDGE
+from estimation.jobs.steps.due_windows import JUDGE
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine, TrackSectionRecord

@@ -20,7 +20,7 @@ from fleet_db.stores.assembled import AssembledWindowStore, StoredWindow
 from ingest.catalogue import default_catalogue
 from ingest.frames import take
 from ingest.receiver import Receiver
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 
 
 @pytest.fixture

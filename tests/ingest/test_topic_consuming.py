@@ -20,14 +20,14 @@ from vehicle_bus import VEHICLE, register
 from estimation.errors import StorageError
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import QuarantineState, delay_s
-from fleet_db.decoding_locks import decoding_locks
+from fleet_db.process_locks import decoding_locks
 from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from ingest.topic import consuming, publishing, reading, taking
+from ingest.topic import consuming, publishing, reading
 from ingest.topic.client import Topic
+from ingest.topic.consuming import MOST_ATTEMPTS, NEVER_NS, ReferenceTaking
 from ingest.topic.reference import Outcome
-from ingest.topic.taking import MOST_ATTEMPTS, NEVER_NS, ReferenceTaking
 
 
 @pytest.fixture
@@ -426,7 +426,7 @@ def test_a_cluster_that_has_lost_everything_gives_messages_again_and_nothing_cha
 
 
 def test_the_bounds_are_as_documented() -> None:
-    assert (taking.MOST_ATTEMPTS, taking.AT_ONCE, consuming.ATTEMPTS) == (30, 100, 3)
+    assert (consuming.MOST_ATTEMPTS, consuming.HELD_AT_ONCE, consuming.ATTEMPTS) == (30, 100, 3)
     assert (reading.STAY_EVERY_S, publishing.CLOSE_S, consuming.LOOK_EVERY_S) == (10.0, 5.0, 5.0)
     waited_s = sum(delay_s(ReasonCode.WAITS_FOR_STORAGE, attempts) for attempts in range(1, MOST_ATTEMPTS))
     assert round(waited_s / 3600) == 23

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, runs
-from ingest.align.window_samples import between_frames, gaps_of, good_samples, gridded, on_section, range_of
+from ingest.align.samples import between_frames, gaps_of, good_samples, gridded, on_section, range_of
 
 COUNT = 60
 SEEDS = st.integers(0, 2**32 - 1)

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from kafka_cluster import MockCluster
@@ -19,12 +20,11 @@ from fleet_db.raw import RawStore
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlStorage
-from ingest.intake.backlog import BacklogLimits, BacklogWatch
+from ingest.intake.backlog import BacklogLimits, BacklogWatch, decode_received
 from ingest.receiver import Receiver
-from ingest.topic.consuming import Consuming, Decoding
+from ingest.topic.consuming import STAGE, Consuming, ReferenceTaking
 from ingest.topic.reading import TopicReader
 from ingest.topic.reference import ConsumerStatus, Outcome, Reference, message_of
-from ingest.topic.taking import STAGE, ReferenceTaking
 
 ROOM = BacklogLimits(chunks=1000, size_bytes=1 << 30, free_bytes=0)
 LENGTH_S = 5.0
@@ -59,9 +59,9 @@ class Consumer:
         raw = self.store or self.raw
         receiver = Receiver(self.storage, raw, CATALOGUE, self.clock, window_length_s=LENGTH_S)
         reader = TopicReader(self.cluster.topic(), self.status)
-        decoding = Decoding(self.storage, receiver, self.name)
+        decode = partial(decode_received, self.storage, receiver, self.name)
         try:
-            Consuming(reader, self.taking(), decoding, self.status, self.stop.is_set).run()
+            Consuming(reader, self.taking(), decode, self.status, self.stop.is_set).run()
         except Exception as error:  # noqa: BLE001 - for the test to look at
             self.failures.append(error)
         finally:

@@ -29,7 +29,7 @@ def message(kind: str, node: int, change: Callable[[Signals], Mapping[str, npt.A
         found = decode(default_catalogue(), batch).messages[plan.arbitration_id]
         values = found.values()
         faulty = change({name: values[:, i] for i, name in enumerate(plan.names)})
-        new = encode(plan, batch.t_ns[found.index], faulty, batch.channel)
+        new = encode(plan, batch.t_ns[found.index], faulty)
         kept = np.ones(len(batch), dtype=np.bool_)
         kept[found.index] = False
         return sort_by_time(concatenate([take(batch, kept), new]))

@@ -15,11 +15,10 @@ import pytest
 from bad_recordings import JUMPING, STANDING, WRONG, Edited, edited, registry_with
 from tiny_fleet import Deployment, deployment, recorded_once
 
-from api.demo.service import free_port, serving_api
-from api.demo.table import ServiceAddress
-from api.demo.track import track_lines
+from api.demo.findings import ServiceAddress, track_lines
 from api.factory import create_app
-from api.terminal.reasons import fleet_reasons, summary_lines
+from api.terminal.demo import free_port, serving_api
+from api.terminal.estimate import fleet_reasons, summary_lines
 from ingest.simulator.fleet import FleetReport, Recording
 from ingest.simulator.scenario_file import load_scenario
 

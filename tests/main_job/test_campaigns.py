@@ -18,7 +18,7 @@ import sqlalchemy
 from one_database import in_turn
 from tiny_fleet import DEAD, WORN, Deployment, deployment, rows, true_conicity
 
-from api.demo.service import free_port, serving_api
+from api.terminal.demo import free_port, serving_api
 from api.times import from_rfc3339, to_rfc3339
 from estimation.contact.profiles import MeasuredProfiles
 from fleet_db.migrate import upgrade

@@ -35,8 +35,10 @@ def regression(
 
     yaw_inertia = p.yaw_inertia * ddψ
     creep = 2 * l**2 * f11 * dψ / V
-    yaw_spring = p.yaw_stiffness * motion.yaw_deflection
-    yaw_damper = p.yaw_damping * motion.yaw_deflection_rate
+    known = (np.zeros(1) if one is None else one for one in (motion.frame_yaw, motion.frame_yaw_rate))
+    frame_yaw, frame_yaw_rate = known
+    yaw_spring = p.yaw_stiffness * (ψ - frame_yaw)
+    yaw_damper = p.yaw_damping * (dψ - frame_yaw_rate)
     yaw_spin = -(2 * f23 / V) * rolling_slip
     gyroscopic = (p.pitch_inertia * V / r0) * motion.roll_rate
     z2 = yaw_inertia + gyroscopic + creep + 2 * f33 * dψ / V + yaw_spring + yaw_damper + yaw_spin

@@ -36,7 +36,7 @@ def token(storage: SqlStorage, owner: str, *scopes: str) -> str:
     with storage.write() as unit:
         wanted = Wanted(owner=owner, scopes=frozenset(scopes), fleets=None, expires_ns=None)
         _, made = make_key(unit, wanted, "test", api_fleet.RECORDED)
-    return made.text
+    return made
 
 
 def test_a_key_is_asked_for_and_a_wrong_one_refused(page_of_keys: Page, stored: SqlStorage) -> None:

@@ -57,8 +57,6 @@ class RuleBook:
     """One rule of every type; ``RuleBook()`` holds the shipped defaults.
 
     Attributes:
-        rules, alarm_flood: What holds where nothing else is said.
-        name: What the operator calls this version of the rules.
         scoped: The books of fleets and classes, by (fleet, class) with None for any other: of every pair of a fleet and
             a class that are named, so that one look-up decides. They have no scopes themselves.
     """
@@ -77,54 +75,31 @@ class RuleBook:
         return f"{shipped} {digest}"
 
     def of(self, fleet: str, vehicle_class: str | None) -> RuleBook:
-        """Return the rules of the vehicles of a class in a fleet.
-
-        Args:
-            vehicle_class: Code; None where it is not known.
-        """
+        """Return the rules of the vehicles of a class in a fleet."""
         named_fleet = fleet if any(one == fleet for one, _ in self.scoped) else None
         named_class = vehicle_class if any(one == vehicle_class for _, one in self.scoped) else None
         return self.scoped.get((named_fleet, named_class), self)
 
     def with_rules(self, *rules: AlertRule) -> RuleBook:
-        """Return a book with these rules in place of those of their types, or added to them.
-
-        Args:
-            *rules: At most one of a type.
-        """
+        """Return a book with these rules in place of those of their types, or added to them."""
         given = {rule.kind: rule for rule in rules}
         known = {rule.kind: rule for rule in self.rules}
         return replace(self, rules=tuple((known | given).values()))
 
     def rule(self, rule_type: type[Rule]) -> Rule:
-        """Return the rule of a type.
-
-        Args:
-            rule_type: One of ``ALERT_RULES``.
-
-        Raises:
-            LookupError: The book has none of this type.
-        """
+        """Return the rule of a type."""
         for rule in self.rules:
             if isinstance(rule, rule_type):
                 return rule
         raise LookupError(f"no rule {rule_type.kind} in this book")
 
     def delays_of(self, kind: str) -> AlertDelays:
-        """Return the delays of a rule.
-
-        Raises:
-            LookupError: The book has no rule of this kind.
-        """
+        """Return the delays of a rule."""
         for rule in self.rules:
             if rule.kind == kind:
                 return rule.delays
         raise LookupError(f"no rule {kind} in this book")
 
     def enabled(self, kind: str) -> bool:
-        """Return whether alerts of a kind are raised.
-
-        Args:
-            kind: Of an alert; that of a rule which is gone is not.
-        """
+        """Return whether alerts of a kind are raised."""
         return any(rule.enabled for rule in self.rules if rule.kind == kind)

@@ -38,7 +38,6 @@ from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.registry import VehicleRecord
-from estimation.values.trend import WearTrend
 
 LAST_POINTS = 2  # of a trend: one alone may be an outlier
 NOT_BELOW = 0.6  # least probability at 3 mm with which a conicity over the limit at a smaller amplitude is over it
@@ -130,24 +129,18 @@ def limit_state(facts: WheelsetFacts) -> LimitState | None:
     reaches = LEAST_AMPLITUDE - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
     known = reaches and geometry.equivalent_conicity.status is Status.ESTIMATED
     beyond = extrapolated(below_limit(geometry)) if known else None
-    return LimitState(
-        conicity,
-        geometry.equivalent_conicity if known else None,
-        amplitude if known else LIMIT_AMPLITUDE,
-        () if trend is None or fitted is None else _last(trend),
-        beyond,
-        any(_is_open(float(at), one) for at, one in zip(geometry.amplitude, geometry.conicity, strict=True)),
+    last: list[Estimate] = []
+    if trend is not None and fitted is not None:
+        pairs = zip(trend.value[-LAST_POINTS:].tolist(), trend.std[-LAST_POINTS:].tolist(), strict=True)
+        last = [with_interval(value, std) for value, std in pairs]
+    left_open = any(
+        LEAST_AMPLITUDE - SAME_AMPLITUDE < at < LIMIT_AMPLITUDE + SAME_AMPLITUDE
+        and code_of(one.reason) is ReasonCode.CONICITY_OPEN
+        for at, one in zip(geometry.amplitude.tolist(), geometry.conicity, strict=True)
     )
-
-
-def _is_open(amplitude: float, conicity: Estimate) -> bool:
-    compared = LEAST_AMPLITUDE - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE + SAME_AMPLITUDE
-    return compared and code_of(conicity.reason) is ReasonCode.CONICITY_OPEN
-
-
-def _last(trend: WearTrend) -> Sequence[Estimate]:
-    pairs = zip(trend.value[-LAST_POINTS:].tolist(), trend.std[-LAST_POINTS:].tolist(), strict=True)
-    return [with_interval(value, std) for value, std in pairs]
+    if not known:
+        return LimitState(conicity, last=last, left_open=left_open)
+    return LimitState(conicity, geometry.equivalent_conicity, amplitude, last, beyond, left_open)
 
 
 ANY_CLASS = "*"
@@ -248,15 +241,7 @@ def conicity_limit_finding(
     current: Estimate | None = None,
     not_assessable_reason: Reason | None = None,
 ) -> Finding:
-    """Return the finding on the limit by the conicity.
-
-    Args:
-        windows: Windows behind the geometry.
-        measured_ns: Time of the newest data behind the conicity.
-        current: That of the current geometry, where the conicity is of the trend.
-        not_assessable_reason: Why the data do not describe the present wheelset (silent, sensor fault, reprofiled
-            since); None where they do.
-    """
+    """Return the finding on the limit by the conicity."""
     against = state.against(limit)
     reason = not_assessable_reason or too_few_windows(windows, rule.minimum_windows)
     if reason is None and against is None:

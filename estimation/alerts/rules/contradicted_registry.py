@@ -74,12 +74,7 @@ class IdentityRule(AlertRule):
 
 
 def identity_finding(event: IdentityEvent | None, mounting: Mounting, standing: Alert | None) -> Finding | None:
-    """Return the finding on a wheelset's identity; None where the geometries agree with it.
-
-    Args:
-        event: What has been found since the last identity change; None where nothing.
-        standing: The open alert: it stands until its mounting is corrected on file.
-    """
+    """Return the finding on a wheelset's identity; None where the geometries agree with it."""
     if event is None:
         return None if standing is None else restated(standing, breached=True, cleared=False)
     details = IdentityEvidence(

@@ -10,7 +10,7 @@ from annotated_types import Interval
 from estimation.alerts.rules.rule import AlertRule, Evidence, Probability, WheelsetFacts
 from estimation.values.alerts import Finding
 from estimation.values.fields import Served
-from estimation.values.opinions import CellFriction, SectionAdhesion
+from estimation.values.opinions import SectionAdhesion
 from estimation.values.quantities import Estimate
 
 Friction = Annotated[float, Interval(ge=0.02, le=0.6)]
@@ -58,7 +58,12 @@ class LowAdhesionRule(AlertRule):
 
 def section_finding(rule: LowAdhesionRule, found: SectionAdhesion) -> Finding:
     """Return what the rule finds in the newest friction of a section; its ``wheelset`` is empty."""
-    low = [cell for cell in found.cells if _within(cell, found)]
+    stretches = found.low_stretches
+    low = [
+        cell
+        for cell in found.cells
+        if cell.friction.value is not None and any(a <= cell.from_m and cell.to_m <= b for a, b in stretches)
+    ]
     worst = max(low, key=lambda cell: cell.low_probability, default=None)
     evidence = LowAdhesionEvidence(
         track_section=found.track_section,
@@ -83,10 +88,4 @@ def section_finding(rule: LowAdhesionRule, found: SectionAdhesion) -> Finding:
         measured_ns=found.to_ns,
         stands=bool(found.low_stretches),
         since_ns=found.to_ns,
-    )
-
-
-def _within(cell: CellFriction, found: SectionAdhesion) -> bool:
-    return any(begin <= cell.from_m and cell.to_m <= end for begin, end in found.low_stretches) and (
-        cell.friction.value is not None
     )

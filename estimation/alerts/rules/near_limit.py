@@ -76,28 +76,24 @@ class MeasureRule(IntervalsRule):
             facts.geometry.to_ns,
             not_assessable_reason=facts.not_assessable_reason,
         )
-        return measure_finding(self, state, decided, limit, measured=self._is_measured(facts))
-
-    def _is_measured(self, facts: WheelsetFacts) -> bool:
-        """Return whether its profiles have been measured within the last kilometres."""
-        if facts.geometry is None or facts.profiles_measured_km is None:
-            return False
-        return facts.geometry.mileage_km - facts.profiles_measured_km <= self.measured_within_km
+        at_km = facts.profiles_measured_km
+        measured = at_km is not None and facts.geometry.mileage_km - at_km <= self.measured_within_km
+        return measure_finding(self, state, decided, limit, measured=measured)
 
 
 def measure_finding(rule: MeasureRule, state: LimitState, decided: Finding, limit: float, *, measured: bool) -> Finding:
-    """Return whether the profiles are to be measured.
-
-    Args:
-        decided: The finding of the limit's own rule, which goes before.
-    """
+    """Return whether the profiles are to be measured."""
     at_limit, at_reached = state.at_limit(limit), state.at_reached(limit)
     over = max((one.probability for one in (at_limit, at_reached) if one is not None), default=0.0)
     needed = rule.extrapolated_probability if state.extrapolated else rule.raise_probability
     at_3_mm = 0.0 if at_limit is None else at_limit.probability
     reached = 0.0 if at_reached is None else at_reached.probability
     open_far = not state.extrapolated and (state.conicity.high or 0.0) >= rule.reaches * limit
-    unsaid = at_limit is None and (state.reached is not None or state.left_open) and _is_of_data(state, decided)
+    unsaid = (
+        at_limit is None
+        and (state.reached is not None or state.left_open)
+        and (decided.breached is not None or decided.evidence["unknown_because_code"] == code_of(state.conicity.reason))
+    )  # nothing else hides the state
     may_be = at_3_mm >= needed or reached >= rule.raise_probability or open_far or unsaid
     silent, settled = decided.breached is None and not unsaid, measured or decided.breached is True
     is_clear = at_3_mm <= rule.clear_probability and reached <= rule.clear_probability and not may_be
@@ -120,11 +116,6 @@ def measure_finding(rule: MeasureRule, state: LimitState, decided: Finding, limi
         clear_limit=limit,
         measured_ns=decided.measured_ns,
     )
-
-
-def _is_of_data(state: LimitState, decided: Finding) -> bool:
-    """Return whether nothing else hides the state than that the data do not say what is at 3 mm."""
-    return decided.breached is not None or decided.evidence["unknown_because_code"] == code_of(state.conicity.reason)
 
 
 PROBABLY_OVER = 0.5
@@ -180,11 +171,7 @@ def limit_forecast_finding(
     *,
     not_assessable_reason: Reason | None = None,
 ) -> Finding:
-    """Return the finding on the distance that is left to the limit of the trend.
-
-    Args:
-        measured_ns: Time of the newest data behind the trend.
-    """
+    """Return the finding on the distance that is left to the limit of the trend."""
     points = len(trend.value)
     reason = not_assessable_reason or (trend.reason if trend.status is not Status.ESTIMATED else trend.not_comparable)
     reason = reason or trend.few_behind
@@ -192,12 +179,15 @@ def limit_forecast_finding(
         reason = Reason(ReasonCode.TOO_FEW_POINTS, f"{points} points, {rule.minimum_points} needed")
     within = None if reason else probability_within(trend, rule.within_km)
     within_clear = None if reason else probability_within(trend, rule.clear_within_km)
+    over = (trend.probability_over_limit or 0.0) >= PROBABLY_OVER  # that is no mere information
+    urgent = within is not None and (over or within >= rule.clear_probability)
+    severity = Severity.WARNING if urgent else Severity.INFO
     return Finding(
         wheelset=wheelset,
         kind=LimitForecastRule.kind,
         breached=None if within is None else within >= rule.raise_probability,
         cleared=None if within_clear is None else 1.0 - within_clear >= rule.clear_probability,
-        severity=_severity(rule, trend, within),
+        severity=severity,
         probability=number_evidence(within, 2),
         evidence=LimitForecastEvidence(
             quantity=trend.quantity,
@@ -215,11 +205,3 @@ def limit_forecast_finding(
         clear_limit=rule.clear_within_km,
         measured_ns=measured_ns,
     )
-
-
-def _severity(rule: LimitForecastRule, trend: WearTrend, within: float | None) -> Severity:
-    """Return how urgent it is: what is probably over the limit now is no mere information."""
-    if within is None:
-        return Severity.INFO
-    over = (trend.probability_over_limit or 0.0) >= PROBABLY_OVER
-    return Severity.WARNING if over or within >= rule.clear_probability else Severity.INFO

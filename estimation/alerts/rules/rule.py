@@ -183,44 +183,24 @@ class WheelsetFacts:
 
 @dataclass(frozen=True, slots=True)
 class AlertRule(ABC):
-    """An alert rule; its fields are what the operator sets.
+    """An alert rule; its fields are what the operator sets."""
 
-    Attributes:
-        kind: Name of the rule in rules files and of its alerts, at most 32 letters.
-        limit_unit: Unit of the limits of its alerts.
-        of_wear: It judges the profile: its alerts end with a reprofiling, and it is asked with
-            ``not_assessable_reason``.
-        of_sensors: It judges the sensors: its alerts end where they are exchanged or calibrated.
-        hides_wear: Why the profile cannot be judged while this rule is breached; empty where it can.
-        advice: What is the matter and what to do, in the words of the worklist; empty where the rule has words of its
-            own.
-        counts_km: Its findings have a mileage, so that its delays may be in kilometres.
-        relations: Fields of which one limits another, each as (field, "<=" or ">=", field).
-        evidence: What its findings rest on: what its alerts keep, and what the API answers; None where that is told by
-            what it is alone.
-        enabled, delays: Whether it is evaluated; how long before an alert follows.
-    """
-
-    kind: ClassVar[str]
-    limit_unit: ClassVar[str]
-    of_wear: ClassVar[bool] = False
-    of_sensors: ClassVar[bool] = False
-    hides_wear: ClassVar[Reason | None] = None
-    advice: ClassVar[str] = ""
-    counts_km: ClassVar[bool] = False
-    relations: ClassVar[Sequence[tuple[str, str, str]]] = ()
-    evidence: ClassVar[type[Evidence] | None] = None
+    kind: ClassVar[str]  # its name in rules files and of its alerts, at most 32 letters
+    limit_unit: ClassVar[str]  # of its alerts
+    of_wear: ClassVar[bool] = False  # judges the profile: its alerts end with a reprofiling; may not be assessable
+    of_sensors: ClassVar[bool] = False  # judges the sensors: its alerts end where they are exchanged or calibrated
+    hides_wear: ClassVar[Reason | None] = None  # why the profile cannot be judged while it is breached
+    advice: ClassVar[str] = ""  # what to do, in the words of the worklist; empty where the worklist has its own
+    counts_km: ClassVar[bool] = False  # its findings have a mileage, so that its delays may be in kilometres
+    relations: ClassVar[Sequence[tuple[str, str, str]]] = ()  # (field, "<=" or ">=", the field that limits it)
+    evidence: ClassVar[type[Evidence] | None] = None  # what its alerts keep and the API answers
 
     enabled: bool = True
     delays: AlertDelays = field(default_factory=AlertDelays)
 
     @abstractmethod
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:
-        """Return what the rule finds; None where it does not apply.
-
-        Args:
-            now_ns: Our time, nanoseconds UTC since the Unix epoch.
-        """
+        """Return what the rule finds, at our time in ns UTC; None where it does not apply."""
 
 
 def measured_until(windows: Sequence[WindowRecord], facts: WheelsetFacts) -> int:

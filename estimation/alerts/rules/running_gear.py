@@ -118,7 +118,6 @@ def suspension_change_finding(rule: SuspensionChangeRule, wheelset: str, found: 
 
 
 def _beyond(found: SuspensionChange, limit: float) -> float:
-    """Return the probability that the size of the true change is above the limit."""
     return float(ndtr((found.change - limit) / found.std) + ndtr((-found.change - limit) / found.std))
 
 

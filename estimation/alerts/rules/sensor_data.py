@@ -145,9 +145,6 @@ def faulty(rule: SensorFaultRule, window: WindowRecord, hunted: frozenset[int] =
 
     A sensor that clips because its wheelset hunts, or another one that shakes its vehicle, is sound; so is one that a
     wheel with a flat strikes.
-
-    Args:
-        hunted: Starts of windows in which a wheelset of the vehicle hunts.
     """
     quality = window.quality
     if quality.sensor_fault:

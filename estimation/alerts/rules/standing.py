@@ -89,11 +89,7 @@ class Standing:
 
 
 def raised_at(found: Iterable[Finding], delays: AlertDelays) -> int | None:
-    """Return when an alert was raised that stands after the findings, ns UTC; None where none stands.
-
-    Args:
-        found: In order of vehicle time; those that decide nothing do not count.
-    """
+    """Return when an alert was raised that stands after findings in order of vehicle time, ns UTC; else None."""
     standing = Standing()
     for one in found:
         standing = standing.after(one, delays)
@@ -105,9 +101,6 @@ def latest_run(newest_first: Iterable[Finding], delays: AlertDelays) -> bool:
 
     That is where an alert ends that is raised by breaches on end, for its on-delay, and cleared by findings beyond the
     clear limit, for its off-delay. Going back from the newest, most wheelsets are decided by two.
-
-    Args:
-        newest_first: Findings that decide, in falling order of vehicle time; read as far as needed.
     """
     raising = clearing = NO_RUN
     for found in newest_first:
@@ -121,11 +114,7 @@ def latest_run(newest_first: Iterable[Finding], delays: AlertDelays) -> bool:
 
 
 def began(newest_first: Iterable[Finding], delays: AlertDelays) -> int | None:
-    """Return when an alert that stands was raised, ns UTC, looking back to the last run that cleared.
-
-    Args:
-        newest_first: Findings that decide, in falling order of vehicle time; read as far as needed.
-    """
+    """Return when an alert that stands was raised, ns UTC, looking back from the newest to the last run that clears."""
     read: list[Finding] = []
     clearing = NO_RUN
     for found in newest_first:
@@ -142,12 +131,7 @@ def reach_km(delays: AlertDelays) -> float:
 
 
 def within_reach(mileages_km: Sequence[float | None], count: int, reach: float) -> int:
-    """Return how many of the newest data count: at least ``count``, and those of the last kilometres.
-
-    Args:
-        mileages_km: In order of vehicle time; None where not known.
-        reach: Kilometres; 0 where none count.
-    """
+    """Return how many of the newest data count: at least ``count``, and those of the last kilometres."""
     known = [at for at in mileages_km if at is not None]
     if reach <= 0.0 or not known:
         return min(count, len(mileages_km))
@@ -189,7 +173,7 @@ class WindowsRule(AlertRule):
         now = self.find_in(ordered[-latest:], facts)
         if not any(self.is_suspect(window, facts) for window in ordered):
             return replace(now, stands=False)
-        mileages = [_mileage(one) for one in ordered]
+        mileages = [None if one.implausible is not None else one.mileage_km for one in ordered]
         first = len(ordered) - within_reach(mileages, LOOK_BACK * latest, reach_km(self.delays))
 
         def after(end: int) -> Finding:
@@ -241,10 +225,6 @@ class WindowShareRule(WindowsRule):
             clear_limit=self.clear_share,
             measured_ns=measured_until(windows, facts),
         )
-
-
-def _mileage(window: WindowRecord) -> float | None:
-    return window.mileage_km if window.implausible is None else None
 
 
 @dataclass(frozen=True, slots=True)

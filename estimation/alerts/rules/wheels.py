@@ -27,7 +27,7 @@ from estimation.alerts.rules.rule import (
     too_few_windows,
 )
 from estimation.alerts.rules.standing import Standing, WindowShareRule, counting
-from estimation.values.alerts import Alert, Finding, Severity
+from estimation.values.alerts import Finding, Severity
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.fields import JsonValue, Served
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
@@ -148,7 +148,8 @@ class WheelAsymmetryRule(AlertRule):
         if facts.geometry is None:
             return None
         if not facts.intervals:
-            now = self._of(facts, facts.geometry, _raised_by(facts.open_alerts), facts.not_assessable_reason)
+            raised = (_names(one.evidence.get("raised_by")) for one in facts.open_alerts if one.kind == self.kind)
+            now = self._of(facts, facts.geometry, next(raised, []), facts.not_assessable_reason)
             return replace(now, mileage_km=facts.geometry.mileage_km)
         standing, blamed = Standing(), list[str]()
         counted = counting(facts, self.delays)
@@ -174,11 +175,6 @@ class WheelAsymmetryRule(AlertRule):
             raised_by=raised_by,
             not_assessable_reason=reason,
         )
-
-
-def _raised_by(alerts: Sequence[Alert]) -> list[str]:
-    raised = (alert for alert in alerts if alert.kind == WheelAsymmetryRule.kind)
-    return next((_names(alert.evidence.get("raised_by")) for alert in raised), [])
 
 
 def _names(indicators: JsonValue) -> list[str]:
@@ -242,10 +238,6 @@ def wheel_asymmetry_finding(
     Breached when one of them is; not breached when both are known not to be. Cleared when every indicator that raised
     the open alert (``raised_by``, from its evidence) is known and below its clear limit and no known one is above its
     own.
-
-    Args:
-        raised_by: Names of the indicators that raised the open alert; empty where none is open.
-        not_assessable_reason: Why the geometry does not count at present; None where it does.
     """
     reason = not_assessable_reason or too_few_windows(windows, rule.minimum_windows)
     limits: dict[Indicator, tuple[Estimate, float, float]] = {
@@ -287,7 +279,6 @@ def _cleared(over_clear: Mapping[Indicator, float | None], blamed: Sequence[str]
 
 
 def _beyond(value: Estimate, limit_mm: float) -> float | None:
-    """Return the probability that the size of the true value is above the limit."""
     if value.value is None or value.std is None:
         return None
     if value.std <= 0.0:

@@ -1,21 +1,21 @@
-"""What the windows of an epoch rest on besides their samples: what is on file of their wheelsets and vehicles."""
+"""Which epoch of a section is due, and what its windows rest on besides their samples: what is on file."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import TreadwatchError
+from estimation.jobs.job import JobContext
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.track.partition import Entry
-from estimation.track.passes import ProfileLife, profile_life
+from estimation.track.passes import NANOSECONDS, Entry, Group, ProfileLife, first_epoch, profile_life
 from estimation.values.registry import Mounting, WheelsetRecord
-from estimation.values.track import EpochMember, FoldState, TrackSectionRecord
-from estimation.values.windows import WindowRecord
+from estimation.values.track import OPEN_NS, EpochMember, FoldState, ListedWindow, TrackEpoch, TrackSectionRecord
+from estimation.values.windows import WindowKey, WindowRecord
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +118,7 @@ def given(unit: UnitOfWork, section: TrackSectionRecord, settings: JobSettings) 
 
 
 def input_digest(members: Sequence[EpochMember]) -> str:
-    """Return a digest of the windows of an epoch and of what they are looked at with.
-
-    Args:
-        members: In any order.
-    """
+    """Return a digest of the windows of an epoch and of what they are looked at with."""
     text = hashlib.sha256()
     for member in sorted(members, key=lambda one: (one.record.wheelset, one.record.start_ns)):
         record = member.record
@@ -138,3 +134,219 @@ def entries(lookup: FileLookup, records: Sequence[WindowRecord]) -> list[Entry]:
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+GROWN = 4.0
+"""Times as many windows as it was computed with: from there on an open epoch is computed although more still come."""
+
+_READ = 4  # times the windows of an epoch that are read to find it
+
+
+@dataclass(frozen=True, slots=True)
+class Due:
+    """An epoch that has to be looked at, with the epochs as they were read.
+
+    Without windows of its own it and those behind it have none left.
+    """
+
+    section: TrackSectionRecord
+    number: int
+    stored: Sequence[TrackEpoch]
+    before: FoldState
+    basis: str  # digest of what all epochs rest on
+    own: Sequence[EpochMember] = ()
+    entries: Sequence[Entry] = ()  # its own windows and those that wait
+    digest: str = ""
+    horizon_ns: int = 0
+
+    @property
+    def old(self) -> TrackEpoch | None:
+        """The epoch as it was computed last."""
+        return self.stored[self.number - 1] if self.number <= len(self.stored) else None
+
+    @property
+    def rests(self) -> bool:
+        """Whether the epoch is there and rests on what it did."""
+        old = self.old
+        if old is None or old.stale:
+            return False
+        return old.before == self.before.key(self.basis) and old.input_digest == self.digest
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """An epoch that rests on what it did, though windows about it have changed, as it is to be stored."""
+
+    epoch: TrackEpoch
+    own: Sequence[EpochMember]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a look at the epochs of a section has found.
+
+    Attributes:
+        stored: All epochs, as they were read.
+        kept: Epochs before the one that is due, or left for later.
+        due: The first to be computed; None where all others are as they should be.
+        later: Whether the last epoch stays as it is for now: a later run looks at it although nothing has changed.
+    """
+
+    stored: Sequence[TrackEpoch]
+    kept: Sequence[Kept] = ()
+    due: Due | None = None
+    later: bool = False
+
+    def __bool__(self) -> bool:
+        return bool(self.kept) or self.due is not None
+
+
+@dataclass(frozen=True, slots=True)
+class EpochSearch:
+    """The epochs of a section as one transaction sees them.
+
+    Attributes:
+        stored: All epochs, in order.
+        changed_ns: Start of the first window that they do not hold as it is now; None where there is none.
+    """
+
+    unit: UnitOfWork
+    context: JobContext
+    section: TrackSectionRecord
+    lookup: FileLookup
+    stored: Sequence[TrackEpoch]
+    changed_ns: int | None
+
+    def found(self) -> Found:
+        """Return what is due."""
+        stored = self.stored
+        basis, first = given(self.unit, self.section, self.context.settings)
+        states = [first, *(epoch.after for epoch in stored)]
+        kept: list[Kept] = []
+
+        def due_of(number: int) -> tuple[Due, Group | None]:
+            due = Due(self.section, number, stored, states[number - 1], basis)
+            return self._with_windows(due, {member.record.key for one in kept for member in one.own})
+
+        for epoch in stored:
+            if not (epoch.stale or epoch.before != states[epoch.number - 1].key(basis) or self._reaches(epoch)):
+                continue
+            due, group = due_of(epoch.number)
+            if group is not None and epoch.number == len(stored) and self._leaves_for_later(due, group):
+                return Found(stored, kept, later=True)
+            if group is None or not due.rests:
+                return Found(stored, kept, due)
+            kept.append(Kept(replace(epoch, horizon_ns=group.horizon_ns, windows=len(due.own)), due.own))
+        due, group = due_of(len(stored) + 1)
+        return Found(stored, kept, None if group is None else due)
+
+    def _reaches(self, epoch: TrackEpoch) -> bool:
+        """Return whether the first window that has changed may be one of an epoch."""
+        return self.changed_ns is not None and self.changed_ns <= epoch.horizon_ns
+
+    def _with_windows(self, due: Due, taken: Collection[WindowKey]) -> tuple[Due, Group | None]:
+        """Return an epoch with its windows; without any where none are left."""
+        settings, code = self.context.settings.alignment, self.section.code
+        limit = _READ * settings.most_windows + len(taken)
+        left = [one for one in self.unit.epochs.remaining(code, due.number, limit) if one.key not in taken]
+        if not left:
+            return due, None
+        self.lookup.look_up(left)
+        group = first_epoch(
+            entries(self.lookup, left), settings.most_windows, settings.most_wheelsets, settings.partition
+        )
+        before = _waiting_before(due)
+        waiting = self.unit.epochs.windows(code, before) if before else ()
+        self.lookup.look_up(waiting)
+        own = [self.lookup.member(record) for record, _ in group.entries]
+        members = [*(self.lookup.member(record) for record in waiting), *own]
+        whole = replace(
+            due,
+            own=own,
+            entries=[*entries(self.lookup, waiting), *group.entries],
+            digest=input_digest(members),
+            horizon_ns=group.horizon_ns,
+        )
+        return whole, group
+
+    def _leaves_for_later(self, due: Due, group: Group) -> bool:
+        """Return whether the last epoch stays as it is for now: windows still come, and it has hardly grown since.
+
+        It is computed by the first run that finds no new window, so what is stored at rest is the same.
+        """
+        old, context = due.old, self.context
+        assert old is not None
+        ages_ns = [context.clock.now_ns() - record.recorded_ns for record, _ in group.entries]
+        coming = any(0 <= age_ns < context.quiet_s * NANOSECONDS for age_ns in ages_ns)
+        grows = old.windows < len(group.entries) < GROWN * old.windows
+        return coming and grows and group.horizon_ns == OPEN_NS and old.before == due.before.key(due.basis)
+
+
+def changed_from(unit: UnitOfWork, lookup: FileLookup, section: str) -> int | None:
+    """Return the start of the first window of a section that is listed and that no epoch holds as it is now.
+
+    What comes so late that samples of later windows have been purged joins the next epoch, and none is computed again
+    for it.
+    """
+    purged_ns: list[int | None] = []
+
+    def in_time(listed: ListedWindow) -> bool:
+        if not purged_ns:
+            purged_ns.append(unit.epochs.purged_until(section))
+        return purged_ns[0] is None or listed.start_ns > purged_ns[0]
+
+    for listed in unit.epochs.listed(section):
+        if _has_come(listed, section, in_time) or _is_looked_at_otherwise(listed, section, lookup):
+            return listed.start_ns
+    return None
+
+
+def _has_come(listed: ListedWindow, section: str, in_time: Callable[[ListedWindow], bool]) -> bool:
+    """Return whether a window is new on a section, or has changed."""
+    record, held = listed.record, listed.held
+    if record is None or record.track_section != section or record.samples_purged:
+        return False
+    if held is None:
+        return in_time(listed)
+    now = (record.track_section, record.vehicle, record.content_digest, record.mileage_km)
+    return now != (held.section, held.vehicle, held.content_digest, held.mileage_km)
+
+
+def _is_looked_at_otherwise(listed: ListedWindow, section: str, lookup: FileLookup) -> bool:
+    """Return whether what is on file changes how a window of an epoch is looked at."""
+    record, held = listed.record, listed.held
+    if record is None or held is None or held.section != section:
+        return False
+    return lookup.member(record).assumed != held.assumed
+
+
+def otherwise_on_file(
+    unit: UnitOfWork, lookup: FileLookup, section: str
+) -> tuple[Mapping[WindowKey, int], Sequence[tuple[str, str, str]]]:
+    """Return for which windows of a section something else is on file than when their epoch was computed.
+
+    Returns:
+        Their starts by key, and vehicle, wheelset and digest of what is on file now where it changes nothing for them.
+    """
+    changed: dict[WindowKey, int] = {}
+    unaffected: list[tuple[str, str, str]] = []
+    for vehicle, wheelset, digest in unit.epochs.contexts(section):
+        now = lookup.of(vehicle, wheelset).digest
+        if now == digest:
+            continue
+        held = unit.epochs.members(section, vehicle, wheelset)
+        other = [one.record for one in held if lookup.member(one.record).assumed != one.assumed]
+        changed |= {record.key: record.start_ns for record in other}
+        if not other:
+            unaffected.append((vehicle, wheelset, now))
+    return changed, unaffected
+
+
+def _waiting_before(due: Due) -> list[int]:
+    """Return the epochs right before one that have identified nothing."""
+    found: list[int] = []
+    for epoch in reversed(due.stored[: due.number - 1]):
+        if not epoch.waits:
+            break
+        found.append(epoch.number)
+    return found

@@ -1,18 +1,27 @@
-"""A geometry from the summed bin tables of windows."""
+"""A geometry from summed bin tables, the radii that it rests on, and the windows that it contradicts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 
+from estimation.errors import DamagedError, NotFoundError
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
+from estimation.geometry.rolling_radius import check_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.load_window import load_window
 from estimation.jobs.steps.vehicle_classes import Assumed
+from estimation.motion.rolling_sums import rolling_sums
+from estimation.storage import UnitOfWork
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters, bin_parameters
 from estimation.values.fields import JsonValue
-from estimation.values.geometry import BinTable, WheelsetGeometry
+from estimation.values.geometry import RADIUS_DOUBTED, BinTable, Contradiction, GeometryRecord, WheelsetGeometry
+from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.roll_up import RollingSums, WindowRollingSums
+from estimation.values.windows import WindowRecord
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,3 +66,128 @@ def no_geometry(settings: EstimationSettings, parameter_key: str) -> WheelsetGeo
     bins = BinParameters(source=settings.signals.source, band_limited=True)
     empty = estimate_geometry(bin_table.init(bins), bins, settings.geometry)
     return replace(empty, parameter_key=parameter_key)
+
+
+CONTRADICTIONS = (ReasonCode.AXLE_DISTANCE, ReasonCode.SENSOR_TURNED, ReasonCode.AXES_REVERSED)
+BEFORE_AND_AFTER_NS = 24 * 3600 * 10**9  # of the time that is looked at
+MOST_SHARE = 0.3  # of all windows that may be refused so: of right vehicles hardly one in a thousand is
+
+
+def contradiction(
+    refused: Sequence[WindowRecord], vehicles: Collection[str], first_ns: int, last_ns: int, windows: int
+) -> Reason | None:
+    """Return why so many windows of the time of some were refused; None where fewer were.
+
+    Args:
+        refused: Windows of the same wheelset that were refused by one of ``CONTRADICTIONS``, oldest first.
+        first_ns, last_ns: Start of the first and of the last of them.
+    """
+    first, last = first_ns - BEFORE_AND_AFTER_NS, last_ns + BEFORE_AND_AFTER_NS
+    against = [one.reason for one in refused if one.vehicle in vehicles and first <= one.start_ns <= last]
+    return against[-1] if len(against) > MOST_SHARE * (len(against) + windows) else None
+
+
+@dataclass(frozen=True, slots=True)
+class RadiusOnFile:
+    """Looks at the windows of one wheelset that stand for many.
+
+    What most of them say was computed when they were estimated; of the others the samples are read, once in their life.
+
+    Attributes:
+        fresh: What was computed on the way.
+    """
+
+    unit: UnitOfWork
+    wheelset: str
+    fresh: dict[tuple[int, str], WindowRollingSums] = field(default_factory=dict)
+    _known: dict[tuple[int, str, str], tuple[RollingSums, ...]] = field(default_factory=dict)
+    _checked: dict[tuple[str, ...], Contradiction | None] = field(default_factory=dict)
+
+    def contradicted(
+        self,
+        chosen: Sequence[tuple[str, int]],
+        assumed: Assumed,
+        stored: Callable[[], Contradiction | None] | None = None,
+    ) -> Contradiction | None:
+        """Return that windows contradict the radius on file or leave it open; None where they do not or are silent.
+
+        A window takes no part whose samples, or those of the other axle of its bogie, are missing or damaged. Where
+        none has samples any more, what was found when they were there remains.
+
+        Args:
+            chosen: Content digest and start of the windows.
+            stored: Returns what the geometry that is stored has against the radius, where it is asked for.
+        """
+        found = self._sums({start_ns: digest for digest, start_ns in chosen}, assumed)
+        before = None if found or stored is None else stored()
+        if before is not None:
+            return before
+        same = (assumed.digest, *(f"{start_ns} {digest}" for digest, start_ns in chosen if start_ns in found))
+        if same not in self._checked:
+            parts = [part for start_ns in sorted(found) for part in found[start_ns]]
+            of_class = assumed.windows.vehicle_class
+            radius, std = of_class.parameters.nominal_radius, of_class.std_of("nominal_radius")
+            measured = "nominal_radius" in of_class.relative_std
+            self._checked[same] = check_radius(parts, radius, std, measured=measured)
+        return self._checked[same]
+
+    def _sums(self, chosen: Mapping[int, str], assumed: Assumed) -> dict[int, tuple[RollingSums, ...]]:
+        """Return by start what the windows say that have samples, or had them when they were looked at."""
+        unknown = {at: digest for at, digest in chosen.items() if (at, digest, assumed.digest) not in self._known}
+        if unknown:
+            stored = self.unit.roll_ups.rolling(self.wheelset, unknown, assumed.digest)
+            self._known.update({(at, unknown[at], assumed.digest): parts for at, parts in stored.items()})
+        keys = {at: (at, digest, assumed.digest) for at, digest in chosen.items()}
+        found = {at: self._known[key] for at, key in keys.items() if key in self._known}
+        for start_ns in chosen.keys() - found.keys():
+            key = (start_ns, assumed.digest)
+            if key not in self.fresh:
+                parts = self._of_samples(start_ns, assumed)
+                if parts is None:
+                    continue
+                self.fresh[key] = WindowRollingSums(self.wheelset, start_ns, chosen[start_ns], assumed.digest, parts)
+            found[start_ns] = self.fresh[key].parts
+        return found
+
+    def _of_samples(self, start_ns: int, assumed: Assumed) -> tuple[RollingSums, ...] | None:
+        record, vehicle_class = self.unit.windows.get(self.wheelset, start_ns), assumed.windows.vehicle_class
+        if record is None:
+            return None
+        try:
+            window = load_window(self.unit, record, vehicle_class)
+        except (NotFoundError, DamagedError):
+            return None  # its table remains
+        return None if isinstance(window, Reason) else rolling_sums(window, vehicle_class, assumed.windows.signals)
+
+
+def stated(found: Contradiction | None) -> Mapping[str, JsonValue]:
+    """Return what a geometry keeps of a doubt on its radius among its parameters."""
+    if found is None or found.certain:
+        return {}
+    doubt: dict[str, JsonValue] = {"code": found.reason.code.value, "text": found.reason.text}
+    return {RADIUS_DOUBTED: {**doubt, "relative": found.relative}}
+
+
+def former(unit: UnitOfWork, wheelset: str, baseline: int, interval: int | None) -> GeometryRecord | None:
+    """Return the geometry that is stored of an interval, or the current one; None where there is none."""
+    if interval is None:
+        return next((one for one in unit.geometries.baselines(wheelset) if one.baseline == baseline), None)
+    found = unit.geometries.intervals(wheelset, baseline, first=interval, last=interval)
+    return next(iter(found), None)
+
+
+def remembered(record: GeometryRecord | None) -> Contradiction | None:
+    """Return what a stored geometry has against the radius on file; None where nothing."""
+    if record is None:
+        return None
+    reason, doubt = record.geometry.reason, record.parameters.get(RADIUS_DOUBTED)
+    if (
+        reason is not None
+        and reason.code is ReasonCode.ROLLING_RADIUS_DIFFERS
+        and record.geometry.status is Status.MODEL_MISMATCH
+    ):
+        return Contradiction(reason, certain=True, relative=0.0)
+    if not isinstance(doubt, Mapping):
+        return None
+    before = Reason(ReasonCode(str(doubt["code"])), str(doubt["text"]))
+    return Contradiction(before, certain=False, relative=float(str(doubt["relative"])))

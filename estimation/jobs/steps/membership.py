@@ -1,19 +1,40 @@
-"""Which roll-up a window of a wheelset belongs to."""
+"""Which roll-up a window of a wheelset belongs to, and which windows do not count for what they are now."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 
-from estimation.jobs.steps.baselines import Baseline, baselines
-from estimation.jobs.steps.trend_steps import last_change
+from estimation.jobs.steps.identities import last_change
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.values.registry import Mounting
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.roll_up import Member, RollUp, RollUpKey, Side, TabledWindow
 from estimation.values.trend import IdentityChange
+from estimation.values.windows import PassedOver
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """The life of a profile between two reprofilings, ``[from_ns, to_ns)``."""
+
+    number: int
+    from_ns: int
+    to_ns: int | None
+    mileage_km: float  # of the wheelset at its begin
+
+
+def baselines(wheelset: WheelsetRecord) -> list[Baseline]:
+    """Return the baselines of a wheelset, oldest first; number 0 begins when it was new."""
+    turned = sorted(wheelset.reprofilings, key=lambda item: item.at_ns)
+    starts = [(0, 0.0), *((item.at_ns, item.mileage_km) for item in turned)]
+    ends: list[int | None] = [item.at_ns for item in turned] + [None]
+    return [Baseline(i, a, b, km) for i, ((a, km), b) in enumerate(zip(starts, ends, strict=True))]
+
 
 ROLL_UP_VERSION = 2
 
@@ -44,11 +65,7 @@ class Membership:
         return hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
 
     def baseline_of(self, start_ns: int) -> Baseline:
-        """Return the baseline of a time.
-
-        Args:
-            start_ns: From 0.
-        """
+        """Return the baseline of a time."""
         return next(one for one in reversed(self.baselines) if one.from_ns <= start_ns)
 
     def assumed(self, roll_up: RollUp) -> Assumed | None:
@@ -121,11 +138,7 @@ class Membership:
 
 
 def membership(unit: UnitOfWork, serial: str, classes: ClassLookup) -> Membership:
-    """Return the rules for the windows of a wheelset as they are now.
-
-    Args:
-        classes: Of the same transaction.
-    """
+    """Return the rules for the windows of a wheelset as they are now."""
     wheelset = classes.wheelset(serial)
     return Membership(
         serial,
@@ -136,3 +149,35 @@ def membership(unit: UnitOfWork, serial: str, classes: ClassLookup) -> Membershi
         classes.settings.half_life_km,
         classes,
     )
+
+
+CONTRADICTED = Reason(
+    ReasonCode.SAMPLES_PURGED, "class, mounting, mileage or reprofilings have changed since the samples were purged"
+)
+
+
+@dataclass(slots=True)
+class PassedOverWindows:
+    """Looks at the windows of one wheelset, as one transaction sees them."""
+
+    unit: UnitOfWork
+    rules: Membership
+    _windows: Sequence[tuple[int, PassedOver]] | None = field(default=None, init=False)
+
+    def counts(self, roll_ups: Sequence[RollUp]) -> Mapping[str, int]:
+        """Return how many windows of the time of some roll-ups stay as they are, by what would have changed them."""
+        if self._windows is None:
+            self._windows = self.unit.windows.passed_over(self.rules.wheelset)
+        if not self._windows:
+            return {}
+        spans = [(one.first_ns, one.last_ns) for one in roll_ups]
+        found = Counter(
+            what.value for start_ns, what in self._windows if any(first <= start_ns <= last for first, last in spans)
+        )
+        return dict(sorted(found.items()))
+
+    def contradicted(self, roll_up: RollUp) -> bool:
+        """Whether what is stored of a roll-up is wrong by now: its windows were of another class, place or mileage."""
+        counts = self.counts([roll_up])
+        other_class = PassedOver.CLASS_CHANGED in counts and self.rules.assumed(roll_up) is None
+        return other_class or PassedOver.RECORD_CHANGED in counts or not self.rules.of_its_baseline(roll_up)

@@ -14,12 +14,12 @@ from estimation.accuracy.wheel_contact import RailShare, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
 from estimation.jobs.job import JobContext
-from estimation.jobs.rails_settings import RailsSettings
-from estimation.jobs.steps.trend_steps import last_change
+from estimation.jobs.settings import RailsSettings
+from estimation.jobs.steps.identities import last_change
 from estimation.rails.parameters import Anchors, ReferenceWheel, conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
-from estimation.values.rails import KnownWheel, RailKey, StoredCell, WheelKey
+from estimation.values.opinions import KnownWheel, RailKey, StoredCell, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.track import TrackSectionRecord
@@ -73,9 +73,6 @@ def anchor_inputs(unit: UnitOfWork, cells: Sequence[StoredCell], context: JobCon
 
     Sections with other rails, or another gauge, than those that all are compared with hold nothing, though their rails
     be known: what a wheel is there does not follow for the reference rails.
-
-    Args:
-        context: Names the sections whose rails are as on file.
     """
     windows: Counter[str] = Counter()
     for one in cells:

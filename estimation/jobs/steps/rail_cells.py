@@ -19,7 +19,7 @@ from estimation.rails.cell import section_conicity
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import BinParameters, bin_parameters, merge_all
 from estimation.values.geometry import BinTable
-from estimation.values.rails import RailKey, SectionConicity, StoredCell, WheelKey
+from estimation.values.opinions import RailKey, SectionConicity, StoredCell, WheelKey
 from estimation.values.reasons import Reason
 from estimation.values.roll_up import Member, Side
 from estimation.values.track import TrackAlignment

@@ -11,12 +11,18 @@ from functools import partial
 
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import JobContext
-from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, contradiction
-from estimation.jobs.steps.estimated_geometry import EstimatedWith, no_geometry
-from estimation.jobs.steps.membership import Membership
-from estimation.jobs.steps.passed_over import CONTRADICTED, PassedOverWindows
+from estimation.jobs.steps.estimated_geometry import (
+    CONTRADICTIONS,
+    EstimatedWith,
+    RadiusOnFile,
+    contradiction,
+    former,
+    no_geometry,
+    remembered,
+    stated,
+)
+from estimation.jobs.steps.membership import CONTRADICTED, Membership, PassedOverWindows
 from estimation.jobs.steps.rolling import Part, Rolled, sums
-from estimation.jobs.steps.rolling_radius import RadiusOnFile, former, remembered, stated
 from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import weighted_sum
@@ -37,10 +43,6 @@ class RolledGeometries:
     """Geometries of one wheelset, as one transaction sees its roll-ups.
 
     Attributes:
-        unit: Everything is read from it.
-        rules: By which the windows were rolled.
-        rolled: The roll-ups.
-        context: Settings and version of the numerics.
         radius: What was found of the radius on file on the way.
         earlier: Digest and sum of the intervals before the newest one, where it had to be made.
     """

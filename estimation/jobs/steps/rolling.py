@@ -13,9 +13,8 @@ from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, 
 from dataclasses import dataclass, replace
 from itertools import groupby
 
-from estimation.jobs.steps.baselines import Baseline
-from estimation.jobs.steps.membership import Membership
-from estimation.jobs.steps.running_mileage import first_reading, known_mileage, read
+from estimation.jobs.steps.membership import Baseline, Membership
+from estimation.motion.mileage import first_reading, known_mileage, read
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import TableSum
 from estimation.values.geometry import BinTable
@@ -365,11 +364,7 @@ def members(unit: UnitOfWork, rules: Membership, part: Part) -> list[Member]:
 
 
 def sums(unit: UnitOfWork, wheelset: str, part: Part) -> tuple[BinTable, BinTable]:
-    """Return the sums of a roll-up's tables, plain and forgetting.
-
-    Args:
-        unit: Sums and tables are read, one table at a time.
-    """
+    """Return the sums of a roll-up's tables, plain and forgetting."""
     number = part.roll_up.number
     stored = None if part.afresh or number is None else unit.roll_ups.sums(number)
     if stored is not None and not part.added:

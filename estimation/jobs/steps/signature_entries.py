@@ -12,10 +12,9 @@ import numpy as np
 from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelPair, wheel_contact
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
-from estimation.jobs.steps.baselines import Baseline, baselines
 from estimation.jobs.steps.identities import suspected
-from estimation.jobs.steps.vehicle_classes import ClassLookup
-from estimation.jobs.steps.vehicle_lookup import VehicleLookup
+from estimation.jobs.steps.membership import Baseline, baselines
+from estimation.jobs.steps.vehicle_classes import ClassLookup, VehicleLookup
 from estimation.signatures.parameters import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, extrapolated

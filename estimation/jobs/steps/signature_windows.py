@@ -12,8 +12,7 @@ from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.load_window import WindowLoader
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
-from estimation.jobs.steps.vehicle_lookup import VehicleLookup
+from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup, VehicleLookup
 from estimation.motion.parameters import WindowParameters
 from estimation.signatures.parameters import SignatureParameters
 from estimation.signatures.window_signatures import window_signatures
@@ -114,7 +113,6 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
     records = sorted(unit.windows.several(windows), key=lambda one: (one.vehicle, one.start_ns, one.axle))
     expected.classes.look_up([one.wheelset for one in records], {one.vehicle for one in records})
     loader = WindowLoader(unit, VehicleLookup(unit), {record.key: record for record in records})
-    layouts = _Layouts(unit)
     inputs = {}
     for record in (one for one in records if not one.samples_purged):
         assumed, before = expected.classes.assumed(record.vehicle, record.wheelset), made_of.get(record.key)
@@ -131,7 +129,7 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
             without=without,
             window=window,
             made_with=None if isinstance(assumed, Reason) else assumed.windows,
-            layout=layouts.of(record.track_section),
+            layout=None if record.track_section is None else unit.tracks.layout(record.track_section),
             parameters=context.settings.signatures,
         )
     return inputs
@@ -142,19 +140,6 @@ def _samples(loader: WindowLoader, record: WindowRecord, assumed: Assumed) -> tu
         return "", loader.load(record, assumed.windows.vehicle_class)
     except (DamagedError, PurgedError):
         return "damaged", None
-
-
-@dataclass(frozen=True, slots=True)
-class _Layouts:
-    unit: UnitOfWork
-    known: dict[str, TrackLayout | None] = field(default_factory=dict)
-
-    def of(self, section: str | None) -> TrackLayout | None:
-        if section is None:
-            return None
-        if section not in self.known:
-            self.known[section] = self.unit.tracks.layout(section)
-        return self.known[section]
 
 
 def sign(inputs: WindowInputs) -> Outcome[WindowSignatures]:

@@ -1,4 +1,4 @@
-"""What an epoch found, into the store: the version, the report, and where each window was."""
+"""What an epoch found, into the store: version, report, positions, and what it shows of the suspension of vehicles."""
 
 from __future__ import annotations
 
@@ -7,17 +7,15 @@ from dataclasses import dataclass, field
 
 from estimation.errors import ConflictError
 from estimation.jobs.job import JobContext
-from estimation.jobs.steps.due_epoch import Due
-from estimation.jobs.steps.epoch_inputs import given
-from estimation.jobs.steps.lost_windows import assemble_if_lost
-from estimation.jobs.steps.suspension import store_suspension
+from estimation.jobs.steps.epoch_inputs import Due, given
+from estimation.jobs.steps.epoch_passes import Placing, Solved, place_windows
+from estimation.jobs.steps.load_window import assemble_if_lost
 from estimation.jobs.steps.vehicle_classes import ClassLookup
-from estimation.jobs.steps.window_positions import Placing, Solved, place_windows
 from estimation.storage import UnitOfWork
+from estimation.track.panel.instrumental_slope import PRIOR_STD
 from estimation.track.passes import Journey
-from estimation.track.settings import AlignmentSettings
+from estimation.track.settings import AlignmentSettings, changed_vehicles, requires_reestimation
 from estimation.track.update import AlignmentUpdate
-from estimation.track.versions import changed_vehicles, requires_reestimation
 from estimation.values.fields import JsonValue
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.track import (
@@ -28,8 +26,48 @@ from estimation.values.track import (
     TrackEpoch,
     TrackReport,
 )
+from estimation.values.trend import SuspensionFinding
 from estimation.values.windows import WindowRecord
 from estimation.vehicle.vehicle_class import ClassOnFile
+
+LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of the ratio
+
+
+def store_suspension(
+    unit: UnitOfWork,
+    epoch: TrackEpoch,
+    records: Sequence[WindowRecord],
+    update: AlignmentUpdate,
+    classes: Mapping[str, ClassOnFile],
+    context: JobContext,
+) -> int:
+    """Store the stiffness ratio of every vehicle that the epoch shows; return of how many."""
+    iterated = update.estimate.iterated
+    if iterated is None or not update.estimate.report.converged or update.outcome.windows_wait:
+        return 0
+    known = 0
+    for code, ratio in sorted(iterated.ratios.items()):
+        own = [record for record in records if record.vehicle == code]
+        if not own or code not in classes or not 0.0 < ratio.std <= LEARNT * PRIOR_STD:
+            continue
+        vehicle = classes[code].vehicle_class.parameters
+        unit.suspensions.put(
+            SuspensionFinding(
+                vehicle=code,
+                section=epoch.section,
+                from_ns=min(record.start_ns for record in own),
+                to_ns=max(record.start_ns + record.length_ns for record in own),
+                ratio=ratio.value,
+                ratio_std=ratio.std,
+                assumed=vehicle.yaw_stiffness / vehicle.longitudinal_creep_coefficient,
+                code_version=context.code_version,
+                recorded_ns=context.clock.now_ns(),
+            ),
+            epoch.number,
+        )
+        known += 1
+    return known
+
 
 _UNDECIDED = {None, ReasonCode.SURVEY_NOT_ASSESSABLE, ReasonCode.MODEL_CONTRADICTED}  # a survey is judged again
 

@@ -15,8 +15,7 @@ from estimation.alerts.rules.sensor_data import DataQualityRule, SensorFaultRule
 from estimation.alerts.rules.standing import LOOK_BACK, LOOK_BACK_INTERVALS, reach_km, within_reach
 from estimation.alerts.rules.wheels import WheelFlatRule
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps.identities import identity_changes
-from estimation.jobs.steps.trend_steps import rails_of, step_of, surroundings
+from estimation.jobs.steps.identities import identity_changes, rails_of, step_of, surroundings
 from estimation.storage import UnitOfWork
 from estimation.trend.steps import StepSurroundings, behind_step
 from estimation.values.alerts import Alert

@@ -37,15 +37,6 @@ class GaugePrior:
 
 
 @dataclass(frozen=True, slots=True)
-class GaugeStep:
-    """The gauge deviation after a step, and how its conjugate gradients ended."""
-
-    gauge: FloatArray  # (n,) m
-    converged: bool  # within ``CG_TOLERANCE``
-    steps: int
-
-
-@dataclass(frozen=True, slots=True)
 class _LinearisedPass:
     """One pass: residual of y and its derivative by e before the filter, on its own grid."""
 
@@ -64,52 +55,43 @@ def with_gauge_effect(solution: PanelSolution, effect: FloatArray, panel: Panel)
     return replace(solution, curves=np.concatenate([h0, h1, np.zeros_like(h1), stiffness_term], axis=2))
 
 
-def gauge_step(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, prior: GaugePrior) -> GaugeStep:
-    """Return the gauge deviation after one Gauss-Newton step from the gauge of ``panel``, with mean zero."""
+def gauge_step(
+    passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, prior: GaugePrior
+) -> tuple[FloatArray, bool, int]:
+    """Return the gauge (n,), m, mean zero, after a Gauss-Newton step; whether it converged; steps of the gradients."""
     assert panel.gauge is not None
-    rows = [one for item in passes if (one := _linearised(item, solution, panel)) is not None]
+    rows = [_linearised(item, curve, panel) for item, curve in solution.used(passes)]
     count, weight = np.zeros((2, panel.grid.points))
     for one in rows:
         count[one.points[one.inside]] += 1
         weight[one.points[one.inside]] += one.root**2
     share = np.where(count >= FEWEST_PASSES, 1.0 / np.where(weight > 0.0, weight, 1.0), 0.0)
-    system = _GaugeSystem(rows, share, _smooth_kernel(prior.smooth, panel.grid.step), panel.grid.kernel)
+    reach = int(np.ceil(2 * prior.smooth / panel.grid.step))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * panel.grid.step * 2.5 / prior.smooth) ** 2)
+    smooth = np.asarray(kernel / np.sqrt((kernel**2).sum()))  # a process of unit variance driven by white noise
+    system = _GaugeSystem(rows, share, smooth, panel.grid.kernel)
     change, converged, steps = system.solve((prior.noise / prior.std) ** 2)
     gauge = panel.gauge + change
     known = share > 0
     if not known.any():
-        return GaugeStep(panel.gauge, converged, steps)
-    return GaugeStep(np.where(known, gauge - gauge[known].mean(), 0.0), converged, steps)
+        return panel.gauge, converged, steps
+    return np.where(known, gauge - gauge[known].mean(), 0.0), converged, steps
 
 
-def _smooth_kernel(smooth: float, step: float) -> FloatArray:
-    """Return the kernel (2 m + 1,) of a smooth process of unit variance driven by white noise."""
-    reach = int(np.ceil(2 * smooth / step))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step * 2.5 / smooth) ** 2)
-    return np.asarray(kernel / np.sqrt((kernel**2).sum()))
-
-
-def _linearised(item: GriddedPass, solution: PanelSolution, panel: Panel) -> _LinearisedPass | None:
-    curve = solution.curve_of(item.life)
-    if item.empty or curve is None:
-        return None
-    on = panel.grid.contains(item.points)
+def _linearised(item: GriddedPass, curve: FloatArray, panel: Panel) -> _LinearisedPass:
+    p, on = panel.parameters, panel.grid.contains(item.points)
     root = float(np.sqrt(panel.weight_of(item.life)))
+    R = np.clip(item.difference, -p.reach, p.reach)
+    first, second = (np.interp(R, p.gauge_knots, values) for values in gauge_curves(curve, panel))
+    slope = (first + 2 * gauge_at(item.points, panel) / p.gauge_unit * second) / p.gauge_unit
     return _LinearisedPass(
         points=np.clip(item.points, 0, panel.grid.points - 1),
         on=on,
         inside=item.inside,
         residual=np.where(item.inside, root * pass_residual(item, curve, panel), 0.0),
-        slope=np.where(on, root * item.side * _slope(item, curve, panel), 0.0),
+        slope=np.where(on, root * item.side * slope, 0.0),
         root=root,
     )
-
-
-def _slope(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
-    p = panel.parameters
-    R = np.clip(item.difference, -p.reach, p.reach)
-    first, second = (np.interp(R, p.gauge_knots, values) for values in gauge_curves(curve, panel))
-    return np.asarray((first + 2 * gauge_at(item.points, panel) / p.gauge_unit * second) / p.gauge_unit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,19 +166,18 @@ def search_gauge(
     shifts: Mapping[ProfileLife, GaugeShift],
     parameters: SearchParameters,
 ) -> FloatArray:
-    """Return the gauge deviation (n,), m, with mean zero, at which ``passes`` agree best.
-
-    The slow part of y - d is taken at ``panel.gauge``.
-    """
+    """Return the gauge deviation (n,), m, with mean zero, at which passes agree best, starting at ``panel.gauge``."""
     levels = parameters.levels
     sums, squares = np.zeros((2, panel.grid.points, len(levels)))
     count, met = np.zeros((2, panel.grid.points))
-    for item in passes:
-        placed = _placed(item, solution, panel, shifts)
-        if placed is None:
-            continue
-        at, at_nominal, R = placed
-        each = at_nominal[:, None] - item.side * shifts[item.life].over(R, levels)
+    p = panel.parameters
+    for item, curve in solution.used(passes):
+        R, at = np.clip(item.difference, -p.reach, p.reach), item.used_points
+        nominal = item.side * (np.interp(R, p.knots, curve[: p.basis_count]) + curve[-1] * item.stiffness_term)
+        whole = nominal + item.side * shifts[item.life].at(item.difference, gauge_at(item.points, panel))
+        y = high_pass(item.displacement - whole, panel.grid.kernel) + whole  # d plus the shift as this pass sees it
+        shift = item.side * shifts[item.life].over(item.difference[item.inside], levels)
+        each = (y - nominal)[item.inside][:, None] - shift
         weight = panel.weight_of(item.life)
         sums[at] += weight * each
         squares[at] += weight * (each * each)
@@ -209,22 +190,6 @@ def search_gauge(
     cost[~enough] = 0.0
     gauge = levels[_best_way(cost + 0.5 * (levels / parameters.std) ** 2, levels / parameters.change)]
     return np.asarray(np.where(enough, gauge - gauge[enough].mean(), 0.0)) if enough.any() else gauge
-
-
-def _placed(
-    item: GriddedPass, solution: PanelSolution, panel: Panel, shifts: Mapping[ProfileLife, GaugeShift]
-) -> tuple[IntArray, FloatArray, FloatArray] | None:
-    """Return grid points (m,), d plus the shift as this pass sees it (m,), m, and R (m,)."""
-    curve = solution.curve_of(item.life)
-    if item.empty or curve is None:
-        return None
-    p = panel.parameters
-    R = np.clip(item.difference, -p.reach, p.reach)
-    nominal = item.side * (np.interp(R, p.knots, curve[: p.basis_count]) + curve[-1] * item.stiffness_term)
-    shift = item.side * shifts[item.life].at(item.difference, gauge_at(item.points, panel))
-    whole = nominal + shift
-    y = high_pass(item.displacement - whole, panel.grid.kernel) + whole
-    return item.used_points, (y - nominal)[item.inside], item.difference[item.inside]
 
 
 def _best_way(cost: FloatArray, level: FloatArray) -> IntArray:

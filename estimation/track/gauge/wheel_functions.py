@@ -27,10 +27,11 @@ from estimation.track.panel.basis import (
     curve_displacement,
     gauge_at,
     gauge_curves,
+    init,
     known_shift,
     pass_residual,
+    update,
 )
-from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import PanelSolution, residual_of_passes, result
 from estimation.track.passes import Pass, ProfileLife
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
@@ -86,10 +87,7 @@ def contact_samples(
 ) -> dict[ProfileLife, ContactSamples]:
     """Return where every wheelset sat, seen from itself; what the filter takes from y - d is put back from h(R, e)."""
     found: dict[ProfileLife, list[FloatArray]] = {}
-    for item in passes:
-        curve = solution.curve_of(item.life)
-        if item.empty or curve is None:
-            continue
+    for item, curve in solution.used(passes):
         d = np.where(item.inside, solution.alignment[np.clip(item.points, 0, panel.grid.points - 1)], np.nan)
         misfit = item.side * (pass_residual(item, curve, panel) - d)
         without_stiffness = curve_displacement(item, curve, panel) - curve[-1] * item.stiffness_term
@@ -182,7 +180,12 @@ def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[Profi
     It is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is taken from
     what wheels are, steeper towards the flange: far from the centre a wheelset runs further out in wide gauge.
     """
-    return 1 if sum(_outwards(one, shifts[name]) for name, one in seen.items()) >= 0 else -1
+    outwards = 0.0  # per millimetre of gauge
+    for name, one in seen.items():
+        R = one.difference[np.abs(one.difference) >= np.quantile(np.abs(one.difference), FAR)]
+        wide, narrow = (shifts[name].at(R, np.full(len(R), gauge)) for gauge in (0.5e-3, -0.5e-3))
+        outwards += float(np.mean(np.sign(R) * (wide - narrow)))
+    return 1 if outwards >= 0 else -1
 
 
 def _misfit_wheels(seen: ContactSamples, factor: float) -> float:
@@ -204,13 +207,6 @@ def _hats(u: FloatArray, knots: FloatArray) -> sparse.csr_matrix:
     return sparse.csr_matrix((values, (np.concatenate([row, row]), at)), shape=(len(u), len(knots)))
 
 
-def _outwards(seen: ContactSamples, shift: GaugeShift) -> float:
-    """Return by how much a millimetre of gauge moves a wheelset outwards, where it is far from the centre."""
-    R = seen.difference[np.abs(seen.difference) >= np.quantile(np.abs(seen.difference), FAR)]
-    wide, narrow = (shift.at(R, np.full(len(R), gauge)) for gauge in (0.5e-3, -0.5e-3))
-    return float(np.mean(np.sign(R) * (wide - narrow)))
-
-
 CLIPPED = 1e-3  # m of residual
 FEWEST = 300.0  # samples of a knot that count
 SIZE = 0.2  # m of h1 for a metre of gauge, rms: half is the most, at the flange
@@ -222,37 +218,25 @@ LEAST_GAUGE = 0.3e-3  # m, std in the first trial: noise alone makes less, and a
 def initial_gauge_effect(
     passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, prior: GaugePrior
 ) -> FloatArray | None:
-    """Return h1 (w, gauge_basis_count), m for ``gauge_unit`` of gauge, from the residuals of a panel without gauge.
-
-    None where a gauge that would explain the residuals hardly varies.
-    """
-    vectors = _leading_vectors(passes, solution, panel)
+    """Return h1 (w, gauge_basis_count), m a ``gauge_unit``, from a panel without; None where gauge hardly varies."""
+    first, second, weight = _leading_vectors(passes, solution, panel)
     candidates = []
     for degrees in MIXTURES:
-        mixed = np.cos(np.radians(degrees)) * vectors.first + np.sin(np.radians(degrees)) * vectors.second
-        size = np.sqrt((mixed**2 * vectors.weight).sum() / vectors.weight.sum())
+        mixed = np.cos(np.radians(degrees)) * first + np.sin(np.radians(degrees)) * second
+        size = np.sqrt((mixed**2 * weight).sum() / weight.sum())
         odd = mixed * SIZE * panel.parameters.gauge_unit / size
         candidates.append(np.concatenate([-odd[:, :0:-1], np.zeros((len(odd), 1)), odd[:, 1:]], axis=1))
     return _best_candidate(candidates, solution.lives, passes, panel, prior)
 
 
-@dataclass(frozen=True, slots=True)
-class _LeadingVectors:
-    """The two leading eigenvectors over (w, knots of R >= 0), and how many samples each knot has."""
-
-    first: FloatArray  # (w, k)
-    second: FloatArray  # (w, k)
-    weight: FloatArray  # (w, k)
-
-
-def _leading_vectors(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel) -> _LeadingVectors:
+def _leading_vectors(
+    passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the two leading eigenvectors, and how many samples each knot has, (w, knots of R >= 0) each."""
     knots = panel.parameters.gauge_knots[panel.parameters.gauge_basis_count // 2 :]
     k, w = len(knots), len(solution.lives)
     sums, own, count = np.zeros((panel.grid.points, w * k)), np.zeros((w * k, w * k)), np.zeros(w * k)
-    for item in passes:
-        curve = solution.curve_of(item.life)
-        if item.empty or curve is None:
-            continue
+    for item, curve in solution.used(passes):
         at = item.used_points
         residual = pass_residual(item, curve, panel)[item.inside] - solution.alignment[at]
         known = np.isfinite(residual)
@@ -269,7 +253,7 @@ def _leading_vectors(passes: Sequence[GriddedPass], solution: PanelSolution, pan
     covariance = (sums.T @ sums - own) / np.sqrt(np.outer(weight, weight))
     _, vectors = np.linalg.eigh(covariance)
     second, first = (vectors[:, -2:] / np.sqrt(weight)[:, None]).T
-    return _LeadingVectors(first.reshape(w, k), second.reshape(w, k), weight.reshape(w, k))
+    return first.reshape(w, k), second.reshape(w, k), weight.reshape(w, k)
 
 
 def _best_candidate(
@@ -295,7 +279,7 @@ def _best_candidate(
     kept = [lives.index(life) for life in start.lives]
     residuals: list[float] = []
     for effect in candidates:
-        gauge = gauge_step(part, with_gauge_effect(start, effect[kept], zero), zero, prior).gauge
+        gauge, _, _ = gauge_step(part, with_gauge_effect(start, effect[kept], zero), zero, prior)
         if not residuals and gauge.std() < LEAST_GAUGE:
             return None
         state = update(init(small.with_gauge(gauge)), part)

@@ -20,8 +20,7 @@ import numpy as np
 
 from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass
-from estimation.track.panel.basis import Panel, curve_displacement, known_shift
-from estimation.track.panel.normal_equations import PanelState, groups_of
+from estimation.track.panel.basis import Panel, PanelState, curve_displacement, groups_of, known_shift
 from estimation.track.panel.solution import PanelSolution, curves_of_sum
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
@@ -60,7 +59,9 @@ def slope_correction(state: PanelState, solution: PanelSolution) -> SlopeCorrect
 def corrected(state: PanelState, solution: PanelSolution, factor: float) -> PanelSolution:
     """Return a solution with its curves multiplied by ``factor``, and the alignment that follows from them."""
     passes = np.where(state.passes > 0.0, state.passes, 1.0)
-    added = (factor - 1.0) * curves_of_sum(state, _without_stiffness(solution.curves[0])) / passes
+    without_stiffness = solution.curves[0].copy()
+    without_stiffness[:, -1] = 0.0
+    added = (factor - 1.0) * curves_of_sum(state, without_stiffness) / passes
     return replace(
         solution,
         curves=np.concatenate([factor * solution.curves[:, :, :-1], solution.curves[:, :, -1:]], axis=2),
@@ -80,10 +81,6 @@ def common_slope(solution: PanelSolution, other: PanelSolution) -> float:
         along += float((weight * mine) @ curve[:count])
         own += float((weight * mine) @ mine)
     return along / own if along > 0.0 else 1.0
-
-
-def _without_stiffness(curves: FloatArray) -> FloatArray:
-    return np.concatenate([curves[:, :-1], np.zeros_like(curves[:, -1:])], axis=1)
 
 
 REACH = 20.0  # m, of the filter to both sides
@@ -128,7 +125,13 @@ def _sums(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel) 
     """Return by group (g, 4) the sums of h(z) h(R), h(z) y, h(z)^2 and h(R)^2, each less its mean over the place."""
     grid, groups = panel.grid, panel.parameters.groups
     filtered = [_filtered(item, panel) for item in passes if not item.empty]
-    mean, known = _mean_displacement(filtered, panel)
+    summed, passed = np.zeros((2, grid.points))
+    for one in filtered:
+        summed[one.source.used_points] += one.displacement[one.source.inside]
+        passed[one.source.used_points] += 1.0
+    mean, taps = summed / np.maximum(passed, 1.0), 2 * int(REACH / grid.step) + 1
+    # where enough have passed within the reach of the filter
+    known = np.convolve(passed >= panel.parameters.least_passes, np.ones(taps), "same") > taps - 0.5
     predicted = _predictions(filtered, mean, known, panel)
     terms: list[tuple[IntArray, FloatArray, float]] = []
     total, count = np.zeros((3, grid.points)), np.zeros(grid.points)
@@ -154,17 +157,6 @@ def _filtered(item: GriddedPass, panel: Panel) -> _Filtered:
     displacement = item.displacement - known_shift(item, panel)
     y, R = high_pass(np.stack([displacement, item.difference]), panel.grid.kernel)
     return _Filtered(item, y, item.side * R)
-
-
-def _mean_displacement(filtered: Sequence[_Filtered], panel: Panel) -> tuple[FloatArray, BoolArray]:
-    """Return the mean y (n,), m, over the passes, and where (n,) enough have passed within the reach of the filter."""
-    total, count = np.zeros(panel.grid.points), np.zeros(panel.grid.points)
-    for one in filtered:
-        total[one.source.used_points] += one.displacement[one.source.inside]
-        count[one.source.used_points] += 1.0
-    taps = 2 * int(REACH / panel.grid.step) + 1
-    enough = count >= panel.parameters.least_passes
-    return total / np.maximum(count, 1.0), np.convolve(enough, np.ones(taps), "same") > taps - 0.5
 
 
 def _predictions(
@@ -239,7 +231,9 @@ def refine_ratios(
     """
     if solution.report.curves_fixed:
         return {item.source.vehicle: Ratio() for item in passes if item.source.stiffness_term is not None}
-    slopes = _slopes(solution, panel)
+    rise = np.diff(solution.curves[0, :, : panel.parameters.basis_count], axis=1) / np.diff(panel.parameters.knots)
+    seen = np.minimum(solution.weight[:, 1:], solution.weight[:, :-1])
+    slopes = (rise * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1e-12)  # dh/dR (w,) over what was seen
     numerators: dict[str, np.ndarray] = {}
     squares: dict[str, float] = {}
     for vehicle, life in sorted(
@@ -301,10 +295,3 @@ def _stiffness_shares(passes: Sequence[GriddedPass]) -> dict[str, float]:
         squares = np.array([E @ E, R @ R])
         sums[item.source.vehicle] = sums.get(item.source.vehicle, 0.0) + squares
     return {vehicle: float(np.clip(own / max(whole, 1e-300), 0.0, 1.0)) for vehicle, (own, whole) in sums.items()}
-
-
-def _slopes(solution: PanelSolution, panel: Panel) -> np.ndarray:
-    """Return dh/dR (w,) of every wheelset, averaged over what it has seen."""
-    rise = np.diff(solution.curves[0, :, : panel.parameters.basis_count], axis=1) / np.diff(panel.parameters.knots)
-    seen = np.minimum(solution.weight[:, 1:], solution.weight[:, :-1])
-    return np.asarray((rise * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1e-12))

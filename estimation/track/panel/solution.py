@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
 
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
-from estimation.track.gridded_pass import SectionGrid
-from estimation.track.panel.basis import Panel
-from estimation.track.panel.measured_curves import MeasuredCurve
-from estimation.track.panel.normal_equations import PanelState, groups_of
+from estimation.track.gridded_pass import GriddedPass, SectionGrid
+from estimation.track.panel.basis import MeasuredCurve, Panel, PanelState, groups_of
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import FloatArray, IntArray, as_slice
 from estimation.values.quantities import Status, jackknife_std
@@ -34,10 +32,7 @@ FIXED_CURVE_WEIGHT = 100.0  # times the data of a knot: a curve that only the me
 
 @dataclass(frozen=True, slots=True)
 class PanelReport:
-    """Whether the passes could separate alignment and geometry.
-
-    ``curves_fixed`` where they could not, and measured profiles have done it for them.
-    """
+    """Whether passes could separate alignment and geometry, or measured profiles have done so: ``curves_fixed``."""
 
     status: Status
     reason: Reason | None
@@ -62,6 +57,13 @@ class PanelSolution:
         """Return the coefficients (c,) of a wheelset from all data; None where it has no curve."""
         return self.curves[0, self.lives.index(life)] if life in self.lives else None
 
+    def used(self, passes: Iterable[GriddedPass]) -> Iterator[tuple[GriddedPass, FloatArray]]:
+        """Yield the passes that are not empty and whose wheelset has a curve, with its coefficients (c,)."""
+        for item in passes:
+            curve = self.curve_of(item.life)
+            if curve is not None and not item.empty:
+                yield item, curve
+
 
 def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     """Return alignment and curves as the passes so far determine them; quicker without std."""
@@ -76,7 +78,11 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     curves_fixed = reason is not None and not state.has_alignment and bool(enough.any()) and bool(_measured(state))
     curves = _curves(total, parts if std else (), state, curves_fixed=curves_fixed)
     alignments = (state.displacement - _by_curves(curves, state)) * share
-    residual = _residual_rms(state, curves[0], total)
+    c, met = curves[0].reshape(-1), state.passes > 0
+    within = state.square.sum() - (state.displacement[met] ** 2 / state.passes[met]).sum()
+    squares = within - 2 * c @ total[1] + c @ total[0] @ c
+    freedom = max(float(np.maximum(state.passes[met] - 1, 0.0).sum()) - len(c), 1.0)
+    residual = float(np.sqrt(max(squares, 0.0) / freedom))
     common = jackknife_std(alignments)
     certainty = np.hypot(common, residual * np.sqrt(share))
     separable = curves_fixed or reason is None
@@ -95,12 +101,8 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Equations:
-    """Normal matrix (w k, w k) and right side (w k,) of the curves, the alignment eliminated."""
-
-    normal: FloatArray
-    right: FloatArray
+_Equations = tuple[FloatArray, FloatArray]
+"""Normal matrix (w k, w k) and right side (w k,) of the curves, the alignment eliminated."""
 
 
 def _normal_equations(state: PanelState, *, by_group: bool) -> list[_Equations]:
@@ -118,11 +120,11 @@ def _normal_equations(state: PanelState, *, by_group: bool) -> list[_Equations]:
 def _sum_of(parts: Sequence[_Equations]) -> _Equations:
     if len(parts) == 1:
         return parts[0]
-    normal, right = parts[0].normal.copy(), parts[0].right.copy()
+    normal, right = parts[0][0].copy(), parts[0][1].copy()
     for one in parts[1:]:
-        normal += one.normal
-        right += one.right
-    return _Equations(normal, right)
+        normal += one[0]
+        right += one[1]
+    return normal, right
 
 
 def _reduced(state: PanelState, gram: FloatArray, cross: FloatArray, at: IntArray) -> _Equations:
@@ -132,7 +134,7 @@ def _reduced(state: PanelState, gram: FloatArray, cross: FloatArray, at: IntArra
     per_pass = 1.0 / state.passes[where]
     root = G * np.sqrt(per_pass).astype(np.float32)
     normal = linalg.block_diag(*gram) - root @ root.T
-    return _Equations(normal, cross.ravel() - G @ (per_pass * state.displacement[where]).astype(np.float32))
+    return normal, cross.ravel() - G @ (per_pass * state.displacement[where]).astype(np.float32)
 
 
 def curves_of_sum(state: PanelState, curves: FloatArray) -> FloatArray:
@@ -157,7 +159,7 @@ def _curves(whole: _Equations, groups: Sequence[_Equations], state: PanelState, 
     w, p, c = len(state.lives), state.panel.parameters, state.panel.unknowns
     if w == 0:
         return np.zeros((1 + len(groups), 0, 1))
-    diagonal = np.diag(whole.normal)
+    diagonal = np.diag(whole[0])
     size = float(diagonal.reshape(w, -1)[:, : p.basis_count].mean())
     prior = linalg.block_diag(
         *[_prior(size if size > 0.0 else 1.0, state.panel)] * w
@@ -168,9 +170,9 @@ def _curves(whole: _Equations, groups: Sequence[_Equations], state: PanelState, 
     if curves_fixed:  # the passes determine the stiffness as little as the curves: it is as assumed
         stiffness = np.arange(c - 1, w * c, c)
         prior[stiffness, stiffness] += FIXED_CURVE_WEIGHT * diagonal[stiffness]
-    normal, right = whole.normal + prior, whole.right + measured_right
+    normal, right = whole[0] + prior, whole[1] + measured_right
     curves = [_solved(normal, right)]
-    curves += [_solved(normal - left.normal, right - left.right) for left in groups]
+    curves += [_solved(normal - left[0], right - left[1]) for left in groups]
     found = np.stack(curves).reshape(len(curves), w, c)
     found[:, :, : p.basis_count] -= found[:, :, [p.basis_count // 2]]
     return found
@@ -236,15 +238,6 @@ def _no_common_shift(w: int, panel: Panel, strength: float) -> FloatArray:
 def _rough(k: int, roughness: float) -> FloatArray:
     bend = np.diff(np.eye(k), 2, axis=0)
     return np.asarray(roughness * bend.T @ bend + 1e-9 * np.eye(k))
-
-
-def _residual_rms(state: PanelState, curve: FloatArray, whole: _Equations) -> float:
-    c = curve.reshape(-1)
-    met = state.passes > 0
-    within = state.square.sum() - (state.displacement[met] ** 2 / state.passes[met]).sum()
-    squares = within - 2 * c @ whole.right + c @ whole.normal @ c
-    freedom = max(float(np.maximum(state.passes[met] - 1, 0.0).sum()) - len(c), 1.0)
-    return float(np.sqrt(max(squares, 0.0) / freedom))
 
 
 def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
@@ -313,11 +306,7 @@ class PriorAlignment:
 
 
 def prior_on_grid(evidence: TrackAlignment, grid: SectionGrid, cutoff_wavelength: float) -> PriorAlignment:
-    """Return the prior alignment on the grid of the panel.
-
-    Args:
-        cutoff_wavelength: Of the panel's high-pass, m; an alignment filtered at this wavelength is not filtered again.
-    """
+    """Return the prior alignment on the panel's grid; one that has its cut-off already is not filtered again."""
     s = grid.s
     certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
     inside = np.interp(s, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9

@@ -124,7 +124,8 @@ def alignment_segment(
     if np.count_nonzero(known) < 2:  # noqa: PLR2004 - nothing to interpolate between
         return None
     inside = np.interp(grid, track.s, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
-    start, stop = _longest(inside)
+    found = runs(np.asarray(inside, dtype=np.bool_))
+    start, stop = found[np.argmax(found[:, 1] - found[:, 0])].tolist() if len(found) else (0, 0)
     d = np.interp(grid[start:stop], track.s[known], track.alignment[known])
     if track.band_limited:
         return FilteredPass(first + start, d[None, :], step) if len(d) else None
@@ -133,14 +134,6 @@ def alignment_segment(
     if len(d) <= 2 * len(weights):
         return None
     return FilteredPass(first + start + reach, high_pass(d, weights)[None, reach:-reach], step)
-
-
-def _longest(inside: FloatArray) -> tuple[int, int]:
-    found = runs(np.asarray(inside, dtype=np.bool_))
-    if not len(found):
-        return 0, 0
-    start, stop = found[np.argmax(found[:, 1] - found[:, 0])]
-    return int(start), int(stop)
 
 
 def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, least_length: float) -> Agreement:
@@ -154,9 +147,11 @@ def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, 
     if (stop - start) * step < least_length:
         return NOTHING
     X, Z = first.signals[:, start - first.first :], second.signals[:, start - second.first :]
-    found = [
-        _of_piece(X[:, part], Z[:, part], int(largest_offset / step), step) for part in _pieces(stop - start, step)
-    ]
+    found = []
+    for part in _pieces(stop - start, step):
+        x, z = (signals[:, part] - signals[:, part].mean(axis=1, keepdims=True) for signals in (X, Z))
+        reach = min(int(largest_offset / step), x.shape[1] // 4)
+        found.append(_at_lag(x, z, int(np.argmax(_canonical(x, z, reach))) - reach, reach, step))
     middle = found[len(found) // 2]
     usual = sorted(found, key=lambda one: one.log10_chance)[len(found) // 2]
     return replace(usual, shift=middle.shift) if middle.log10_chance <= usual.log10_chance else usual
@@ -169,13 +164,6 @@ def _pieces(n: int, step: float) -> list[slice]:
         return [slice(0, n)]
     starts = [0, (n - length) // 2, n - length]
     return [slice(start, start + length) for start in starts]
-
-
-def _of_piece(X: FloatArray, Z: FloatArray, reach: int, step: float) -> Agreement:
-    X, Z = (signals - signals.mean(axis=1, keepdims=True) for signals in (X, Z))
-    reach = min(reach, X.shape[1] // 4)
-    squared = _canonical(X, Z, reach)
-    return _at_lag(X, Z, int(np.argmax(squared)) - reach, reach, step)
 
 
 def _canonical(X: FloatArray, Z: FloatArray, reach: int) -> FloatArray:

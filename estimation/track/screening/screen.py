@@ -18,7 +18,6 @@ from scipy.sparse.linalg import spsolve
 
 from estimation.track.passes import Pass, PassOutcome, PassStatus, journeys
 from estimation.track.screening.agreement import (
-    Agreement,
     FilteredPass,
     ScreeningParameters,
     agreement,
@@ -241,45 +240,40 @@ def screen(
         if one is None
     }
     filtered = {i: one for i, one in enumerate(signals) if one is not None}
-    against_known = _against_known(filtered, known, p)
-    known_contradicted = 2 * len(against_known.refused) > len(against_known.refused) + len(against_known.agreed)
+    agreed, contradicting = _against_known(filtered, known, p)
+    known_contradicted = len(contradicting) > len(agreed)
     if not known_contradicted:
-        refused |= against_known.refused
-    journey_of = _journeys(passes, p)
+        refused |= contradicting
+    grouped = journeys(passes, p.positions).values()
+    numbers = {id(item): number for number, members in enumerate(grouped) for item in members}
+    journey_of = np.array([numbers[id(item)] for item in passes], dtype=np.int64)
     comparable = {i: one for i, one in filtered.items() if i not in refused}
     comparisons = compare_pairs(comparable, journey_of, p)
-    agreed = frozenset() if known_contradicted else frozenset(against_known.agreed)
-    refused |= minority(comparisons, journey_of, agreed)
+    refused |= minority(comparisons, journey_of, frozenset() if known_contradicted else agreed)
     links = [c.link for c in comparisons if c.agrees and not {c.first, c.second} & refused.keys()]
     middle = np.array([0.5 * (item.at[0] + item.at[-1]) for item in passes])
     for i, apart in misplaced(links, journey_of, middle, p.misplaced).items():
         refused[i] = Reason(
             ReasonCode.APART_FROM_JOURNEY, f"its position is {abs(apart):.0f} m away from the rest of its journey"
         )
+    outcomes = []
+    for i, item in enumerate(passes):
+        status = PassStatus.REFUSED if i in refused else PassStatus.USED
+        status = status if i in filtered else PassStatus.TOO_SHORT
+        outcomes.append(PassOutcome(item.wheelset, item.vehicle, item.start_ns, status, refused.get(i)))
     return Screened(
         tuple(item for i, item in enumerate(passes) if i not in refused),
-        tuple(_outcome(item, refused.get(i), short=i not in filtered) for i, item in enumerate(passes)),
+        tuple(outcomes),
         known_contradicted,
     )
 
 
-def _outcome(item: Pass, refusal: Reason | None, *, short: bool) -> PassOutcome:
-    status = PassStatus.TOO_SHORT if short else PassStatus.REFUSED if refusal else PassStatus.USED
-    return PassOutcome(item.wheelset, item.vehicle, item.start_ns, status, refusal)
-
-
-@dataclass(frozen=True, slots=True)
-class _AgainstKnown:
-    agreed: Mapping[int, Agreement]
-    refused: Mapping[int, Reason]
-
-
 def _against_known(
     filtered: Mapping[int, FilteredPass], known: TrackAlignment | None, p: ScreeningParameters
-) -> _AgainstKnown:
+) -> tuple[frozenset[int], dict[int, Reason]]:
     """Return which passes agree with the known alignment and which contradict it; some are not comparable."""
     if known is None or known.status is not Status.ESTIMATED:
-        return _AgainstKnown({}, {})
+        return frozenset(), {}
     reach = int(p.positions.largest_offset / p.step)
     found = {}
     for i, one in filtered.items():
@@ -288,17 +282,8 @@ def _against_known(
             found[i] = agreement(one, track, p.positions.largest_offset, p.cutoff_wavelength)
     assessed = {i: one for i, one in found.items() if one.samples >= p.least_samples}
     if not assessed:
-        return _AgainstKnown({}, {})
+        return frozenset(), {}
     usual = float(np.median([one.factor for one in assessed.values()]))
     verdicts = {i: disagreement(one, usual or 1.0, p, "the section's alignment") for i, one in assessed.items()}
-    return _AgainstKnown(
-        {i: one for i, one in assessed.items() if verdicts[i] is None},
-        {i: reason for i, reason in verdicts.items() if reason is not None},
-    )
-
-
-def _journeys(passes: Sequence[Pass], p: ScreeningParameters) -> IntArray:
-    numbers: dict[int, int] = {}
-    for number, members in enumerate(journeys(passes, p.positions).values()):
-        numbers |= {id(item): number for item in members}
-    return np.array([numbers[id(item)] for item in passes], dtype=np.int64)
+    refused = {i: reason for i, reason in verdicts.items() if reason is not None}
+    return frozenset(assessed.keys() - refused.keys()), refused

@@ -50,7 +50,7 @@ def table(name: str, described: str, *parts: Items | sa.schema.SchemaItem, numbe
 
 
 def columns(described: str) -> Items:
-    """Return columns of ``name TYPE``, each with what more is said of it; ``> table.column`` is what it refers to."""
+    """Return columns: ``name TYPE``, and KEY, NULL, UNIQUE, ``DEFAULT 0`` or ``> table.column DELETE CASCADE``."""
     items: Items = []
     for name, kind, *said in (column.split() for column in described.split(",")):
         after = dict(pairwise(said))
@@ -76,7 +76,7 @@ def known(names: str, values: str) -> Items:
 
 
 def indexes(*names: str) -> Items:
-    return [sa.Index(None, *columns.split()) for columns in names]
+    return [sa.Index(None, *indexed.split()) for indexed in names]
 
 
 def part(name: str, names: str, condition: str, *, unique: bool = False) -> sa.Index:

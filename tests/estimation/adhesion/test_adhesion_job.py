@@ -23,10 +23,10 @@ from estimation.alerts.rules.low_adhesion import LowAdhesionRule
 from estimation.jobs import refresh_adhesion
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import JobContext, run_job
-from estimation.jobs.section_replay import section_replayed
-from estimation.jobs.steps.pooled_friction import friction_parameters, pool_ends
+from estimation.jobs.rules_replay import section_replayed
+from estimation.jobs.steps.load_window import inputs_of_batch
 from estimation.jobs.steps.vehicle_classes import ClassLookup
-from estimation.jobs.steps.window_inputs import inputs_of_batch
+from estimation.jobs.steps.window_creep import friction_parameters, pool_ends
 from estimation.values.alerts import AlertEventKind, AlertScope
 from estimation.values.opinions import SectionAdhesion
 from estimation.values.quantities import Status

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimation.alerts.actions import acknowledge, link, shelve, unshelve
-from estimation.alerts.life_cycle import DAY_NS, close, transition
+from estimation.alerts.life_cycle import DAY_NS, acknowledge, close, link, shelve, transition, unshelve
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition

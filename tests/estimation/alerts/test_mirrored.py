@@ -9,8 +9,17 @@ import numpy as np
 import pytest
 from wheelset_life import geometry_of
 
-from estimation.alerts.identity import Mistake, Observation, identity_events, reversed_between
-from estimation.alerts.mirrored import COMMON, KEPT, SAME_SIZE, Parts, newest_mirrored
+from estimation.alerts.identity import (
+    COMMON,
+    KEPT,
+    SAME_SIZE,
+    Mistake,
+    Observation,
+    Parts,
+    identity_events,
+    newest_mirrored,
+    reversed_between,
+)
 
 AT = np.arange(0.125, 3.5, 0.25)
 SHAPE = (AT / 3.0) ** 2 - np.mean((AT / 3.0) ** 2)

@@ -183,8 +183,8 @@ def test_the_gauge_is_where_it_is_said_to_be() -> None:
     """Rail A in track axes: at 1435.16 mm its origin is 750 mm from the track centre, as EN 15302 draws it."""
     wheelset = WheelsetOnTrack.symmetric(wheel_profile("EN15302-B"), rail_profile("EN15302-A"), 0.0, 1.43516)
     table = contact_table(wheelset, [0.0], method=ContactMethod.EN15302)
-    rail, _ = evaluate(RAIL_DEFINITIONS["EN15302-A"](), np.arange(-30.0, 35.0, 1e-3))
-    wheel, _ = evaluate(WHEEL_DEFINITIONS["EN15302-B"](), np.arange(-30.0, 35.0, 1e-3))
+    rail, _ = evaluate(RAIL_DEFINITIONS["EN15302-A"], np.arange(-30.0, 35.0, 1e-3))
+    wheel, _ = evaluate(WHEEL_DEFINITIONS["EN15302-B"], np.arange(-30.0, 35.0, 1e-3))
     expected = 0.750 + (-30.0 + 1e-3 * np.argmin(rail - wheel)) * 1e-3
     assert table.rail_position_left[0, 0] == pytest.approx(expected, abs=5e-6)
 
@@ -263,7 +263,7 @@ def _brute_force(displacement: float, deviation: float) -> tuple[float, float, f
         lateral = np.arange(-0.055, 0.058, 4e-6)
         points = (0.750 + lateral) + 1j * (radius + wheel.height(lateral))
         across = np.linspace(-36.2, 36.2, 120001)
-        depth, _ = evaluate(RAIL_DEFINITIONS[rail](), across)
+        depth, _ = evaluate(RAIL_DEFINITIONS[rail], across)
         across, depth = across[np.isfinite(depth)], depth[np.isfinite(depth)]
         placed = (across + 1j * depth) * 1e-3 * np.exp(-1j * math.atan(LOPSIDED.inclination))
         placed -= 1j * placed.imag.min()

@@ -19,24 +19,22 @@ from estimation.contact.profiles import (
     wheel_profile,
 )
 from estimation.contact.wear import TreadWear, WearFamily, wear_course, wear_measures, worn
-from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, evaluate
+from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, Segment, evaluate
 from estimation.errors import ParameterError, ProfileError
 
 DEFINITIONS = [*WHEEL_DEFINITIONS.items(), *RAIL_DEFINITIONS.items()]
 
 
-@pytest.mark.parametrize(("name", "define"), DEFINITIONS)
-def test_segments_join_without_a_step(name: str, define) -> None:  # noqa: ANN001 - a definition
-    segments = define()
+@pytest.mark.parametrize(("name", "segments"), DEFINITIONS)
+def test_segments_join_without_a_step(name: str, segments: tuple[Segment, ...]) -> None:
     for before, after in pairwise(segments):
         joint = np.array([before.end])
         assert before.end == after.start, name
         assert abs(before.height(joint)[0] - after.height(joint)[0]) < 9e-4  # mm, as printed in the standards
 
 
-@pytest.mark.parametrize(("name", "define"), DEFINITIONS)
-def test_slope_is_the_derivative_of_the_height(name: str, define) -> None:  # noqa: ANN001 - a definition
-    segments = define()
+@pytest.mark.parametrize(("name", "segments"), DEFINITIONS)
+def test_slope_is_the_derivative_of_the_height(name: str, segments: tuple[Segment, ...]) -> None:
     for segment in segments:
         y = np.linspace(segment.start, segment.end, 13)[1:-1]
         d = (segment.end - segment.start) * 1e-5
@@ -48,7 +46,7 @@ def test_slope_is_the_derivative_of_the_height(name: str, define) -> None:  # no
 def test_a_sampled_profile_meets_its_definition_between_its_points(name: str) -> None:
     profile = wheel_profile(name)
     y = np.linspace(-58.0, 55.0, 7001)
-    exact, slope = evaluate(WHEEL_DEFINITIONS[profile.name](), y)
+    exact, slope = evaluate(WHEEL_DEFINITIONS[profile.name], y)
     inner = np.abs(slope) < 3.0
     assert np.abs(profile.height(y * 1e-3) * 1e3 - exact)[inner].max() < 9e-4
 

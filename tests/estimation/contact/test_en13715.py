@@ -7,8 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from estimation.contact.en13715 import en13715_wheel
-from estimation.contact.profiles import is_design, wheel_profile
+from estimation.contact.profiles import en13715_wheel, is_design, wheel_profile
 from estimation.contact.wheel_definitions import Arc
 from estimation.errors import ProfileError
 

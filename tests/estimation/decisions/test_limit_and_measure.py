@@ -177,6 +177,6 @@ def test_the_last_points_are_those_of_a_trend_that_a_limit_is_held_against() -> 
     assert state is not None
     assert other is not None
     assert [one.value for one in state.last] == [0.3, 0.3]
-    assert other.last == ()
+    assert not other.last
     assert limit_state(replace(facts, geometry=None)) is None
     assert VEHICLE.max_speed_m_s == pytest.approx(100.0 / 3.6)

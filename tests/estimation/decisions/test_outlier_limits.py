@@ -9,17 +9,16 @@ import pytest
 
 from estimation.track.gridded_pass import place
 from estimation.track.iteration import IterationParameters, IterationResult, _largest_move, _ratio_change
-from estimation.track.panel.basis import Panel, PanelParameters
+from estimation.track.panel.basis import Panel, PanelParameters, init
 from estimation.track.panel.instrumental_slope import Ratio
-from estimation.track.panel.normal_equations import init
 from estimation.track.panel.solution import PriorAlignment, result
 from estimation.track.passes import Pass, ProfileLife
-from estimation.track.results import LongWaveAlignment, SectionResults, _gauge_std, _scale_std, _std, nothing
+from estimation.track.results import LongWaveAlignment, _gauge_std, _scale_std, _std, nothing
 from estimation.track.section import Residuals, _find_outliers, residuals
 from estimation.track.settings import AlignmentSettings, SectionParameters
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import Correction, TrackFindings
+from estimation.values.track import Correction
 
 P = SectionParameters()
 
@@ -132,10 +131,8 @@ def test_the_std_of_an_alignment_is_that_of_curves_passes_and_what_blocks_cannot
 
 
 def test_the_scale_is_known_less_where_the_gauge_had_to_be_found() -> None:
-    findings = TrackFindings({}, 0.0, {})
-    assert _scale_std(SectionResults(findings, None), P) == pytest.approx(0.009)
-    found = SectionResults(findings, np.zeros(3))
-    assert _scale_std(found, P) == pytest.approx(np.sqrt(0.009**2 + 0.035**2))
+    assert _scale_std(None, P) == pytest.approx(0.009)
+    assert _scale_std(np.zeros(3), P) == pytest.approx(np.sqrt(0.009**2 + 0.035**2))
 
 
 def test_the_shipped_figures_of_an_alignment() -> None:
@@ -195,7 +192,7 @@ def uncertain_gauge(noise: float, ratio: float, *, found: float | None = None, k
     zero = np.zeros(n)
     prior = PriorAlignment(zero, zero + np.inf, zero, zero, zero + 0.4e-3, gauge_known=known)
     gauge = None if found is None else np.where(np.arange(n) % 2, found, -found)
-    return float(_gauge_std(iterated, prior, SectionResults(TrackFindings({}, 0.0, {}), gauge))[0])
+    return float(_gauge_std(iterated, prior, gauge)[0])
 
 
 def test_what_passes_disagree_by_beyond_their_sensors_is_the_gauge_s() -> None:

@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.track.panel.basis import Panel, PanelParameters
-from estimation.track.panel.measured_curves import MeasuredCurve
-from estimation.track.panel.normal_equations import PanelState, init
+from estimation.track.panel.basis import MeasuredCurve, Panel, PanelParameters, PanelState, init
 from estimation.track.panel.solution import PanelSolution, between_pass_std_ratio, result
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import FloatArray

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from estimation.track.partition import Entry, Group, PartitionParameters, first_epoch, newest_within
-from estimation.track.passes import ProfileLife
+from estimation.track.passes import Entry, Group, PartitionParameters, ProfileLife, first_epoch, newest_within
 from estimation.track.settings import AlignmentSettings
 from estimation.values.track import OPEN_NS
 from estimation.values.windows import WindowQuality, WindowRecord, WindowState

@@ -9,14 +9,21 @@ import numpy as np
 import pytest
 from smooth_wheelset import ideal, run
 
-from estimation.estimators import block_filters, known_irregularity
+from estimation.estimators import block_filters, series
 from estimation.estimators.block_filters import Inputs, Posterior, Prior, filtered, start
-from estimation.estimators.contact_jumps import stepped
-from estimation.estimators.interface import CELLS, WIDTH, EstimatorParameters, beside, covered_range
-from estimation.estimators.known_irregularity import KnownIrregularity, RecursionState
+from estimation.estimators.hidden_displacement import stepped
+from estimation.estimators.interface import (
+    CELLS,
+    WIDTH,
+    EstimatorParameters,
+    Replicates,
+    beside,
+    covered_range,
+    curve_estimate,
+)
 from estimation.estimators.paper_algorithm import GROUPS as OF_CELLS
 from estimation.estimators.paper_algorithm import CellMeans, PaperAlgorithm, PaperState
-from estimation.estimators.replicates import Replicates, curve_estimate
+from estimation.estimators.series import KnownIrregularity, RecursionState
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
@@ -74,7 +81,7 @@ def test_a_range_is_covered_by_cells_of_a_hundred_samples() -> None:
     counts = np.full(CELLS, 100.0)
     counts[CELLS // 2 + 3] = 99.0
     found = covered_range(counts)
-    assert found is not None
+    assert isinstance(found, tuple)
     assert found[1] == pytest.approx(3 * WIDTH)
     x, flat = np.linspace(-1e-3, 1e-3, 81), np.zeros(81)
     assert beside(x, flat, np.full(CELLS, 0.1), np.full(CELLS, 100.0)).max() > 0.0
@@ -135,7 +142,7 @@ def proportional(apart: float) -> RecursionState:
 
 @pytest.mark.parametrize(("apart", "code"), [(0.9e-9, ReasonCode.NOT_FINITE), (1.1e-9, None)])
 def test_proportional_unknowns_are_not_solved(apart: float, code: ReasonCode | None) -> None:
-    refusal = known_irregularity._refusal(proportional(apart), uncovered=False, groups=16)
+    refusal = series._refusal(proportional(apart), groups=16)
     assert (None if refusal is None else refusal.code) is code
 
 

@@ -11,10 +11,8 @@ from test_agreement_limits import smooth
 
 from estimation.track.gridded_pass import PlacedJourney, grid_pass
 from estimation.track.iteration import IterationResult
-from estimation.track.panel.basis import Panel, PanelParameters
+from estimation.track.panel.basis import MeasuredCurve, Panel, PanelParameters, init
 from estimation.track.panel.instrumental_slope import Ratio, SlopeCorrection
-from estimation.track.panel.measured_curves import MeasuredCurve
-from estimation.track.panel.normal_equations import init
 from estimation.track.panel.solution import PanelReport, prior_on_grid, result
 from estimation.track.passes import Journey, Pass, ProfileLife, journeys
 from estimation.track.results import merged_alignment

@@ -9,7 +9,7 @@ import pytest
 from test_section_limits import P, a_pass
 
 from estimation.track.gridded_pass import GriddedPass, grid_pass
-from estimation.track.panel.basis import Panel
+from estimation.track.panel.basis import Panel, PanelState, init, pass_rows, update
 from estimation.track.panel.instrumental_slope import (
     EXCESS_SHARE,
     EXCESS_STD,
@@ -18,7 +18,6 @@ from estimation.track.panel.instrumental_slope import (
     corrected,
     slope_correction,
 )
-from estimation.track.panel.normal_equations import PanelState, init, pass_rows, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.values.arrays import FloatArray
 

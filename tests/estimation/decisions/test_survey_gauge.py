@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gauge_passes import LENGTH, Section, passes, section
 from test_survey_limits import D, N, track
-from test_update_limits import CERTAIN, FLEET, OFF, RIGHT, SETTINGS, SHIFT, WRONG, Solved, epoch
+from test_update_limits import CERTAIN, FLEET, OFF, RIGHT, SHIFT, WRONG, Solved, epoch
 
 from estimation.track.gauge.wheel_functions import contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
@@ -201,22 +201,22 @@ def refusing(
     alone: TrackAlignment | None, with_prior: TrackAlignment | None, verdict: SurveyVerdict | None = None
 ) -> WrongGauge:
     plain = epoch(alone, with_prior, verdict)
-    return WrongGauge("S", plain.screened, plain.parameters, None, plain.alone, plain.with_prior, verdict)
+    return WrongGauge("S", plain.screened, plain.settings, None, plain.alone, plain.with_prior, verdict)
 
 
 @pytest.mark.parametrize("checked", [False, True])
 def test_a_gauge_is_refused_only_where_the_alignment_is_confirmed(*, checked: bool) -> None:
-    found = _with_survey(refusing(None, FLEET, RIGHT), SURVEY, SETTINGS, survey_checked=checked)
+    found = _with_survey(refusing(None, FLEET, RIGHT), SURVEY, survey_checked=checked)
     assert (found.outcome, code_of(found.survey)) == (UpdateOutcome.SURVEY_EXTENDED, BAD.code)
     open_ = Reason(ReasonCode.SURVEY_NOT_ASSESSABLE, "vehicles do not follow their equations")
     for verdict in (None, SurveyVerdict(refused=False, reason=None), SurveyVerdict(refused=False, reason=open_)):
-        found = _with_survey(refusing(None, FLEET, verdict), SURVEY, SETTINGS, survey_checked=checked)
+        found = _with_survey(refusing(None, FLEET, verdict), SURVEY, survey_checked=checked)
         assert (found.outcome, found.alignment) == (UpdateOutcome.SURVEY_KEPT, SURVEY)
         assert code_of(found.survey) is not BAD.code
 
 
 def test_an_alignment_that_is_wrong_is_refused_before_its_gauge() -> None:
-    found = _with_survey(refusing(OFF, CERTAIN, WRONG), SURVEY, SETTINGS, survey_checked=False)
+    found = _with_survey(refusing(OFF, CERTAIN, WRONG), SURVEY, survey_checked=False)
     assert (found.alignment, code_of(found.survey)) == (OFF, ReasonCode.SURVEY_UNRELATED)
 
 

@@ -12,7 +12,7 @@ from test_version_limits import shift_of
 from estimation.track.results import nothing
 from estimation.track.screening.screen import Screened
 from estimation.track.section import SectionEstimate
-from estimation.track.settings import AlignmentSettings, SectionParameters
+from estimation.track.settings import AlignmentSettings
 from estimation.track.survey_check import worth_more
 from estimation.track.survey_posterior import EDGES, Band, SurveyBands, SurveyPosterior
 from estimation.track.survey_verdict import CONFIRMED, SurveyVerdict
@@ -74,14 +74,14 @@ def epoch(
     alone: TrackAlignment | None, with_prior: TrackAlignment | None, verdict: SurveyVerdict | None = None
 ) -> Solved:
     nobody = Screened((), (), known_contradicted=False)
-    return Solved("S", nobody, SectionParameters(), None, solved(alone), solved(with_prior), verdict)
+    return Solved("S", nobody, SETTINGS, None, solved(alone), solved(with_prior), verdict)
 
 
 def by_survey(
     alone: TrackAlignment | None, with_survey: TrackAlignment | None, verdict: SurveyVerdict | None = None, *,
     checked: bool = False, survey: TrackAlignment = SURVEY,
 ) -> AlignmentUpdate:  # fmt: skip
-    return _with_survey(epoch(alone, with_survey, verdict), survey, SETTINGS, survey_checked=checked)
+    return _with_survey(epoch(alone, with_survey, verdict), survey, survey_checked=checked)
 
 
 def weighed(std: float, verdict: SurveyVerdict | None = None, **changes: object) -> Solved:
@@ -94,15 +94,15 @@ def weighed(std: float, verdict: SurveyVerdict | None = None, **changes: object)
 
 def test_a_survey_that_the_passes_know_better_becomes_a_version_of_it() -> None:
     for std, outcome in ((0.51e-4, UpdateOutcome.SURVEY_KEPT), (0.49e-4, UpdateOutcome.SURVEY_EXTENDED)):
-        found = _with_survey(weighed(std, RIGHT), SURVEY, SETTINGS, survey_checked=False)
+        found = _with_survey(weighed(std, RIGHT), SURVEY, survey_checked=False)
         assert (found.outcome, code_of(found.survey)) == (outcome, ReasonCode.SURVEY_CONFIRMED)
-        again = _with_survey(weighed(std, RIGHT), SURVEY, SETTINGS, survey_checked=True)
+        again = _with_survey(weighed(std, RIGHT), SURVEY, survey_checked=True)
         assert (again.outcome, again.survey) == (outcome, None)
         assert found.alignment is not None
         assert found.alignment.source == AlignmentSource.RECORDED
     moving = weighed(1e-5, RIGHT)
     moving = replace(moving, with_prior=replace(moving.with_prior, report=replace(CONVERGED, converged=False)))
-    assert _with_survey(moving, SURVEY, SETTINGS, survey_checked=True).outcome is UpdateOutcome.SURVEY_KEPT
+    assert _with_survey(moving, SURVEY, survey_checked=True).outcome is UpdateOutcome.SURVEY_KEPT
 
 
 def test_a_file_is_made_sharper_by_its_first_passes_where_that_matters() -> None:
@@ -116,18 +116,18 @@ def test_a_file_is_made_sharper_by_its_first_passes_where_that_matters() -> None
         made = weighed(std, RIGHT)
         assert made.posterior is not None
         made = replace(made, posterior=replace(made.posterior, before=file))
-        assert _with_survey(made, file, SETTINGS, survey_checked=False).outcome is outcome
+        assert _with_survey(made, file, survey_checked=False).outcome is outcome
 
 
 def test_a_survey_that_is_not_decided_on_is_kept_as_it_is() -> None:
     for undecided in (OPEN, None):
-        found = _with_survey(weighed(1e-5, undecided), SURVEY, SETTINGS, survey_checked=False)
+        found = _with_survey(weighed(1e-5, undecided), SURVEY, survey_checked=False)
         assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.SURVEY_KEPT, SURVEY, None)
 
 
 def test_a_scale_that_is_in_doubt_widens_what_rests_on_the_survey() -> None:
     doubted = SurveyVerdict(refused=False, reason=None, doubted_scale=0.1)
-    found = _with_survey(weighed(1e-5, doubted, scale_std=0.01), SURVEY, SETTINGS, survey_checked=False)
+    found = _with_survey(weighed(1e-5, doubted, scale_std=0.01), SURVEY, survey_checked=False)
     assert found.outcome is UpdateOutcome.SURVEY_EXTENDED
     assert found.alignment is not None
     assert found.alignment.scale_std == pytest.approx(np.hypot(0.1, 0.01))
@@ -136,7 +136,7 @@ def test_a_scale_that_is_in_doubt_widens_what_rests_on_the_survey() -> None:
         assert as_certain.posterior is not None
         file = replace(SURVEY, scale_std=scale_std)
         as_certain = replace(as_certain, posterior=replace(as_certain.posterior, before=file))
-        assert _with_survey(as_certain, file, SETTINGS, survey_checked=False).outcome is outcome
+        assert _with_survey(as_certain, file, survey_checked=False).outcome is outcome
 
 
 def test_a_survey_whose_zero_point_alone_is_wrong_is_kept_where_the_fleet_has_none() -> None:

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.track.settings import AlignmentSettings
-from estimation.track.survey_verdict import place_of
-from estimation.track.update import UpdateOutcome
-from estimation.track.versions import (
+from estimation.track.settings import (
+    AlignmentSettings,
     _apart,
     carry_over_findings,
     changed_vehicles,
     gauge_shift_changed,
     requires_reestimation,
 )
+from estimation.track.survey_verdict import place_of
+from estimation.track.update import UpdateOutcome
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource, Correction, GaugeShift, TrackAlignment, TrackFindings

@@ -15,7 +15,7 @@ from estimation.geometry.sharpening import ContactRoll, standard_curve
 from estimation.geometry.uncertainty import SCALE_STDS, ParameterUncertainty
 from estimation.motion.rolling_radius_difference import standard_displacement
 from estimation.values.arrays import FloatArray
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 
 X = np.linspace(-4e-3, 4e-3, 1601)
 STEP, WIDTH = 0.6e-3, 0.02e-3

@@ -18,7 +18,7 @@ from estimation.geometry.sharpening import (
 )
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import TrackRecipe, make_track
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 
 GRID = 0.05e-3 * np.arange(-220, 221)
 X = np.linspace(-10e-3, 10e-3, 401)

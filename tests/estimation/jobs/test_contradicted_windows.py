@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from smooth_wheelset import mems_windows, run
 
-from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, contradiction
+from estimation.jobs.steps.estimated_geometry import CONTRADICTIONS, contradiction
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, VehicleRecord, WheelsetRecord
 from estimation.values.windows import Window, WindowState

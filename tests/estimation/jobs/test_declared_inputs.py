@@ -14,19 +14,17 @@ from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register,
 
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
+from estimation.jobs.catalogue import ALL_STAGES
 from estimation.jobs.job import JobContext
-from estimation.jobs.made_from import made_from
 from estimation.jobs.refresh_trends import TREND, trend_of
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.stage import AnyStage
-from estimation.jobs.stages import ALL_STAGES
+from estimation.jobs.stage import AnyStage, made_from
 from estimation.storage import Storage, UnitOfWork
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
 from estimation.values.geometry import GEOMETRY
-from estimation.values.opinions import CREEP, FRICTION
+from estimation.values.opinions import CELLS, CREEP, FRICTION
 from estimation.values.quantities import with_interval
-from estimation.values.rails import CELLS
 from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
 from estimation.values.results import EVERYTHING, Facet, Mark, Result
 from estimation.values.signatures import ANSWERS, SIGNATURES

@@ -16,8 +16,8 @@ from estimation.jobs import estimate_windows
 from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps import plausibility
-from estimation.jobs.steps.plausibility import JUDGE
+from estimation.jobs.steps import due_windows
+from estimation.jobs.steps.due_windows import JUDGE
 from estimation.motion.mileage import implausible_mileages
 from estimation.storage import Storage
 from estimation.values.reasons import Reason
@@ -25,7 +25,7 @@ from estimation.values.windows import DueStage
 from fleet_db.due import list_due
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.windows import implausible_reason
+from fleet_db.stores.window_rows import implausible_reason
 from fleet_db.tables.windows import WindowRow
 
 WINDOWS = table_of(WindowRow)
@@ -106,7 +106,7 @@ def test_new_windows_are_judged_beside_those_next_to_them(storage: SqlStorage, m
         judge(storage)
         put(storage, 10 * count + 5)
         put(storage, 55)
-        monkeypatch.setattr(plausibility, "implausible_mileages", lambda *_: read.append(1))
+        monkeypatch.setattr(due_windows, "implausible_mileages", lambda *_: read.append(1))
         with executed_statements() as executed:
             assert judge(storage) == 0
         monkeypatch.undo()
@@ -124,7 +124,7 @@ def test_windows_a_day_apart_are_read_for_themselves(storage: SqlStorage) -> Non
     put(storage, 1)
     put(storage, 8 * DAY_NS // WINDOW_NS + 1)
     with storage.read() as unit:
-        spans = plausibility._spans("W1", unit.plausibility.new_readings(["W1"])["W1"])
+        spans = due_windows._spans("W1", unit.plausibility.new_readings(["W1"])["W1"])
         around = unit.plausibility.readings_around(spans)
-    assert plausibility.APART_NS == DAY_NS
+    assert due_windows.APART_NS == DAY_NS
     assert [len(found) for found in around.values()] == [3, 2]

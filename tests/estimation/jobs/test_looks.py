@@ -11,7 +11,7 @@ from executed_statements import executed_statements
 from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, wear
 
-from estimation.alerts.actions import acknowledge
+from estimation.alerts.life_cycle import acknowledge
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.jobs import evaluate_alerts, refresh_trends

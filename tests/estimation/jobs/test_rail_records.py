@@ -16,16 +16,15 @@ from sqlalchemy import update
 from bench.standing_clock import StandingClock
 from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.jobs.job import JobContext
-from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.jobs.refresh_rails import OF_ALL, OF_WHEELSETS, make_cells, store_cells
 from estimation.jobs.runner import run
-from estimation.jobs.settings import JobSettings
+from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.jobs.steps import rail_anchors, rail_cells
 from estimation.jobs.steps.rail_anchors import AnchorInputs, anchor_inputs, anchors
 from estimation.jobs.steps.rail_cells import LOST, wheelset_cells
 from estimation.jobs.steps.rolling import Part
 from estimation.values.geometry import IntervalDigest
-from estimation.values.rails import (
+from estimation.values.opinions import (
     SECTION_RAILS,
     WHEELSET_RAILS,
     RailKey,

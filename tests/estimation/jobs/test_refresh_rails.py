@@ -18,16 +18,15 @@ from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.errors import DamagedError
 from estimation.jobs import refresh_rails
 from estimation.jobs.job import JobContext
-from estimation.jobs.rails_settings import KnownSection, RailsSettings
-from estimation.jobs.settings import JobSettings
+from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.jobs.steps import rail_cells
 from estimation.jobs.steps.membership import Membership
 from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors
 from estimation.jobs.steps.rolling import Rolled, rolled
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import Storage, UnitOfWork
+from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS, RailPart, RailsReference, WheelsFinding
 from estimation.values.quantities import Estimate
-from estimation.values.rails import SECTION_RAILS, WHEELSET_RAILS, RailPart, RailsReference, WheelsFinding
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
 from estimation.values.track import TrackSectionRecord

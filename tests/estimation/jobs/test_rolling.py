@@ -19,8 +19,8 @@ from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.jobs.steps import rolling
 from estimation.jobs.steps.membership import Membership, membership
 from estimation.jobs.steps.rolling import rolled, sums
-from estimation.jobs.steps.running_mileage import running_mileage
 from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.motion.mileage import running_mileage
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import TableSum, bin_parameters, cells_of_window, init
 from estimation.values.geometry import BinTable, FilledCells

@@ -14,8 +14,7 @@ from estimation.alerts.rules.rule import AlertDelays
 from estimation.alerts.rules.sensor_data import NoDataRule, SensorFaultRule
 from estimation.jobs import evaluate_alerts, refresh_trends
 from estimation.jobs.job import JobContext, run_job
-from estimation.jobs.rules_difference import Change, Difference, differences
-from estimation.jobs.rules_replay import history_of, replayed
+from estimation.jobs.rules_replay import Change, Difference, differences, history_of, replayed
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.values.alerts import Alert, Severity

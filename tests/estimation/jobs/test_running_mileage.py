@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from wheelset_life import DAY_NS, START_NS, window_record
 
-from estimation.jobs.steps.running_mileage import MOST_KM_DAY, running_mileage
+from estimation.motion.mileage import MOST_KM_DAY, running_mileage
 from estimation.values.windows import WindowRecord
 
 

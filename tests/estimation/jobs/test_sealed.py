@@ -21,7 +21,7 @@ from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
 from estimation.values.roll_up import RolledPart
 from estimation.values.track import EpochMember, FoldState, TrackEpoch
 from estimation.values.windows import PassedOver, WindowPosition, WindowState
-from fleet_db.keeping.deep_check import check_deep
+from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.packed_values import pack_geometry

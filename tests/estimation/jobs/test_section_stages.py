@@ -19,16 +19,15 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.refresh_alignment import ALIGNMENT
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import AnyStage
-from estimation.jobs.steps.due_epoch import changed_from
-from estimation.jobs.steps.epoch_inputs import FileLookup
-from estimation.jobs.steps.outdated_windows import OUTDATED
+from estimation.jobs.steps.due_windows import OUTDATED
+from estimation.jobs.steps.epoch_inputs import FileLookup, changed_from
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling
 from estimation.values.results import Mark
 from estimation.values.track import EpochMember, TrackLayout
 from estimation.values.windows import DueStage, WindowState
-from fleet_db.alignment_due import WINDOWS
+from fleet_db.due import WINDOWS
 from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.assembled import AssembledWindow

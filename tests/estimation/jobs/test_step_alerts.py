@@ -16,7 +16,7 @@ from api.schemas.trend import trend as served_trend
 from estimation.alerts.rules.contradicted_registry import UnregisteredChangeRule
 from estimation.alerts.rules.near_limit import LimitForecastRule, limit_forecast_finding
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps.trend_steps import last_change
+from estimation.jobs.steps.identities import last_change
 from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.storage import Storage
 from estimation.values.alerts import CloseReason, Severity

@@ -14,9 +14,9 @@ from estimation.alerts.rules.running_gear import WeakDamperRule, weak_damper_fin
 from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.jobs import evaluate_alerts, refresh_adhesion
 from estimation.jobs.job import JobContext, run_job
-from estimation.jobs.made_from import made_from
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
+from estimation.jobs.stage import made_from
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.alerts import Alert, Condition
 from estimation.values.opinions import CREEP, GEAR_DAMPERS, GearDamper, WindowDamper, part_of_gear

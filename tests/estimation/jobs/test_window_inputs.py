@@ -13,11 +13,8 @@ from test_load_window import SECOND, register, window
 
 from estimation.errors import NotFoundError
 from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.load_window import WindowLoader
-from estimation.jobs.steps.vehicle_classes import ClassLookup
-from estimation.jobs.steps.vehicle_lookup import VehicleLookup
-from estimation.jobs.steps.window_inputs import WindowInputs, inputs_of_batch
-from estimation.jobs.steps.window_tracks import tracks_of_batch
+from estimation.jobs.steps.load_window import WindowInputs, WindowLoader, inputs_of_batch, tracks_of_batch
+from estimation.jobs.steps.vehicle_classes import ClassLookup, VehicleLookup
 from estimation.values.quantities import Status
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord

@@ -12,8 +12,8 @@ from estimation.rails.apart import rails_apart
 from estimation.rails.parameters import Anchors, RailsParameters
 from estimation.rails.published import next_to_jump, on_rise
 from estimation.values.arrays import FloatArray
+from estimation.values.opinions import RailsApart, SectionConicity
 from estimation.values.quantities import Estimate
-from estimation.values.rails import RailsApart, SectionConicity
 from estimation.values.reasons import ReasonCode
 
 AMPLITUDE = np.array([2.0e-3, 2.25e-3, 2.5e-3, 3.0e-3])

@@ -10,7 +10,7 @@ from drawn_cells import AMPLITUDE, anchors, cell, drawn_fleet, wheel
 
 from estimation.rails.apart import rails_apart
 from estimation.rails.parameters import RailsParameters
-from estimation.values.rails import RailsApart, RailsReference, SectionConicity
+from estimation.values.opinions import RailsApart, RailsReference, SectionConicity
 from estimation.values.reasons import ReasonCode
 
 

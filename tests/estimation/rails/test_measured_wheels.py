@@ -10,8 +10,8 @@ from drawn_cells import AMPLITUDE, anchors, cell, wheel
 
 from estimation.rails.apart import rails_apart
 from estimation.rails.parameters import Anchors, RailsParameters
+from estimation.values.opinions import KnownWheel, RailKey, RailsApart, RailsReference, SectionConicity
 from estimation.values.quantities import Estimate
-from estimation.values.rails import KnownWheel, RailKey, RailsApart, RailsReference, SectionConicity
 from estimation.values.reasons import ReasonCode
 
 WORN = 0.1  # what the rails of B add

@@ -14,7 +14,7 @@ from estimation.rails.apart import rails_apart
 from estimation.rails.parameters import RailsParameters
 from estimation.rails.two_way import TwoWay, part
 from estimation.values.arrays import FloatArray
-from estimation.values.rails import RailPart, RailsApart, SectionConicity
+from estimation.values.opinions import RailPart, RailsApart, SectionConicity
 
 PARAMETERS = RailsParameters()
 

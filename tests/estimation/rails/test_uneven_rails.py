@@ -11,7 +11,7 @@ from drawn_cells import AMPLITUDE, anchors, cell, wheel
 from estimation.rails.apart import rails_apart
 from estimation.rails.parameters import Anchors, RailsParameters
 from estimation.values.arrays import FloatArray
-from estimation.values.rails import KnownWheel, RailsApart, RailsReference, SectionConicity
+from estimation.values.opinions import KnownWheel, RailsApart, RailsReference, SectionConicity
 from estimation.values.reasons import ReasonCode
 
 CENTRE = 0.25

@@ -14,8 +14,9 @@ from estimation.track.iteration import IterationParameters, IterationResult, ite
 from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.solution import PriorAlignment
 from estimation.track.passes import PositionParameters, ProfileLife, journeys
-from estimation.track.results import SectionResults, findings
+from estimation.track.results import findings
 from estimation.values.arrays import FloatArray
+from estimation.values.track import TrackFindings
 
 PANEL = Panel.of(PanelParameters(length=LENGTH, basis_count=21))
 GRID = PANEL.grid.s
@@ -37,7 +38,7 @@ def iterated(gauge_std: float) -> IterationResult:
     return iterate(grouped, None, PANEL, positions, IterationParameters())
 
 
-def section_results(gauge_std: float) -> SectionResults:
+def section_results(gauge_std: float) -> tuple[TrackFindings, FloatArray | None]:
     return findings(iterated(gauge_std), gauge_estimated=True)
 
 
@@ -54,19 +55,19 @@ def alignment_error(found: IterationResult, gauge_std: float) -> float:
 
 def shifted(serial: str, seed: int = 5) -> tuple[FloatArray, FloatArray]:
     """Return where the gauge puts a wheelset at places of the section, m: by the findings, and by its radii."""
-    one = section_results(GAUGE_STD)
-    assert one.gauge is not None
+    shown, gauge = section_results(GAUGE_STD)
+    assert gauge is not None
     rng = np.random.default_rng(seed)
     at = rng.integers(INNER.start, PANEL.grid.points + INNER.stop, 400)
     x, e, wheels = 1.5e-3 * rng.standard_normal(400), true_gauge()[at], Wheels(LATEST[serial])
     difference = wheels.difference(x, e)
     everywhere = np.linspace(-9e-3, 9e-3, 2001)
     nominal = np.interp(difference, wheels.difference(everywhere, np.zeros(2001)), everywhere)
-    return one.findings.gauge_shifts[serial].at(difference, one.gauge[at]), x - nominal
+    return shown.gauge_shifts[serial].at(difference, gauge[at]), x - nominal
 
 
 def test_alignment_and_gauge_come_out_of_the_passes_with_the_right_sign() -> None:
-    found, true = section_results(GAUGE_STD).gauge, true_gauge()[INNER]
+    found, true = section_results(GAUGE_STD)[1], true_gauge()[INNER]
     assert found is not None
     assert np.corrcoef(found[INNER], true)[0, 1] > 0.97
     assert alignment_error(iterated(GAUGE_STD), GAUGE_STD) < 0.12e-3
@@ -83,7 +84,7 @@ def test_of_several_lives_of_a_wheelset_the_latest_counts() -> None:
     """Intervals of mileage follow each other as numbers: 10 comes after 9."""
     lives = total_gauge_shifts(iterated(GAUGE_STD).solution, iterated(GAUGE_STD).panel)
     assert set(lives) == set(CONES)
-    shifts = section_results(GAUGE_STD).findings.gauge_shifts
+    shifts = section_results(GAUGE_STD)[0].gauge_shifts
     assert set(shifts) == set(LATEST)
     both_signs = (lives[ProfileLife("A", 0, 10)].shift, lives[ProfileLife("A", 0, 10)].shift[:, ::-1])
     assert any(np.array_equal(shifts["A"].shift, one) for one in both_signs)
@@ -92,8 +93,8 @@ def test_of_several_lives_of_a_wheelset_the_latest_counts() -> None:
 def test_a_gauge_that_does_not_vary_is_not_made_up() -> None:
     found = iterated(0.0)
     assert found.panel.gauge is None
-    one = section_results(0.0)
-    assert (one.gauge, dict(one.findings.gauge_shifts)) == (None, {})
+    shown, gauge = section_results(0.0)
+    assert (gauge, dict(shown.gauge_shifts)) == (None, {})
     assert alignment_error(found, 0.0) < 0.02e-3
 
 
@@ -109,6 +110,6 @@ def test_a_recorded_gauge_fixes_the_positions_of_the_passes() -> None:
     found = iterate(grouped, known, PANEL, positions, IterationParameters())
     for correction in found.corrections.values():
         assert correction.at(np.array([1000.0]))[0] - 1000.0 == pytest.approx(6.0, abs=0.5)
-    one = findings(found, gauge_estimated=False)
-    assert one.gauge is None
-    assert set(one.findings.gauge_shifts) == set(LATEST)
+    shown, gauge = findings(found, gauge_estimated=False)
+    assert gauge is None
+    assert set(shown.gauge_shifts) == set(LATEST)

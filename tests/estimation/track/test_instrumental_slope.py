@@ -10,8 +10,8 @@ import pytest
 from test_panel import PANEL, fleet_passes
 
 from estimation.track.gridded_pass import GriddedPass, grid_pass
+from estimation.track.panel.basis import init, update
 from estimation.track.panel.instrumental_slope import SlopeCorrection, common_slope, slope_correction, with_instrument
-from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass
 

@@ -16,7 +16,7 @@ from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.errors import ContactError, ProfileError
 from estimation.filters import high_pass, local_cubic_kernel
-from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
+from estimation.track.panel.basis import MeasuredCurve, measured_curve
 from estimation.track.passes import Pass, ProfileLife
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters

@@ -17,8 +17,7 @@ from estimation.errors import ParameterError
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.motion.parameters import SignalParameters
 from estimation.track.gridded_pass import grid_pass
-from estimation.track.panel.basis import Panel, PanelParameters, basis_functions
-from estimation.track.panel.normal_equations import PanelState, init, update
+from estimation.track.panel.basis import Panel, PanelParameters, PanelState, basis_functions, init, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass, ProfileLife, gridded, passes
 from estimation.values.quantities import Status

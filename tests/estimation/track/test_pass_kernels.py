@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from estimation.filters import high_pass, local_cubic_kernel
 from estimation.motion.rolling_radius_difference import sample_smoothed
 from estimation.track.gridded_pass import GriddedPass
-from estimation.track.panel.basis import Panel, PanelParameters, basis_functions, gauge_at
-from estimation.track.panel.normal_equations import pass_rows
+from estimation.track.panel.basis import Panel, PanelParameters, basis_functions, gauge_at, pass_rows
 from estimation.track.passes import Pass, ProfileLife
 from estimation.track.screening.agreement import cross_products, own_products
 from estimation.values.arrays import BoolArray, FloatArray, as_slice

@@ -9,7 +9,7 @@ import pytest
 from test_panel import PANEL, fleet_passes
 
 from estimation.track.gridded_pass import all_passes, place
-from estimation.track.panel.normal_equations import init, update
+from estimation.track.panel.basis import init, update
 from estimation.track.panel.solution import result
 from estimation.track.passes import Journey, Pass, PositionParameters, journeys
 from estimation.track.positions import correlate_positions, refine

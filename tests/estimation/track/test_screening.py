@@ -14,8 +14,7 @@ from section_runs import made, mirror_mounted, turned_windows, valid_passes, win
 from smooth_wheelset import GOOD, alignment, track
 
 from estimation.track.gridded_pass import grid_pass
-from estimation.track.panel.basis import Panel, PanelParameters
-from estimation.track.panel.normal_equations import init, update
+from estimation.track.panel.basis import Panel, PanelParameters, init, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass, PassStatus, ProfileLife, examine
 from estimation.track.screening.agreement import agreement as agree

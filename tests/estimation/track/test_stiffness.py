@@ -57,7 +57,7 @@ def test_the_std_of_a_ratio_covers_its_error_and_reaches_the_geometry() -> None:
     for vehicle, ratio in one.ratios.items():
         assert SYSTEMATIC_STD < ratio.std < 0.05
         assert abs(ratio.value - truth[vehicle]) < 2.5 * ratio.std
-    track_findings = findings(one, gauge_estimated=False).findings
+    track_findings = findings(one, gauge_estimated=False)[0]
     assert track_findings.stiffness_ratio_std == max(ratio.std for ratio in one.ratios.values())
     assert track_findings.stiffness_ratio == {vehicle: ratio.value for vehicle, ratio in one.ratios.items()}
 

@@ -90,7 +90,7 @@ def error(d: FloatArray) -> float:
 @pytest.mark.parametrize("misstated", [1.0, 0.3, 3.0])
 def test_the_std_of_a_survey_is_learnt_whatever_is_on_file(std: float, misstated: float) -> None:
     made = posterior(std, misstated * std)
-    assert made.bands.survey_std() == pytest.approx(std, rel=0.25)
+    assert made.bands.survey_std == pytest.approx(std, rel=0.25)
     assert made.std_factor == pytest.approx(1.0 / misstated, rel=0.25)
 
 
@@ -107,7 +107,7 @@ def test_both_together_are_no_worse_than_the_better_one(std: float) -> None:
 def test_what_follows_the_motion_is_taken_off_the_passes_and_is_no_error_of_the_survey() -> None:
     made = posterior(0.1e-3, 0.1e-3, follows=0.1)
     assert made.bands.coherent_std() == pytest.approx(0.12e-3, rel=0.25)
-    assert made.bands.survey_std() < 0.15e-3
+    assert made.bands.survey_std < 0.15e-3
     assert error(made.alignment.alignment) < 0.08e-3
 
 
@@ -147,7 +147,7 @@ def test_where_both_differ_more_than_elsewhere_neither_is_believed() -> None:
 def test_one_journey_shows_nothing_of_its_own_errors() -> None:
     made = posterior(0.2e-3, 0.2e-3, journeys=1)
     assert np.isfinite(made.alignment.alignment).all()
-    assert 0.1e-3 < made.bands.survey_std() < 0.4e-3
+    assert 0.1e-3 < made.bands.survey_std < 0.4e-3
 
 
 def test_a_survey_that_no_pass_meets_is_not_weighed() -> None:

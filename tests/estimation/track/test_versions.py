@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.track.settings import AlignmentSettings
-from estimation.track.versions import (
+from estimation.track.settings import (
+    AlignmentSettings,
     carry_over_findings,
     changed_vehicles,
     gauge_shift_changed,

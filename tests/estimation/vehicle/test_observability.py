@@ -21,7 +21,7 @@ from estimation.vehicle.linear_model import (
 )
 from estimation.vehicle.observability import CAUSES, Observed, Running, conicity_shifts, observability
 from estimation.vehicle.vehicle_class import SensorChannel, SensorLayout, VehicleClass
-from ingest.vehicle_class_file import shipped_class, shipped_classes
+from ingest.vehicle_class_schema import shipped_class, shipped_classes
 
 RUNNING = Running(speed=20.0, duration=60.0, alignment_std=0.0)
 

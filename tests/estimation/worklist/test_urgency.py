@@ -7,7 +7,7 @@ import pytest
 from estimation.values.alerts import Condition, OpenAlert, Severity, Urgency
 from estimation.values.quantities import Forecast
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.worklist.row import DUE_WITHIN_KM, TURN, Ahead, Verdict, judged
+from estimation.worklist.row import DUE_WITHIN_KM, TURN, Ahead, judged
 
 NOWHERE = Forecast(None, None, None)
 UNKNOWN = Ahead(NOWHERE, None, Reason(ReasonCode.CONICITY_OPEN, "the data leave it open"))
@@ -24,7 +24,9 @@ def alert(kind: str, severity: Severity = Severity.WARNING, condition: Condition
     return OpenAlert(1, kind, severity, condition, 0, acknowledged=False, shelved_until_ns=None)
 
 
-def verdict(of: Ahead, *alerts: OpenAlert, mounted: bool = True, last_ns: int | None = LAST_NS) -> Verdict:
+def verdict(
+    of: Ahead, *alerts: OpenAlert, mounted: bool = True, last_ns: int | None = LAST_NS
+) -> tuple[Urgency, tuple[Reason, ...]]:
     return judged(mounted=mounted, ahead=of, alerts=alerts, last_ns=last_ns)
 
 
@@ -76,22 +78,22 @@ def verdict(of: Ahead, *alerts: OpenAlert, mounted: bool = True, last_ns: int | 
 def test_the_most_urgent_reason_decides_and_all_are_said(
     of: Ahead, alerts: list[OpenAlert], urgency: Urgency, texts: list[str] | None
 ) -> None:
-    found = verdict(of, *alerts)
-    assert found.urgency is urgency
-    assert texts is None or [reason.text for reason in found.reasons] == texts
+    found, reasons = verdict(of, *alerts)
+    assert found is urgency
+    assert texts is None or [reason.text for reason in reasons] == texts
 
 
 def test_no_data_ever_is_said_as_such() -> None:
-    found = verdict(UNKNOWN, alert("no_data"), last_ns=None)
-    assert [reason.text for reason in found.reasons] == ["no data ever", "the data leave it open"]
-    found = judged(mounted=True, ahead=UNKNOWN, alerts=[alert("no_data")], last_ns=LAST_NS, refused=True)
-    assert found.reasons[0].text == "no usable data since 2026-01-03"
+    _, reasons = verdict(UNKNOWN, alert("no_data"), last_ns=None)
+    assert [reason.text for reason in reasons] == ["no data ever", "the data leave it open"]
+    _, reasons = judged(mounted=True, ahead=UNKNOWN, alerts=[alert("no_data")], last_ns=LAST_NS, refused=True)
+    assert reasons[0].text == "no usable data since 2026-01-03"
 
 
 def test_what_is_not_mounted_comes_last_whatever_it_was() -> None:
-    found = verdict(ahead(0.0, 0.0, 0.99), mounted=False)
-    assert found.urgency is Urgency.NOT_MOUNTED
-    assert [reason.code for reason in found.reasons] == [ReasonCode.NOT_MOUNTED, ReasonCode.LIMIT_EXCEEDED]
+    found, reasons = verdict(ahead(0.0, 0.0, 0.99), mounted=False)
+    assert found is Urgency.NOT_MOUNTED
+    assert [reason.code for reason in reasons] == [ReasonCode.NOT_MOUNTED, ReasonCode.LIMIT_EXCEEDED]
 
 
 def test_the_unknown_come_before_all_that_last() -> None:

@@ -117,9 +117,9 @@ def test_swapped_nodes_send_each_others_values_and_a_missing_sensor_none(tmp_pat
     messages = align_to_clock(CATALOGUE, merge([vehicle_frames(CATALOGUE, scenario, run, records)])).messages
     sent = []
     for node in range(1, 9):
-        signals = node_samples("V-1", node, CATALOGUE, messages)
+        signals = node_samples(node, CATALOGUE, messages)
         assert signals is not None
-        values = signals[0].block.values
+        values = signals[0].values
         assert np.isnan(values[:, 3]).all()
         sent.append(round(float(values[0, 1]), 6))
     assert sent == [1.0, 0.0, 3.0, 2.0, 5.0, 4.0, 7.0, 6.0]

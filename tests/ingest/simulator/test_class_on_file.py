@@ -12,7 +12,7 @@ from estimation.errors import ScenarioError
 from estimation.vehicle.vehicle_class import Arrangement
 from ingest.simulator.fleet import prepare
 from ingest.simulator.scenario_file import load_scenario, read_scenario
-from ingest.vehicle_class_file import read_vehicle_class, shipped_path
+from ingest.vehicle_class_schema import read_vehicle_class, shipped_path
 
 FOUR = SMALL.replace("[2.0, 4.5, 12.0]", "[2.0, 4.5, 20.0, 22.5]") + '\n[[vehicles.wheelsets]]\nserial = "D"\n'
 FOUR += "wear_mm_per_100000_km = 0.5\n"

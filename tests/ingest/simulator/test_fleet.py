@@ -113,7 +113,7 @@ def test_a_dead_node_says_so_and_a_silent_one_says_nothing(scenario: Scenario) -
 def test_sample_counters_count_what_was_sent_not_what_arrived(scenario: Scenario) -> None:
     lossy = replace(scenario, bus=replace(scenario.bus, lost_share=0.2))
     whole, thinned = frames_of(scenario)[1], frames_of(lossy)[1]
-    assert len(thinned.messages[0x181]) == pytest.approx(0.8 * len(whole.messages[0x181]), rel=0.05)
+    assert len(thinned.messages[0x181].index) == pytest.approx(0.8 * len(whole.messages[0x181].index), rel=0.05)
     counters = thinned.messages[0x281].column("sample_counter")
     assert set(counters.tolist()) <= set((1 + 250 * np.arange(13)).tolist())
 

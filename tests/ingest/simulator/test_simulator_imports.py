@@ -12,16 +12,14 @@ ALLOWED = (
     "estimation.vehicle",
     "ingest.bus",
     "ingest.catalogue",
-    "ingest.catalogue",
     "ingest.codec",
     "ingest.file_value",
     "ingest.frames",
     "ingest.input_file",
-    "ingest.logs.blf_writer",
+    "ingest.logs.blf_layout",
     "ingest.profiles",
     "ingest.simulator",
     "ingest.track_file",
-    "ingest.vehicle_class_file",
     "ingest.vehicle_class_schema",
 )
 

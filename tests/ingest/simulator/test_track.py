@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.integrate
 from scipy.signal import welch
 
 from estimation.errors import ParameterError, ScenarioError
@@ -16,10 +17,17 @@ from ingest.simulator.irregularity import (
     LOW_WAVENUMBER,
     Irregularity,
     density,
-    standard_deviation,
     synthesise,
 )
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track, read_track, write_track
+
+
+def standard_deviation(kind: Irregularity, wavelengths: tuple[float, float], level: float) -> float:
+    """Return the standard deviation of the density over a band, m."""
+    shortest, longest = wavelengths
+    band = 2.0 * math.pi / longest, 2.0 * math.pi / shortest
+    variance, _ = scipy.integrate.quad(lambda w: float(density(kind, np.array(w), level)), *band)
+    return math.sqrt(variance)
 
 
 @pytest.mark.parametrize("kind", ["alignment", "gauge"])

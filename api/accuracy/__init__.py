@@ -1,1 +1,0 @@
-"""Estimates against measurements, as the API answers them."""

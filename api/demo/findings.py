@@ -1,0 +1,312 @@
+"""What the demo asks of the REST API and prints, beside the simulated truth: wheelsets, track, what is to be done."""
+
+from __future__ import annotations
+
+import json
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
+
+from estimation.values.alerts import Urgency
+from estimation.values.quantities import Status
+from estimation.values.track import AlignmentSource
+from ingest.simulator.scenario import Scenario
+
+KM = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceAddress:
+    """Where the REST API of the demo is, and the key to ask it with; None where access is open."""
+
+    url: str
+    key: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class WheelsetLine:
+    """One wheelset, estimated and true; ``None`` where nothing is estimated."""
+
+    serial: str
+    mileage_km: float | None
+    amplitude_mm: float | None
+    true: float | None
+    value: float | None
+    low: float | None
+    high: float | None
+    slope_per_100000_km: str
+    distance: str
+    alerts: str
+
+    @property
+    def covers(self) -> bool | None:
+        """Whether the 95 % interval holds the true conicity; None without an estimate."""
+        if self.low is None or self.high is None or self.true is None:
+            return None
+        return self.low <= self.true <= self.high
+
+
+def lines(service: ServiceAddress, truth: Path, fleet: str) -> list[WheelsetLine]:
+    """Ask the REST API for every wheelset of a fleet, its geometry, trend and open alerts; the most urgent first."""
+    true = true_campaigns(truth)
+    return [_line(service, row["serial"], true[row["serial"]]) for row in _wheelsets(service, fleet, sort="urgency")]
+
+
+def _wheelsets(service: ServiceAddress, fleet: str, **query: str) -> list[dict[str, Any]]:
+    asked = urllib.parse.urlencode({"fleet": fleet, **query, "limit": 1000})
+    return list(get(service, f"/v1/wheelsets?{asked}")["items"])
+
+
+def true_campaigns(truth: Path) -> dict[str, list[dict[str, Any]]]:
+    """Return the true campaigns of each wheelset of the simulator's side file."""
+    wheelsets = json.loads(truth.read_text(encoding="utf-8"))["wheelsets"]
+    return {item["serial"]: item["campaigns"] for item in wheelsets}
+
+
+def get(service: ServiceAddress, path: str) -> Any:  # noqa: ANN401 - JSON
+    """Return the JSON of one GET."""
+    headers = {} if service.key is None else {"Authorization": f"Bearer {service.key}"}
+    asked = urllib.request.Request(service.url + path, headers=headers)  # noqa: S310 - our own server
+    with urllib.request.urlopen(asked, timeout=30) as answer:  # noqa: S310 - the same
+        return json.load(answer)
+
+
+def get_if_any(service: ServiceAddress, path: str) -> Any:  # noqa: ANN401 - JSON
+    """Return the JSON of one GET; None where there is no such thing yet."""
+    try:
+        return get(service, path)
+    except urllib.error.HTTPError as error:
+        error.close()
+        if error.code != HTTPStatus.NOT_FOUND:
+            raise
+        return None
+
+
+def _path(*parts: str) -> str:
+    return "/".join(["/v1", *(urllib.parse.quote(part, safe="") for part in parts)])
+
+
+def _line(service: ServiceAddress, serial: str, campaigns: list[dict[str, Any]]) -> WheelsetLine:
+    answers = [get(service, _path("wheelsets", serial, name)) for name in ("geometry", "trend")]
+    geometry, trend = (None if one["recorded_at"] is None else one for one in answers)  # of nothing estimated
+    query = urllib.parse.urlencode({"wheelset": serial, "open": "true", "limit": 1000})
+    alerts = get(service, f"/v1/alerts?{query}")["items"]
+    conicity = geometry["equivalent_conicity_1"] if geometry else {"value": None, "interval_95": None}
+    low, high = conicity["interval_95"] or (None, None)
+    return WheelsetLine(
+        serial=serial,
+        mileage_km=geometry["mileage_km"] if geometry else None,
+        amplitude_mm=geometry["equivalent_conicity_amplitude_mm"] if geometry else None,
+        true=_true(campaigns, geometry) if geometry and geometry["equivalent_conicity_amplitude_mm"] else None,
+        value=conicity["value"],
+        low=low,
+        high=high,
+        slope_per_100000_km=_slope(trend) if trend else "",
+        distance=_distance(trend) if trend else "",
+        alerts=", ".join(f"{a['kind']} ({_standing(a)})" for a in alerts) or "none",
+    )
+
+
+def _standing(alert: dict[str, Any]) -> str:
+    """Return the severity, and the condition where the data do not show the matter now."""
+    condition, severity = str(alert["condition"]), str(alert["severity"])
+    return severity if condition == "active" else f"{severity}, {condition}"
+
+
+def _true(campaigns: list[dict[str, Any]], geometry: dict[str, Any]) -> float:
+    seen = min(campaigns, key=lambda c: abs(c["mileage_km"] - geometry["mileage_km"]))
+    amplitude = geometry["equivalent_conicity_amplitude_mm"]
+    return float(np.interp(amplitude, seen["amplitude_mm"], seen["equivalent_conicity"]))
+
+
+def _slope(trend: dict[str, Any]) -> str:
+    slope = trend["slope_1_per_1000_km"]
+    if slope["value"] is None:
+        return "unknown"
+    low, high = slope["interval_95"]
+    return f"{100 * slope['value']:+.3f} [{100 * low:+.3f}, {100 * high:+.3f}]"
+
+
+def _distance(trend: dict[str, Any]) -> str:
+    if trend["status"] != "estimated":
+        return "unknown"  # an empty forecast of a known trend is good news, of an unknown one it is none
+    forecast = trend["distance_to_limit_km"]
+    p10, p50, p90 = (None if forecast[p] is None else forecast[p] / KM for p in ("p10", "p50", "p90"))
+    if p50 is None:
+        return f"beyond {p10:,.0f}" if p10 is not None else "beyond the horizon"
+    if p50 <= 0:
+        return "reached"
+    return f"{p50:,.0f} [{p10:,.0f}, {'beyond' if p90 is None else f'{p90:,.0f}'}]"
+
+
+ESTIMATE = ("km since new", "at mm", "true", "conicity [95 %]", "covers")
+OUTLOOK = ("trend per 100,000 km [95 %]", r"1,000 km to the limit \[p10, p90]")
+ALERTS = ("open alerts",)
+TITLE = "Wheel-rail wear of the fleet, from the REST API; the most urgent first"
+
+
+def tables(found: list[WheelsetLine], console: Console) -> list[Table]:
+    """Return one table where the console is wide enough for it, else one each of estimates, outlook and alerts."""
+    parts = [
+        (TITLE, ESTIMATE, [_estimate_cells(line) for line in found]),
+        ("and what it leads to", OUTLOOK, [[line.slope_per_100000_km, line.distance] for line in found]),
+        ("and what was raised", ALERTS, [[line.alerts] for line in found]),
+    ]
+    heads = [name for _, head, _ in parts for name in head]
+    joined = [[cell for cells in row for cell in cells] for row in zip(*(rows for _, _, rows in parts), strict=True)]
+    whole = _table(TITLE, heads, joined, found)
+    if Measurement.get(console, console.options.update(max_width=1000), whole).maximum <= console.width:
+        return [whole]
+    return [_table(title, head, rows, found) for title, head, rows in parts]
+
+
+def _table(title: str, head: Sequence[str], rows: list[list[str]], found: list[WheelsetLine]) -> Table:
+    result = Table("wheelset", title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in head:
+        result.add_column(name, justify="left" if name in ALERTS else "right")
+    for line, row in zip(found, rows, strict=True):
+        result.add_row(line.serial, *row)
+    return result
+
+
+def _estimate_cells(line: WheelsetLine) -> list[str]:
+    known = line.value is not None
+    return [
+        "" if line.mileage_km is None else f"{line.mileage_km:,.0f}",
+        "" if line.amplitude_mm is None else f"{line.amplitude_mm:g}",
+        "" if line.true is None else f"{line.true:.3f}",
+        f"{line.value:.3f} [{line.low:.3f}, {line.high:.3f}]" if known else "unknown",
+        {True: "yes", False: "[red]no[/red]", None: ""}[line.covers],
+    ]
+
+
+AMPLITUDE_MM = 3.0  # of the conicity by signatures
+NAMED = 3  # wheelsets of the library
+
+
+SecondOpinion = tuple[str, bool | None]  # a sentence, and whether what it states is true; None: no interval
+
+
+def second_opinions(
+    service: ServiceAddress, scenario: Scenario, true: Mapping[str, Sequence[Mapping[str, Any]]]
+) -> Iterator[SecondOpinion]:
+    """Ask the REST API for a fleet's wheelsets without a geometry, and for the low adhesion that it found."""
+    for row in _wheelsets(service, scenario.fleet_code):
+        found = _by_signature(service, row["serial"], true)
+        if found is not None:
+            yield found
+    for alert in get(service, "/v1/alerts?kind=low_adhesion&open=true&limit=1000")["items"]:
+        if alert["track_section"] == scenario.section.code:
+            yield (f"{_low(service, scenario.section.code)}; true {_true_friction(scenario)}", None)
+
+
+def _by_signature(
+    service: ServiceAddress, serial: str, true: Mapping[str, Sequence[Mapping[str, Any]]]
+) -> SecondOpinion | None:
+    """Return what the signature of a wheelset says, where its geometry says nothing."""
+    geometry = get(service, _path("wheelsets", serial, "geometry"))
+    if geometry["equivalent_conicity_1"]["value"] is not None:
+        return None
+    signature = get_if_any(service, _path("wheelsets", serial, "signature"))
+    reason = geometry["equivalent_conicity_1"]["reason"].rstrip(".")
+    head = f"{serial}: no geometry ({reason})"
+    if signature is None:
+        return (f"{head}, and no signature yet", None)
+    conicity = signature["equivalent_conicity_at_3_mm_1"]
+    if conicity["value"] is None:
+        return (f"{head}; its signature leaves it open: {conicity['reason']}", None)
+    low, high = conicity["interval_95"]
+    newest = true[serial][-1]
+    truth = float(np.interp(AMPLITUDE_MM, newest["amplitude_mm"], newest["equivalent_conicity"]))
+    named = ", ".join([*dict.fromkeys(entry["wheelset"] for entry in signature["used_entries"])][:NAMED])
+    text = (
+        f"{head}; its signature says {conicity['value']:.3f} [{low:.3f}, {high:.3f}], true {truth:.3f}, from"
+        f" {signature['library_wheelsets']} wheelsets of known conicity, above all {named}"
+    )
+    return text, low <= truth <= high
+
+
+def _true_friction(scenario: Scenario) -> str:
+    stretches = [f"{one.friction:.2f} at {one.begin:g} to {one.end:g} m" for one in scenario.running.stretches]
+    return ", ".join([*stretches, f"{scenario.running.creep.friction:.2f} elsewhere"])
+
+
+def _low(service: ServiceAddress, section: str) -> str:
+    found = get(service, _path("track-sections", section, "adhesion"))
+    parts = []
+    for stretch in found["low_stretches"]:
+        inside = [one for one in found["places"] if stretch["from_m"] <= one["from_m"] < stretch["to_m"]]
+        known = [one["friction_1"]["value"] for one in inside if one["friction_1"]["value"] is not None]
+        parts.append(f"{stretch['from_m']:g} to {stretch['to_m']:g} m, friction {min(known):.2f} to {max(known):.2f}")
+    return f"track {section}: alert of low adhesion in the feed, at {'; '.join(parts)}"
+
+
+def track_lines(service: ServiceAddress) -> list[str]:
+    """Ask the REST API for every section; return one sentence or two of each."""
+    return [_section_line(service, item) for item in get(service, "/v1/track-sections?limit=1000")["items"]]
+
+
+def _section_line(service: ServiceAddress, section: dict[str, Any]) -> str:
+    at = _path("track-sections", section["code"])
+    versions = _versions(service, f"{at}/alignments?limit=1000")
+    report = get_if_any(service, f"{at}/alignment-report")
+    head = f"track {section['code']}, {section['length_m'] / 1000:g} km"
+    if not versions:
+        reason = f": {report['reason']}" if report and report["reason"] else ""
+        return f"{head}: not surveyed, and the fleet has not estimated its alignment yet{reason}"
+    newest = versions[-1]
+    if newest["source"] == AlignmentSource.RECORDED and newest["status"] != Status.ESTIMATED:
+        return f"{head}: the gauge alone is on file, and the fleet has not found the alignment"
+    if newest["source"] == AlignmentSource.RECORDED:
+        verdict = f", {report['recording']}" if report and report["recording"] else ""
+        return f"{head}: alignment on file, version {newest['version']}{verdict}"
+    filed = {one["status"] for one in versions if one["source"] == AlignmentSource.RECORDED}
+    how = "the surveyed alignment is not used" if Status.ESTIMATED in filed else "not surveyed"
+    how = "the gauge alone is on file" if filed == {Status.UNESTIMATED} else how
+    return f"{head}: {how}; the fleet has found its alignment, {_alignment_words(newest, report)}"
+
+
+def _versions(service: ServiceAddress, path: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = []
+    following: str | None = path
+    while following is not None:
+        page = get(service, following)
+        found += page["items"]
+        following = page["next"]
+    return found
+
+
+def _alignment_words(newest: dict[str, Any], report: dict[str, Any] | None) -> str:
+    words = [f"now version {newest['version']}"]
+    if newest["alignment_std_mm"] is not None:
+        words.append(f"std {newest['alignment_std_mm']:.2f} mm at wavelengths of up to {newest['cut_off_m']:g} m")
+    if report is not None and report["covered_1"] is not None:
+        words.append(f"known along {report['covered_1']:.0%}")
+    offsets = [abs(one["offset_m"]) for one in (report or {}).get("journeys", []) if one["used"] and one["offset_m"]]
+    if offsets:
+        words.append(f"positions of the last journeys put right by up to {max(offsets):.1f} m")
+    return ", ".join(words)
+
+
+NOTHING_TO_DO = (Urgency.NOT_DUE, Urgency.NOT_MOUNTED)
+
+
+def to_do(service: ServiceAddress, fleet: str) -> list[str]:
+    """Ask the REST API for the worklist of a fleet; return a sentence for each wheelset that needs somebody."""
+    sentences = []
+    for row in _wheelsets(service, fleet, sort="urgency"):
+        if row["state"]["urgency"] not in NOTHING_TO_DO:
+            reasons = "; ".join(reason["text"] for reason in row["state"]["reasons"])
+            sentences.append(f"{row['serial']} (vehicle {row['vehicle']}, axle {row['axle']}): {reasons}")
+    return sentences

@@ -1,1 +1,0 @@
-"""Pictures: matplotlib figures made without global state."""

@@ -1,1 +1,0 @@
-"""The paper's figures again: the study, its pictures, its numbers."""

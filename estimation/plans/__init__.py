@@ -1,1 +1,0 @@
-"""What to do to wheelsets when, from what is known of them."""

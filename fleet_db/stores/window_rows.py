@@ -1,0 +1,235 @@
+"""Rows of windows: read and written, and the states of many at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    Select,
+    and_,
+    bindparam,
+    delete,
+    exists,
+    or_,
+    select,
+    tuple_,
+    update,
+)
+
+from estimation.errors import NotFoundError
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import (
+    NO_BLOWS,
+    NOT_HUNTING,
+    DueStage,
+    Hunting,
+    PassedOver,
+    TurnBlows,
+    Window,
+    WindowKey,
+    WindowMark,
+    WindowQuality,
+    WindowRecord,
+    WindowState,
+)
+from fleet_db.due import BATCH, estimated, list_due, list_to_estimate, list_waiting
+from fleet_db.rows import nan_if_null, null_if_nan, reason_columns, replace_all, stored_reason, table_of
+from fleet_db.subjects import Subjects
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
+
+WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
+OF_WINDOW = ("wheelset", "start_ns", "length_ns", "vehicle", "axle", "track_section")
+REALS = (
+    "coverage",
+    "longest_gap_s",
+    "clipped",
+    "invalid",
+    "speed_min_m_s",
+    "speed_max_m_s",
+    "position_quality",
+)
+
+
+def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
+    """Return the condition that the key of a row is among the parameters ``keys``.
+
+    Args:
+        table: With the columns ``wheelset`` and ``start_ns``.
+    """
+    return tuple_(table.c.wheelset, table.c.start_ns).in_(bindparam("keys", expanding=True))
+
+
+def mark_all(connection: Connection, subjects: Subjects, marks: Sequence[WindowMark]) -> list[WindowMark]:
+    """Set states of windows; those that are refused lose their bin tables. Return those that have their states now.
+
+    A window whose samples have been purged stays as it is; that it was to change is noted.
+
+    Raises:
+        NotFoundError: There is no such window.
+    """
+    standing = _standing(connection, [mark.key for mark in marks])
+    held, changed, gone = [], [], []
+    for mark in marks:
+        before = standing.get(mark.key)
+        if before is None:
+            raise NotFoundError("window", f"{mark.wheelset}@{mark.start_ns}")
+        after = {"state": mark.state.value, **reason_columns(mark.reason)}
+        same = all(getattr(before, name) == value for name, value in after.items())
+        if not same and before.samples_purged_ns is not None:
+            this = and_(WINDOWS.c.wheelset == mark.wheelset, WINDOWS.c.start_ns == mark.start_ns)
+            if pass_over(connection, this, PassedOver.SUPERSEDED):
+                subjects.tables(mark.wheelset)
+            continue
+        held.append(mark)
+        if not same:
+            subjects.places(before.track_section)
+            changed.append({"wheelset": mark.wheelset, "start_ns": mark.start_ns, **after})
+            if mark.state is WindowState.REFUSED:
+                gone.append(mark.key)
+            if before.state != mark.state.value:
+                subjects.tables(mark.wheelset)
+            if WindowState.REFUSED.value in {before.state, mark.state.value}:  # else the newest usable one stays
+                subjects.windows(mark.wheelset)
+    replace_all(connection, WINDOWS, changed)
+    list_waiting(connection, [mark.key for mark in held if mark.state is WindowState.PENDING])
+    estimated(connection, [mark.key for mark in held if mark.state is WindowState.ESTIMATED])
+    remove_tables(connection, subjects, gone)
+    return held
+
+
+def wait_again(subjects: Subjects, chosen: ColumnElement[bool], what: PassedOver) -> None:
+    """Let windows wait to be estimated again; those without samples stay as they are, and that is noted.
+
+    Args:
+        chosen: Condition on the table of windows, but for their states.
+        what: Would have changed those that stay.
+    """
+    of = select(WINDOWS.c.wheelset, WINDOWS.c.track_section).where(chosen).distinct()
+    for wheelset, section in subjects.connection.execute(of):
+        subjects.tables(wheelset)
+        subjects.windows(wheelset)
+        subjects.places(section)
+    list_to_estimate(subjects.connection, chosen)
+    pass_over(subjects.connection, and_(chosen, WINDOWS.c.samples_purged_ns.is_not(None)), what)
+
+
+def remove_tables(connection: Connection, subjects: Subjects, keys: Sequence[WindowKey]) -> None:
+    """Remove the bin tables of some windows, where there are any."""
+    for first in range(0, len(keys), BATCH):
+        tabled = [
+            (row.wheelset, row.start_ns) for row in connection.execute(_tabled(), {"keys": keys[first : first + BATCH]})
+        ]
+        list_for_sums(connection, tabled)
+        if tabled:
+            connection.execute(delete(TABLES).where(keys_given(TABLES)), {"keys": tabled})
+        for wheelset, _ in tabled:
+            subjects.tables(wheelset)
+
+
+def list_for_sums(connection: Connection, keys: Sequence[WindowKey]) -> None:
+    """List windows whose bin table or its mileage is another, or is about to be removed: they are summed again."""
+    tabled = exists().where(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns)
+    for first in range(0, len(keys), BATCH):
+        list_due(connection, DueStage.SUMS, and_(keys_given(WINDOWS), tabled), keys=keys[first : first + BATCH])
+
+
+def pass_over(connection: Connection, chosen: ColumnElement[bool], what: PassedOver) -> int:
+    """Note what would have changed windows that stay as they are; return of how many it was not known.
+
+    That a table is wrong stands before the rest.
+    """
+    weaker = [one.value for one in PassedOver][: list(PassedOver).index(what)]
+    open_ = or_(WINDOWS.c.passed_over.is_(None), WINDOWS.c.passed_over.in_(weaker))
+    noted = update(WINDOWS).where(chosen, open_).values(passed_over=what.value)
+    return connection.execute(noted.execution_options(preserve_rowcount=True)).rowcount
+
+
+def _standing(connection: Connection, keys: Sequence[WindowKey]) -> dict[WindowKey, Row[Any]]:
+    found: dict[WindowKey, Row[Any]] = {}
+    for first in range(0, len(keys), BATCH):
+        for row in connection.execute(_states(), {"keys": keys[first : first + BATCH]}):
+            found[row.wheelset, row.start_ns] = row
+    return found
+
+
+@cache
+def _states() -> Select[Any]:
+    names = ("wheelset", "start_ns", "state", "reason", "reason_code", "samples_purged_ns", "track_section")
+    return select(*(WINDOWS.c[name] for name in names)).where(keys_given(WINDOWS))
+
+
+@cache
+def _tabled() -> Select[Any]:
+    return select(TABLES.c.wheelset, TABLES.c.start_ns).where(keys_given(TABLES)).order_by(*TABLES.primary_key)
+
+
+def to_window_record(row: Row[Any]) -> WindowRecord:
+    """Return the value of a row of windows."""
+    return WindowRecord(
+        wheelset=row.wheelset,
+        start_ns=row.start_ns,
+        length_ns=row.length_ns,
+        vehicle=row.vehicle,
+        axle=row.axle,
+        track_section=row.track_section,
+        mileage_km=row.mileage_km,
+        quality=WindowQuality(
+            **{name: nan_if_null(getattr(row, name)) for name in REALS},
+            gaps=row.gaps,
+            sensor_fault=row.sensor_fault,
+            hunting=_hunting(row),
+            blows=_blows(row),
+        ),
+        state=WindowState(row.state),
+        reason=stored_reason(row),
+        content_digest=row.content_digest,
+        recorded_ns=row.recorded_ns,
+        implausible=implausible_reason(row),
+        samples_purged=row.samples_purged_ns is not None,
+    )
+
+
+def implausible_reason(row: Any) -> Reason | None:  # noqa: ANN401 - a row of windows, whatever was selected
+    """Return why the mileage of a row of windows is not believed; None where it is.
+
+    Args:
+        row: With the columns ``implausible`` and ``implausible_code``.
+    """
+    return None if row.implausible_code is None else Reason(ReasonCode(row.implausible_code), row.implausible)
+
+
+def _hunting(row: Row[Any]) -> Hunting:
+    if not row.hunting_share:
+        return NOT_HUNTING
+    return Hunting(row.hunting_share, row.hunting_hz or 0.0, row.hunting_amplitude_m or 0.0)
+
+
+def _blows(row: Row[Any]) -> TurnBlows:
+    if not row.blows_share:
+        return NO_BLOWS
+    return TurnBlows(row.blows_share, row.blows_m_s2 or 0.0, row.blows_turn_m or 0.0, row.blows_side or 0)
+
+
+def window_values(window: Window, mileage_km: float) -> dict[str, object]:
+    """Return what the row of a window that waits to be estimated holds of it, without its file."""
+    return {
+        **{name: getattr(window, name) for name in OF_WINDOW},
+        "mileage_km": mileage_km,
+        **{name: null_if_nan(getattr(window.quality, name)) for name in REALS},
+        "gaps": window.quality.gaps,
+        "sensor_fault": window.quality.sensor_fault,
+        "hunting_share": window.quality.hunting.share,
+        "hunting_hz": window.quality.hunting.frequency_hz,
+        "hunting_amplitude_m": window.quality.hunting.amplitude,
+        "blows_share": window.quality.blows.share,
+        "blows_m_s2": window.quality.blows.size,
+        "blows_turn_m": window.quality.blows.turn_m,
+        "blows_side": window.quality.blows.side,
+        "state": WindowState.PENDING.value,
+        **reason_columns(None),
+    }
