@@ -51,7 +51,7 @@ JUDGED_TOGETHER = ("refresh_signatures", "refresh_rails")
 """Jobs that read all of a fleet where there is news of one wheelset: what they have seen is noted instead."""
 
 LATER_NS = 3_600_000_000_000
-REACH_S = 1.0
+REACH_S, REACH_STATEMENTS = 0.35, 40
 STATE = {"wheelsets", "sections", "unchanged", "without_limit", "quarantined"}
 """Counts of what is there; all others count what was done."""
 
@@ -103,8 +103,10 @@ def _measured(name: str, settings: Settings, size: FleetSize, server_s: Callable
         shown += f", {median(one.writes):.0f} transactions that write"
         yield BenchRow(f"{name}: idle run of {job_name}, median of {ROUNDS}", shown, "", met=True)
     whole_s = median(sum(each) for each in zip(*(one.cpu_s for one in spent.values()), strict=True))
-    shown = f"{whole_s:.2f} CPU s, {sum(median(one.statements) for one in spent.values()):.0f} statements"
-    yield BenchRow(f"{name}: idle run of all jobs", shown, f"< {REACH_S:.0f} CPU s", whole_s < REACH_S)
+    statements = sum(median(one.statements) for one in spent.values())
+    met = whole_s < REACH_S and statements <= REACH_STATEMENTS
+    reach = f"< {REACH_S:g} CPU s, <= {REACH_STATEMENTS} statements"
+    yield BenchRow(f"{name}: idle run of all jobs", f"{whole_s:.2f} CPU s, {statements:.0f} statements", reach, met)
 
 
 def _run_until_nothing_is_done(context: JobContext, jobs: tuple[Job, ...]) -> int:
@@ -131,9 +133,6 @@ def _run_counted(context: JobContext, job: Job, spent: Spent, server_s: Callable
     def count(_connection: object, _cursor: object, statement: str, *_: object) -> None:
         asked[statement.split(maxsplit=1)[0]] += 1
 
-    def begun(_connection: object) -> None:
-        asked["begun"] += 1
-
     event.listen(Engine, "before_cursor_execute", count)
     write = SqlStorage.write
 
@@ -150,6 +149,7 @@ def _run_counted(context: JobContext, job: Job, spent: Spent, server_s: Callable
         SqlStorage.write = write  # type: ignore[method-assign]
         event.remove(Engine, "before_cursor_execute", count)
     spent.writes.append(asked.pop("write", 0))
+    asked.pop("BEGIN", None)  # SQLite's, of which PostgreSQL has none
     spent.statements.append(asked.total())
 
 

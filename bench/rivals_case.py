@@ -88,7 +88,7 @@ def scores(
 
 def motions_of(unit: UnitOfWork, serial: str, context: JobContext) -> tuple[EstimatorParameters, list[Motion]]:
     """Return what an estimator of the jobs gets of a wheelset: parameters, and the motion of its windows."""
-    found = geometries_of(unit, serial, context)
+    found = geometries_of(unit, [serial], context)[serial]
     motions: list[Motion] = []
     parameters = EstimatorParameters(band_limited=True)
     for part in found.current_parts():

@@ -310,7 +310,12 @@ def list_for_alignment(subjects: Subjects, sections: Mapping[WindowKey, str | No
     for first in range(0, len(keys), BATCH):
         own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys[first : first + BATCH])
         list_due(subjects.connection, DueStage.ALIGNMENT, own)
-    for section in {section for section in sections.values() if section is not None}:
+    raise_sections(subjects, sections.values())
+
+
+def raise_sections(subjects: Subjects, sections: Collection[str | None]) -> None:
+    """Let the windows of sections have another version; None is no section."""
+    for section in set(sections) - {None}:
         subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
 
 

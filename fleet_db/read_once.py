@@ -38,6 +38,10 @@ class ReadOnce:
             known.update((key, found.get(key)) for key in missing)
         return {key: known[key] for key in keys if known[key] is not None}
 
+    def known(self, kind: str, key: Hashable) -> Any:  # noqa: ANN401 - a record of this kind
+        """Return a record that :meth:`of` has read; None where it has not, or there is none."""
+        return self._records.get(kind, {}).get(key)
+
     def of_wheelset(
         self, kind: str, wheelset: str, read: Callable[[Collection[str]], Mapping[str, Record]]
     ) -> Record | None:

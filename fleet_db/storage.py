@@ -13,15 +13,7 @@ from sqlalchemy import Connection, Engine
 from estimation.errors import ConflictError, LeaseLostError, StorageError
 from estimation.values.runs import Claimed, JobTrigger
 from fleet_db.due import WindowDueStore
-from fleet_db.locks import (
-    Claims,
-    Lease,
-    UnendedLease,
-    UnendedLeases,
-    prolonged,
-    serialise_vehicle,
-    single_writer,
-)
+from fleet_db.locks import Claims, Lease, UnendedLease, UnendedLeases, prolonged, serialise_vehicle, single_writer
 from fleet_db.read_once import ReadOnce
 from fleet_db.session import (
     BUSY_TIMEOUT_MS,
@@ -139,7 +131,7 @@ class SqlUnitOfWork:
         self.epochs = EpochStore(connection, self.subjects)
         self.windows = WindowStore(connection, self.subjects, self.files, once)
         self.assembled = AssembledWindowStore(connection, self.subjects, self.files)
-        self.tables = BinTableStore(connection, self.subjects)
+        self.tables = BinTableStore(connection, self.subjects, once)
         self.due = WindowDueStore(connection, once)
         self.marks = StageMarkStore(connection, self.subjects, self.due)
         self.results = ResultStore(connection, self.subjects, once)
@@ -210,11 +202,7 @@ class SqlStorage:
             object.__setattr__(self, "reading", reading_engine(self.engine))
 
     def seen_by(self, fleets: frozenset[str] | None) -> SqlStorage:
-        """Return the storage whose reading transactions see only these fleets.
-
-        Args:
-            fleets: Codes; None for all.
-        """
+        """Return the storage whose reading transactions see only fleets of these codes; None is all."""
         return self if fleets is None else replace(self, visible_fleets=fleets)
 
     @contextmanager

@@ -34,7 +34,7 @@ def assemble_windows(
             waiting = list(unit.chunks.of_known_vehicles())
             looked_for = missing(unit)
             received = unit.chunks.undecoded_size().count
-        waiting += HeldRecordings(storage_of(context), context.clock).due()
+            waiting += HeldRecordings(storage_of(context), context.clock).due(unit)
         if not counts["spans"] and not waiting and not looked_for and not received:
             return counts
         receiver = receiver_of(context)

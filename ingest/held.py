@@ -54,16 +54,16 @@ class HeldRecordings:
 
         Of one that was moved to another vehicle it never is.
         """
-        return frozenset(record.digest for record, early in self._held() if early)
-
-    def due(self) -> list[ChunkRecord]:
-        """Return the stored recordings in quarantine for which another attempt is due."""
-        return [record for record, early in self._held() if not early and record.state is ChunkState.STORED]
-
-    def _held(self) -> list[tuple[ChunkRecord, bool]]:
-        now_ns = self.clock.now_ns()
         with self.storage.read() as unit:
-            found = [(unit.chunks.get(item.key), item) for item in unit.quarantine.held(STAGE)]
+            return frozenset(record.digest for record, early in self._held(unit) if early)
+
+    def due(self, unit: SqlUnitOfWork) -> list[ChunkRecord]:
+        """Return the stored recordings in quarantine for which another attempt is due."""
+        return [record for record, early in self._held(unit) if not early and record.state is ChunkState.STORED]
+
+    def _held(self, unit: SqlUnitOfWork) -> list[tuple[ChunkRecord, bool]]:
+        now_ns = self.clock.now_ns()
+        found = [(unit.chunks.get(item.key), item) for item in unit.quarantine.held(STAGE)]
         return [(record, item.waits(record.vehicle, now_ns)) for record, item in found if record is not None]
 
     def release(self, digest: str) -> None:

@@ -71,7 +71,7 @@ def replayed(
 def geometry_by(storage: Storage, context: JobContext, serial: str, estimator: str) -> WheelsetGeometry | None:
     """Return the current geometry of a wheelset as an estimator finds it; nothing is stored."""
     with storage.read() as unit:
-        found = geometries_of(unit, serial, context)
+        found = geometries_of(unit, [serial], context)[serial]
         if estimator != SHIPPED:
             return _by_rival(unit, found, estimator_named(estimator))
         current = [record.geometry for record in found.records() if record.interval is None]

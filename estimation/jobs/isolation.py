@@ -36,6 +36,11 @@ class Isolation:
         if self._read is None:
             self._read = {(item.kind, item.key): item for item in unit.quarantine.held(self.stage)}
 
+    def nothing_held(self) -> None:
+        """Go on without reading: nothing is held."""
+        if self._read is None:
+            self._read = {}
+
     @property
     def _held(self) -> dict[tuple[SubjectKind, str], Quarantined]:
         if self._read is None:

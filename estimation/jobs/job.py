@@ -166,8 +166,8 @@ def run_job(
     """
     with context.storage.write() as unit:
         now_ns = context.clock.now_ns()
-        begun = unit.jobs.start(job.name, trigger, now_ns)
-        corrected = unit.recorded_times.correct(now_ns)
+        begun, is_behind = unit.jobs.start(job.name, trigger, now_ns)
+        corrected = unit.recorded_times.correct(now_ns) if is_behind else 0
     if corrected:
         _log.warning("our clock has gone back: %d results carried a later time and count as recorded now", corrected)
     if started is not None:

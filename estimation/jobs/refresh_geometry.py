@@ -14,7 +14,7 @@ from estimation.jobs.runner import run
 from estimation.jobs.stage import Counted, Outcome, Stage, part_of_result
 from estimation.jobs.steps.membership import membership
 from estimation.jobs.steps.rolled_geometries import SUMS_IN_MEMORY, RolledGeometries
-from estimation.jobs.steps.rolling import rolled
+from estimation.jobs.steps.rolling import read_ahead, read_sums_ahead, rolled
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import GEOMETRY as GEOMETRIES
@@ -57,7 +57,9 @@ def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mappi
     Where many roll-ups are to be made again, some of them at a time, before the geometries.
     """
     wheelsets = unit.geometries.estimable(serials)
-    return {serial: _inputs(geometries_of(unit, serial, context)) for serial in serials if serial in wheelsets}
+    found = geometries_of(unit, [serial for serial in serials if serial in wheelsets], context)
+    read_sums_ahead(unit, [(serial, one.rolled) for serial, one in found.items()])
+    return {serial: _inputs(geometries) for serial, geometries in found.items()}
 
 
 def _inputs(geometries: RolledGeometries) -> GeometryInputs:
@@ -67,6 +69,7 @@ def _inputs(geometries: RolledGeometries) -> GeometryInputs:
     records = geometries.records() if whole else []
     some = changed if whole else changed[:SUMS_IN_MEMORY]
     parts = [RolledPart(part.roll_up, part.before, *geometries.sums(part), part.added) for part in some]
+    geometries.forget_sums()
     return GeometryInputs(
         rules=repr(rolled.state),
         contents=tuple((str(part.roll_up.key), part.roll_up.content) for part in rolled.parts),
@@ -79,10 +82,15 @@ def _inputs(geometries: RolledGeometries) -> GeometryInputs:
     )
 
 
-def geometries_of(unit: UnitOfWork, serial: str, context: JobContext) -> RolledGeometries:
-    """Return the geometries of one wheelset, as they can be made from its roll-ups."""
-    rules = membership(unit, serial, ClassLookup(unit, context.settings.estimation))
-    return RolledGeometries(unit, rules, rolled(unit, rules), context)
+def geometries_of(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mapping[str, RolledGeometries]:
+    """Return the geometries of wheelsets by serial, as they can be made from their roll-ups.
+
+    Args:
+        context: Settings of the estimation and version of the numerics.
+    """
+    rules = [membership(unit, serial, ClassLookup(unit, context.settings.estimation)) for serial in serials]
+    read_ahead(unit, rules)
+    return {one.wheelset: RolledGeometries(unit, one, rolled(unit, one), context) for one in rules}
 
 
 def compute(inputs: GeometryInputs) -> Outcome[WheelsetGeometry]:
@@ -128,6 +136,5 @@ GEOMETRY = Stage(
     store=store,
     counted=Counted(looked="wheelsets", changed="geometries"),
     results=GEOMETRIES,
-    at_once=4,
 )
 JOB = Job(GEOMETRY.job, "Merge bin tables into wheelset geometries", every_s=900.0, run=partial(run, GEOMETRY))

@@ -57,7 +57,9 @@ def load_library(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Map
     reader = EntryReader(unit, classes, VehicleLookup(unit), context.settings.signatures)
     stored = unit.signatures.known()
     known, without = usable(unit, context, stored.known)
-    made, answered = reader.entries(known), unit.results.made_from(ANSWERS)
+    answered = unit.results.made_from(ANSWERS)
+    reader.read_ahead(known, answered)
+    made = reader.entries(known)
     subjects = _subjects(reader, known, answered, context.settings.signatures.most_mileage_km)
     geometries, failed = {}, dict[tuple[SubjectKind, str], Exception]()
     for serial, one in subjects.items():

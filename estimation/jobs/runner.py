@@ -43,14 +43,18 @@ def run_all(stages: Iterable[AnyStage], context: JobContext, isolation: Isolatio
         isolation: Of the job, where more than the stages is done in it.
     """
     waiting = deque(stages)
-    counts, looked = Counter(quarantined=0), False
-    isolation = isolation or Isolation(context, waiting[0].job)
+    counts, listed = Counter(quarantined=0), set[str]()
+    isolation, looked = isolation or Isolation(context, waiting[0].job), False
     while waiting:
+        if looked and not _is_listed(waiting[0], listed):
+            with context.storage.write() as unit:
+                unit.marks.list_again(waiting[0].inputs(context))
+            listed.add(waiting[0].name)
         due: Mapping[str, Due] = {}
         with context.storage.read() as unit:
             if not looked:
-                looked, waiting = True, _not_at_rest(unit, waiting, context, counts)
-            while waiting and not due and _is_listed(unit, stage := waiting[0], context):
+                looked, waiting = True, _not_at_rest(unit, waiting, context, (counts, isolation, listed))
+            while waiting and not due and _is_listed(stage := waiting[0], listed):
                 waiting.popleft()
                 due = _due(unit, stage, context, counts)
             if due:
@@ -60,30 +64,37 @@ def run_all(stages: Iterable[AnyStage], context: JobContext, isolation: Isolatio
             ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
             _try_again(stage, context, ready, isolation)
             counts.update(_handed_out(stage, context, ready, len(due), isolation))
-        elif waiting:
-            with context.storage.write() as unit:
-                unit.marks.list_again(waiting[0].inputs(context))
     counts["quarantined"] += isolation.quarantined
     return counts
 
 
-def _is_listed(unit: UnitOfWork, stage: AnyStage, context: JobContext) -> bool:
+def _is_listed(stage: AnyStage, listed: Collection[str]) -> bool:
     """Return whether a stage that works window by window has listed all of them with these settings."""
-    return stage.kind is not SubjectKind.WINDOW or unit.marks.has_settings(stage.inputs(context))
+    return stage.kind is not SubjectKind.WINDOW or stage.name in listed
 
 
 def _not_at_rest(
-    unit: UnitOfWork, stages: deque[AnyStage], context: JobContext, counts: Counter[str]
+    unit: UnitOfWork, stages: deque[AnyStage], context: JobContext, seen: tuple[Counter[str], Isolation, set[str]]
 ) -> deque[AnyStage]:
-    """Return the stages from the first on of which something is due; count all that the stages have seen as at rest."""
+    """Return the stages from the first on of which something is due.
+
+    Args:
+        seen: Counts all that the stages have seen as at rest, knows what is held, and holds the stages whose windows
+            are listed.
+    """
+    counts, isolation, listed = seen
     for stage in stages:
         counts.update(dict.fromkeys(stage.counted.names, 0))
     counted = {stage.name: stage for stage in stages if stage.counted.same is not None}
-    if len(stages) == 1 and not counted:
+    if len(stages) == 1 and not counted and stages[0].kind is not SubjectKind.WINDOW:
         return stages
-    look = unit.marks.look([stage.inputs(context) for stage in stages], context.clock.now_ns(), counted)
-    for name, seen in look.seen.items():
-        counts.update({counted[name].counted.looked: seen, str(counted[name].counted.same): seen})
+    inputs = [stage.inputs(context) for stage in stages]
+    look = unit.marks.look(inputs, context.clock.now_ns(), counted, stages[0].job)
+    for name, number in look.seen.items():
+        counts.update({counted[name].counted.looked: number, str(counted[name].counted.same): number})
+    if not look.held:
+        isolation.nothing_held()
+    listed |= look.listed
     return deque(dropwhile(lambda stage: stage.name not in look.due, stages))
 
 

@@ -106,10 +106,19 @@ class Due:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Of which stages something is due, and how many subjects stages have seen, by name."""
+    """What is to be done of some stages of a job, by their names.
+
+    Attributes:
+        due: Those of which something is due, or whose settings are others.
+        seen: How many subjects stages have seen.
+        listed: Those that work window by window and have listed all with these settings.
+        held: Whether anything of the job is in quarantine.
+    """
 
     due: frozenset[str]
     seen: Mapping[str, int]
+    listed: frozenset[str]
+    held: bool
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, and_, case, delete, exists, func, select, tuple_, union_all
 
 from estimation.errors import DamagedError
-from estimation.values.windows import HUNTING_SHARE, PassedOver, Window, WindowKey, WindowRecord
-from fleet_db.due import list_for_alignment, windows_changed, windows_left
+from estimation.values.windows import HUNTING_SHARE, DueStage, PassedOver, Window, WindowKey, WindowRecord
+from fleet_db.due import OF_SAMPLES, raise_sections, windows_changed, windows_left
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import insert_all_new, replace_all, table_of
 from fleet_db.stores.window_rows import list_for_sums, pass_over, to_window_record, window_values
@@ -104,8 +104,7 @@ class AssembledWindowStore:
         """
         rows = [self._row(each, recorded_ns) for each in windows]
         count = insert_all_new(self.connection, WINDOWS, rows)
-        windows_changed(self.connection, [(each.window.wheelset, each.window.start_ns) for each in windows])
-        list_for_alignment(self.subjects, _sections(windows))
+        self._changed(windows)
         return count == len(rows)
 
     def replace(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> None:
@@ -116,9 +115,16 @@ class AssembledWindowStore:
             keys = [(each.window.wheelset, each.window.start_ns) for each in windows]
             self._touch(keys)
             replace_all(self.connection, WINDOWS, rows)
-            windows_changed(self.connection, keys)
-            list_for_alignment(self.subjects, _sections(windows))
+            self._changed(windows)
             windows_left(self.subjects, keys)
+
+    def _changed(self, windows: Sequence[AssembledWindow]) -> None:
+        """List windows that have these samples now; those on no section are no concern of an alignment."""
+        sections = _sections(windows)
+        windows_changed(self.connection, [key for key, section in sections.items() if section is None])
+        on_section = [key for key, section in sections.items() if section is not None]
+        windows_changed(self.connection, on_section, (*OF_SAMPLES, DueStage.ALIGNMENT))
+        raise_sections(self.subjects, sections.values())
 
     def _touch(self, keys: Sequence[WindowKey]) -> None:
         """Let jobs look again at the sections that windows are on as they are stored, and at who hunts in them."""

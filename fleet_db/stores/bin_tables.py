@@ -3,11 +3,26 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, and_, func, select
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Connection,
+    FromClause,
+    Row,
+    Select,
+    String,
+    and_,
+    func,
+    literal,
+    or_,
+    select,
+    tuple_,
+    union_all,
+)
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.motion.mileage import MOST_KM
@@ -15,6 +30,7 @@ from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTa
 from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
+from fleet_db.read_once import ReadOnce
 from fleet_db.rows import insert_all_new, on_sections, replace, replace_all, table_of
 from fleet_db.stores.window_rows import keys_given, list_for_sums, to_window_record
 from fleet_db.stores.windows import NOT_PASSED_OVER
@@ -24,6 +40,8 @@ from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 SAME_WINDOW = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
 BATCH = 500  # rows fetched at once
+TabledSpan = tuple[str, int, int | None, int]
+"""Wheelset, first start, that behind the last one, and how many windows at most."""
 COMPARED = ("track_version", "window_digest", "parameter_key", "samples", "content_digest", "packed")
 _CONTENT = ("wheelset", "start_ns", "content_digest", "track_section", "table_purged_ns")
 CONTENTS = select(*(WINDOWS.c[name] for name in _CONTENT)).where(keys_given(WINDOWS))
@@ -41,6 +59,7 @@ class BinTableStore:
 
     connection: Connection
     subjects: Subjects
+    once: ReadOnce = field(default_factory=ReadOnce)
 
     def put(self, wheelset: str, start_ns: int, table: BinTable, track_version: int | None, window_digest: str) -> None:
         """Store the bin table of a window; raises NotFoundError, and ConflictError where its content is other."""
@@ -49,13 +68,13 @@ class BinTableStore:
     def put_all(self, tables: Sequence[WindowTable]) -> None:
         """Store the bin tables of different windows as :meth:`put` does; where one has been purged it stays summed."""
         windows = self._checked([(one.key, one.window_digest) for one in tables])
-        values = {one.key: _values(one) for one in tables if windows[one.key].table_purged_ns is None}
-        stored = self._by_key(STORED, list(values))
-        new = [row for key, row in values.items() if key not in stored]
+        rows = {one.key: _values(one) for one in tables if windows[one.key].table_purged_ns is None}
+        stored = self._by_key(STORED, list(rows))
+        new = [row for key, row in rows.items() if key not in stored]
         if insert_all_new(self.connection, TABLES, new) < len(new):  # another transaction has stored some meanwhile
-            stored = self._by_key(STORED, list(values))
+            stored = self._by_key(STORED, list(rows))
         changed: list[WindowKey] = []
-        for key, row in values.items():
+        for key, row in rows.items():
             if key in stored:
                 if all(getattr(stored[key], name) == row[name] for name in COMPARED):
                     continue
@@ -110,19 +129,73 @@ class BinTableStore:
         self, wheelset: str, from_ns: int | None = None, to_ns: int | None = None, limit: int | None = None
     ) -> Sequence[TabledWindow]:
         """Return windows with tables that start in ``[from_ns, to_ns)``, oldest first, without the tables."""
+        if limit is not None and from_ns is not None:
+            span = (wheelset, from_ns, to_ns, limit)
+            return self.once.of("tabled", [span], self._some_tabled).get(span, [])
         statement = WITHOUT_TABLES.where(TABLES.c.wheelset == wheelset)
         if from_ns is not None:
             statement = statement.where(TABLES.c.start_ns >= from_ns)
         if to_ns is not None:
             statement = statement.where(TABLES.c.start_ns < to_ns)
-        return self._tabled(statement.order_by(TABLES.c.start_ns).limit(limit))
+        return _tabled(self.connection.execute(statement.order_by(TABLES.c.start_ns)))
 
     def last_reading(self, wheelset: str, from_ns: int, to_ns: int) -> TabledWindow | None:
         """Return the last window in ``[from_ns, to_ns)`` that has been summed and whose odometer had a reading."""
-        within = (TABLES.c.wheelset == wheelset, TABLES.c.start_ns >= from_ns, TABLES.c.start_ns < to_ns)
-        read = (TABLES.c.running_km.is_not(None), func.abs(WINDOWS.c.mileage_km) <= MOST_KM)
-        statement = WITHOUT_TABLES.where(*within, *read).order_by(TABLES.c.start_ns.desc()).limit(1)
-        return next(iter(self._tabled(statement)), None)
+        span = (wheelset, from_ns, to_ns)
+        return self.once.of("last reading", [span], self._last_readings).get(span)
+
+    def read_ahead(
+        self,
+        readings: Collection[tuple[str, int, int]] = (),
+        spans: Collection[TabledSpan] = (),
+        keys: Collection[WindowKey] = (),
+    ) -> None:
+        """Read together what is asked for one by one afterwards.
+
+        Args:
+            readings: Arguments of :meth:`last_reading`.
+            spans: Arguments of :meth:`tabled`.
+            keys: Windows whose tables :meth:`cells_of` returns.
+        """
+        self.once.of("last reading", readings, self._last_readings)
+        self.once.of("tabled", spans, self._some_tabled)
+        self.once.of("packed", keys, self._packed)
+
+    def _last_readings(self, spans: Collection[tuple[str, int, int]]) -> Mapping[tuple[str, int, int], TabledWindow]:
+        given = _spans(spans)
+        earlier, its_window = TABLES.alias("earlier"), WINDOWS.alias("its_window")
+        same = and_(its_window.c.wheelset == earlier.c.wheelset, its_window.c.start_ns == earlier.c.start_ns)
+        last = (
+            select(earlier.c.start_ns)
+            .join_from(earlier, its_window, same)
+            .where(*_within(earlier, given), earlier.c.running_km.is_not(None))
+            .where(func.abs(its_window.c.mileage_km) <= MOST_KM)
+            .order_by(earlier.c.start_ns.desc())
+            .limit(1)
+        )
+        chosen = TABLES.c.start_ns == last.correlate(given).scalar_subquery()
+        return {(row.of_wheelset, row.from_ns, row.to_ns): _tabled([row])[0] for row in self._of_spans(given, chosen)}
+
+    def _some_tabled(self, spans: Collection[TabledSpan]) -> Mapping[TabledSpan, Sequence[TabledWindow]]:
+        found: dict[TabledSpan, list[TabledWindow]] = {span: [] for span in spans}
+        for limit in sorted({span[3] for span in spans}):
+            given = _spans(span[:3] for span in spans if span[3] == limit)
+            behind = TABLES.alias("behind")
+            following = select(behind.c.start_ns).where(*_within(behind, given)).order_by(behind.c.start_ns)
+            left_out = following.limit(1).offset(limit).correlate(given).scalar_subquery()
+            before = or_(left_out.is_(None), TABLES.c.start_ns < left_out)
+            for row in self._of_spans(given, and_(*_within(TABLES, given), before)):
+                found[row.of_wheelset, row.from_ns, row.to_ns, limit] += _tabled([row])
+        return found
+
+    def _of_spans(self, given: FromClause, chosen: ColumnElement[bool]) -> Sequence[Row[Any]]:
+        statement = WITHOUT_TABLES.add_columns(*given.c).join(given, given.c.of_wheelset == TABLES.c.wheelset)
+        return self.connection.execute(statement.where(chosen).order_by(TABLES.c.wheelset, TABLES.c.start_ns)).all()
+
+    def _packed(self, keys: Collection[WindowKey]) -> Mapping[WindowKey, bytes]:
+        own = tuple_(TABLES.c.wheelset, TABLES.c.start_ns).in_(sorted(keys))
+        rows = self.connection.execute(select(TABLES.c.wheelset, TABLES.c.start_ns, TABLES.c.packed).where(own))
+        return {(row.wheelset, row.start_ns): row.packed for row in rows}
 
     def note_running(self, mileages: Mapping[str, Mapping[int, float]]) -> None:
         """Keep the mileages that wheelsets had run at windows, by serial and start."""
@@ -135,6 +208,11 @@ class BinTableStore:
 
     def cells_of(self, wheelset: str, starts: Sequence[int]) -> Iterator[tuple[int, FilledCells]]:
         """Yield start and filled cells of the tables of some windows, oldest first; DamagedError names the window."""
+        ahead = [(start_ns, self.once.known("packed", (wheelset, start_ns))) for start_ns in starts]
+        if all(packed is not None for _, packed in ahead):
+            for start_ns, packed in ahead:
+                yield start_ns, unpack_filled_cells(packed, where=f"bin table of window {wheelset}@{start_ns}")
+            return
         for first in range(0, len(starts), BATCH):
             statement = (
                 select(TABLES.c.start_ns, TABLES.c.packed)
@@ -144,19 +222,6 @@ class BinTableStore:
             with self.connection.execute(statement.execution_options(yield_per=BATCH)) as found:
                 for start_ns, packed in found:
                     yield start_ns, unpack_filled_cells(packed, where=f"bin table of window {wheelset}@{start_ns}")
-
-    def _tabled(self, statement: Select[Any]) -> list[TabledWindow]:
-        return [
-            TabledWindow(
-                record=to_window_record(row),
-                parameter_key=row.parameter_key,
-                track_version=row.track_version,
-                content_digest=row.table_digest,
-                running_km=row.running_km,
-                samples_purged=row.samples_purged_ns is not None,
-            )
-            for row in self.connection.execute(statement)
-        ]
 
     def stream(
         self, wheelset: str, from_ns: int, to_ns: int | None
@@ -184,3 +249,35 @@ def _values(one: WindowTable) -> dict[str, Any]:
         "content_digest": hashlib.sha256(packed).hexdigest(),
         "packed": packed,
     }
+
+
+def _spans(spans: Iterable[tuple[str, int, int | None]]) -> FromClause:
+    """Return spans as a table: wheelset, first start, and that behind the last one."""
+    rows = (
+        select(
+            literal(wheelset, String).label("of_wheelset"),
+            literal(from_ns, BigInteger).label("from_ns"),
+            literal(to_ns, BigInteger).label("to_ns"),
+        )
+        for wheelset, from_ns, to_ns in spans
+    )
+    return union_all(*rows).subquery("spans")
+
+
+def _within(table: FromClause, given: FromClause) -> tuple[ColumnElement[bool], ...]:
+    before = or_(given.c.to_ns.is_(None), table.c.start_ns < given.c.to_ns)
+    return table.c.wheelset == given.c.of_wheelset, table.c.start_ns >= given.c.from_ns, before
+
+
+def _tabled(rows: Iterable[Row[Any]]) -> list[TabledWindow]:
+    return [
+        TabledWindow(
+            record=to_window_record(row),
+            parameter_key=row.parameter_key,
+            track_version=row.track_version,
+            content_digest=row.table_digest,
+            running_km=row.running_km,
+            samples_purged=row.samples_purged_ns is not None,
+        )
+        for row in rows
+    ]

@@ -61,6 +61,10 @@ class GeometryStore:
 
         Where no baseline has windows any more it is the empty one of the newest.
         """
+        if as_of_ns is None:
+            records = self.baselines(wheelset)
+            filled = [record for record in records if record.geometry.windows]
+            return next(reversed(filled or records), None)
         found = self._current(wheelset, as_of_ns)
         return None if found is None else _record(found)
 
@@ -91,11 +95,19 @@ class GeometryStore:
 
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]:
         """Return the current geometry of each baseline that there has been, by its number."""
+        return self.once.of_wheelset("current geometries", wheelset, self._baselines) or ()
 
-        def read(some: Collection[str]) -> Mapping[str, Sequence[GeometryRecord]]:
-            return _by_subject(self.results.in_force(GEOMETRY, some, None, CURRENT), _record)
+    def _baselines(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[GeometryRecord]]:
+        return _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), _record)
 
-        return self.once.of_wheelset("current geometries", wheelset, read) or ()
+    def read_ahead(self, wheelsets: Collection[str]) -> None:
+        """Read together what :meth:`baselines` and :meth:`conicities` are asked for one wheelset after the other.
+
+        Raises:
+            DamagedError: Something of one of them is damaged.
+        """
+        self.once.of("current geometries", wheelsets, self._baselines)
+        self.once.of("conicities", wheelsets, self._conicities)
 
     def interval_digests(self, wheelset: str) -> Mapping[tuple[int, int], IntervalDigest]:
         """Return by baseline and interval what the newest geometry was made from, and why it holds no number."""
@@ -131,7 +143,10 @@ class GeometryStore:
 
     def conicities(self, wheelset: str, baseline: int) -> Sequence[IntervalConicities]:
         """Return the conicities of the newest geometry of each mileage interval of a baseline, in order of mileage."""
-        return self.conicities_of({wheelset: baseline})[wheelset]
+        ahead = self.once.known("conicities", wheelset)
+        if ahead is None:
+            return self.conicities_of({wheelset: baseline})[wheelset]
+        return [found for number, found in ahead if number == baseline]
 
     def conicities_of(self, baselines: Mapping[str, int]) -> Mapping[str, Sequence[IntervalConicities]]:
         """Return the conicities of the intervals of some wheelsets, of one baseline of each.
@@ -144,6 +159,10 @@ class GeometryStore:
             if key_of_part(result.part)[0] == baselines[result.subject]:
                 found[result.subject].append(_conicities(result))
         return found
+
+    def _conicities(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[tuple[int, IntervalConicities]]]:
+        heads = self.results.heads(GEOMETRY, wheelsets, INTERVALS)
+        return _by_subject(heads, lambda result: (key_of_part(result.part)[0], _conicities(result)))
 
     def _current(self, wheelset: str, as_of_ns: int | None = None) -> Result[WheelsetGeometry] | None:
         found = self.results.in_force(GEOMETRY, [wheelset], as_of_ns, CURRENT)

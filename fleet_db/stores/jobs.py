@@ -31,6 +31,7 @@ from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger
 from fleet_db.locks import UnendedLease
 from fleet_db.rows import columns_of, table_of, value_of_row
 from fleet_db.tables.operation import JobRunRow, WorkClaimRow, WorkLeaseRow
+from fleet_db.tables.results import ResultRow
 
 LEASES, CLAIMS = table_of(WorkLeaseRow), table_of(WorkClaimRow)
 PLACE = "schedule", ("scheduler",)
@@ -202,7 +203,7 @@ def _locked(lease: int, *, ending: bool = False) -> Select[tuple[int]]:
     return found.with_for_update() if ending else found.with_for_update(read=True, key_share=True)
 
 
-RUNS = table_of(JobRunRow)
+RUNS, RESULTS = table_of(JobRunRow), table_of(ResultRow)
 RUNNING = JobOutcome.RUNNING.value
 GONE = "the process ended during the run"
 
@@ -214,13 +215,13 @@ class JobRunStore:
     connection: Connection
     owner: int | None = None  # lease of the process that starts runs here
 
-    def start(self, job: str, trigger: JobTrigger, started_ns: int) -> JobRun:
-        """Record that a run has begun; a process runs one job at a time, so that what it ran before has ended."""
-        if self.owner is not None:
-            self._abandon(started_ns, RUNS.c.owner == self.owner)
+    def start(self, job: str, trigger: JobTrigger, started_ns: int) -> tuple[JobRun, bool]:
+        """Record that a run has begun; return it, and whether a result carries a later time than its begin."""
         run = JobRun(0, job, trigger, started_ns, None, JobOutcome.RUNNING, {})
         statement = insert(RUNS).values(columns_of(run, "run_id") | {"owner": self.owner})
-        return replace(run, run_id=self.connection.execute(statement.returning(RUNS.c.run_id)).scalar_one())
+        newest_ns = select(func.max(RESULTS.c.recorded_ns)).scalar_subquery()
+        row = self.connection.execute(statement.returning(RUNS.c.run_id, newest_ns.label("newest_ns"))).one()
+        return replace(run, run_id=row.run_id), row.newest_ns is not None and row.newest_ns > started_ns
 
     def finish(
         self, run_id: int, outcome: JobOutcome, counts: Mapping[str, int], finished_ns: int, error: str | None = None
@@ -236,21 +237,19 @@ class JobRunStore:
             ended = self.get(run_id)
             reason = f"run {run_id} of {ended.job} has ended: {ended.outcome}"
             raise ConflictError(reason, kind="job run", key=str(run_id))
-        return _run(row, ())
+        return value_of_row(JobRun, row)
 
     def abandon_running(self, finished_ns: int) -> int:
         """Mark every run as abandoned whose process is gone; return how many."""
         WorkClaimStore(self.connection).end_outdated()
-        return self._abandon(finished_ns, or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(select(LEASES.c.lease_id))))
-
-    def _abandon(self, finished_ns: int, which: ColumnElement[bool]) -> int:
-        statement = update(RUNS).where(RUNS.c.outcome == RUNNING, which)
+        gone = or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(select(LEASES.c.lease_id)))
+        statement = update(RUNS).where(RUNS.c.outcome == RUNNING, gone)
         return self.connection.execute(
             statement.values(outcome=JobOutcome.ABANDONED.value, finished_ns=finished_ns, error=GONE)
         ).rowcount
 
     def get(self, run_id: int) -> JobRun:
-        """Return one run, abandoned where its process is gone; raises NotFoundError."""
+        """Return one run, abandoned where its process is gone or has begun another one; raises NotFoundError."""
         row = self.connection.execute(select(RUNS).where(RUNS.c.run_id == run_id)).first()
         if row is None:
             raise NotFoundError("job run", str(run_id))
@@ -266,12 +265,24 @@ class JobRunStore:
         return self._runs(self.connection.execute(statement.order_by(RUNS.c.run_id.desc()).limit(limit)).all())
 
     def _runs(self, rows: Sequence[Row[Any]]) -> list[JobRun]:
-        tokens = {row.owner for row in rows if row.owner is not None and row.outcome == RUNNING}
-        return [_run(row, tokens - living(self.connection, tokens)) for row in rows]
+        running = {row.run_id: row.owner for row in rows if row.owner is not None and row.outcome == RUNNING}
+        if not running:
+            return [value_of_row(JobRun, row) for row in rows]
+        owners = living(self.connection, set(running.values()))
+        following = _NEXT_BEGUN.where(RUNS.c.run_id.in_(running))
+        began = {row.run_id: row.started_ns for row in self.connection.execute(following)}
+        gone = {number for number, owner in running.items() if owner not in owners or began[number] is not None}
+        return [_abandoned(row, began[row.run_id]) if row.run_id in gone else value_of_row(JobRun, row) for row in rows]
 
 
-def _run(row: Row[Any], gone: Collection[int]) -> JobRun:
+def _abandoned(row: Row[Any], finished_ns: int | None) -> JobRun:
     run = value_of_row(JobRun, row)
-    if run.outcome is JobOutcome.RUNNING and row.owner in gone:
-        return replace(run, outcome=JobOutcome.ABANDONED, error=GONE)
-    return run
+    return replace(run, outcome=JobOutcome.ABANDONED, finished_ns=finished_ns, error=GONE)
+
+
+_LATER = RUNS.alias("later")
+_OF_SAME = select(_LATER.c.started_ns).where(_LATER.c.owner == RUNS.c.owner, _LATER.c.run_id > RUNS.c.run_id)
+_NEXT_BEGUN = select(
+    RUNS.c.run_id, _OF_SAME.order_by(_LATER.c.run_id).limit(1).correlate(RUNS).scalar_subquery().label("started_ns")
+)
+"""When the process of a run has begun its next one: it runs one job at a time."""

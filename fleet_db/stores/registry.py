@@ -19,7 +19,7 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.read_once import ReadOnce
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
-from fleet_db.rows import columns_of, delete_row, row_of, table_of, upsert, value_of_row
+from fleet_db.rows import by_wheelset, columns_of, delete_row, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.decoded_again import decode_undecoded
 from fleet_db.stores.estimated_again import Again
@@ -46,7 +46,8 @@ from fleet_db.tables.windows import WindowRow
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
 WINDOWS = table_of(WindowRow)
 _LASTING = select(MOUNTINGS).where(MOUNTINGS.c.to_ns.is_(None)).subquery()
-_WITH_MOUNTING = select(WHEELSETS, _LASTING).outerjoin(_LASTING, _LASTING.c.wheelset == WHEELSETS.c.serial)
+_TURNED = select(REPROFILINGS.c.wheelset).where(REPROFILINGS.c.wheelset == WHEELSETS.c.serial).exists().label("turned")
+_WITH_MOUNTING = select(WHEELSETS, _LASTING, _TURNED).outerjoin(_LASTING, _LASTING.c.wheelset == WHEELSETS.c.serial)
 """Wheelsets with the mounting that lasts; within itself, so that who may not see that sees the wheelset."""
 
 ASSEMBLED_WITH = ("vehicle_class", "axles", "axle_offsets_m")
@@ -167,8 +168,16 @@ class RegistryStore:
 
     def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]:
         """Return every measurement of the profiles of a wheelset, oldest first; raises DamagedError."""
-        statement = select(MEASURED).where(MEASURED.c.wheelset == wheelset).order_by(MEASURED.c.at_ns)
-        return [measured_of(row) for row in self.connection.execute(statement)]
+        return self.measured_profiles_of([wheelset]).get(wheelset, [])
+
+    def measured_profiles_of(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[MeasuredProfiles]]:
+        """Return every measurement of some wheelsets by serial, oldest first; one without is left out."""
+
+        def read(some: Collection[str]) -> Mapping[str, Sequence[MeasuredProfiles]]:
+            statement = select(MEASURED).where(MEASURED.c.wheelset.in_(some)).order_by(MEASURED.c.at_ns)
+            return by_wheelset(self.connection.execute(statement), measured_of)
+
+        return self.once.of("measured profiles", wheelsets, read)
 
     def newest_measurement_of(self, wheelsets: Collection[str]) -> Mapping[str, tuple[int, float]]:
         """Return time (ns UTC) and mileage (km) of the newest measurement of the profiles of wheelsets, by serial."""
@@ -345,7 +354,8 @@ class RegistryStore:
 
     def _wheelsets(self, statement: Select[Any]) -> Sequence[WheelsetRecord]:
         rows = self.connection.execute(statement.order_by(WHEELSETS.c.serial)).all()
-        turned = reprofilings_of(self.connection, [row.serial for row in rows])
+        serials = [row.serial for row in rows if row.turned]
+        turned = reprofilings_of(self.connection, serials) if serials else {}
         return [
             value_of_row(
                 WheelsetRecord,

@@ -120,7 +120,7 @@ class ResultStore:
                 values["recorded_ns"] = max(result.recorded_ns, 0 if was is None else was.recorded_ns)
                 news.append((result, values, was))
         if kind.history is History.APPENDED:
-            self._append([values for _, values, _ in news])
+            self._append([(values, was) for _, values, was in news])
         else:
             self._replace([(values, was) for _, values, was in news])
         for result, values, was in news:
@@ -150,14 +150,15 @@ class ResultStore:
         rows = self.connection.execute(statement.order_by(RESULTS.c.recorded_ns, RESULTS.c.result_id))
         return {(row.subject, "" if kind.one_in_force else row.part): row for row in rows}
 
-    def _append(self, news: Sequence[Mapping[str, Any]]) -> None:
-        if news:
+    def _append(self, news: Sequence[tuple[Mapping[str, Any], Row[Any] | None]]) -> None:
+        names = ("stage", "subject", "part", "recorded_ns")
+        given = [{f"of_{name}": values[name] for name in names} for values, was in news if was is not None]
+        if given:
             same = [RESULTS.c[name] == bindparam(f"of_{name}") for name in ("stage", "subject", "part")]
             ended = update(RESULTS).where(*same, RESULTS.c.superseded_ns.is_(None))
-            names = ("stage", "subject", "part", "recorded_ns")
-            given = [{f"of_{name}": values[name] for name in names} for values in news]
             self.connection.execute(ended.values(superseded_ns=bindparam("of_recorded_ns")), given)
-            self.connection.execute(insert(RESULTS), news)
+        if news:
+            self.connection.execute(insert(RESULTS), [values for values, _ in news])
 
     def _replace(self, news: Sequence[tuple[Mapping[str, Any], Row[Any] | None]]) -> None:
         new = [values for values, was in news if was is None]

@@ -55,13 +55,19 @@ class RollUpStore:
 
     def sums(self, number: int) -> tuple[BinTable, BinTable]:
         """Return the sums of a roll-up, plain and with forgetting (zero where forgotten); raises DamagedError."""
-        columns = (ROLL_UPS.c.plain, ROLL_UPS.c.forgetting)
-        row = self.connection.execute(select(*columns).where(ROLL_UPS.c.number == number)).one()
+        found = self.once.known("sums", number) or self._sums([number])[number]
         where = f"roll-up {number}"
-        plain = unpack_bin_table(row.plain, where=where)
-        if row.forgetting is None:
-            return plain, plain.without_samples
-        return plain, unpack_bin_table(row.forgetting, where=where)
+        plain = unpack_bin_table(found[0], where=where)
+        return plain, plain.without_samples if found[1] is None else unpack_bin_table(found[1], where=where)
+
+    def read_ahead(self, numbers: Collection[int]) -> None:
+        """Read sums together that :meth:`sums` is asked for one by one afterwards."""
+        self.once.of("sums", numbers, self._sums)
+
+    def _sums(self, numbers: Collection[int]) -> Mapping[int, tuple[bytes, bytes | None]]:
+        columns = (ROLL_UPS.c.number, ROLL_UPS.c.plain, ROLL_UPS.c.forgetting)
+        rows = self.connection.execute(select(*columns).where(ROLL_UPS.c.number.in_(numbers)))
+        return {row.number: (row.plain, row.forgetting) for row in rows}
 
     def earlier(self, wheelset: str, digest: str) -> BinTable | None:
         """Return the forgetting sum of the intervals that are over; None where it is not of this digest."""
@@ -135,15 +141,15 @@ class RollUpStore:
 
     def rolling(self, wheelset: str, windows: Mapping[int, str], assumed: str) -> Mapping[int, tuple[RollingSums, ...]]:
         """Return by start what windows (digest by start) say of their rolling radius, where that was so assumed."""
-        rows = self.connection.execute(
-            select(ROLLING.c.start_ns, ROLLING.c.window_digest, ROLLING.c.packed)
-            .where(ROLLING.c.wheelset == wheelset, ROLLING.c.start_ns.in_(list(windows)))
-            .where(ROLLING.c.assumed == assumed)
-        )
+
+        def read(some: Collection[str]) -> Mapping[str, Sequence[Row[Any]]]:
+            rows = self.connection.execute(select(ROLLING).where(ROLLING.c.wheelset.in_(some)))
+            return by_wheelset(rows, lambda row: row)
+
         return {
             row.start_ns: unpack_rolling_sums(row.packed, where=f"rolling sums of {wheelset}@{row.start_ns}")
-            for row in rows
-            if row.window_digest == windows[row.start_ns]
+            for row in self.once.of_wheelset("rolling sums", wheelset, read) or ()
+            if row.assumed == assumed and windows.get(row.start_ns) == row.window_digest
         }
 
     def put_rolling(self, found: Sequence[WindowRollingSums]) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, and_, delete, func, select, tuple_
+from sqlalchemy import Connection, Row, and_, delete, func, or_, select, tuple_
 
 from estimation.errors import DamagedError
 from estimation.values.runs import SubjectKind
@@ -58,11 +58,18 @@ class SignatureStore:
         rows = self.connection.execute(select(*columns).where(*chosen).distinct().order_by(*columns))
         return [(row.wheelset, row.vehicle) for row in rows]
 
-    def list_other(self, wheelset: str, vehicle: str, assumed: str) -> None:
-        """List the windows of a wheelset on a vehicle whose signatures were not made with these assumptions."""
-        made = select(SIGNATURES.c.places).where(SAME, SIGNATURES.c.assumed == assumed)
-        own = (WINDOWS.c.wheelset == wheelset, WINDOWS.c.vehicle == vehicle, WINDOWS.c.samples_purged_ns.is_(None))
-        list_due(self.connection, STAGE, and_(*own, ~made.exists()))
+    def list_other(self, expected: Sequence[tuple[str, str, str]]) -> None:
+        """List the windows whose signatures were not made with these assumptions.
+
+        Args:
+            expected: Wheelset, vehicle, and the digest of what is assumed of the one on the other.
+        """
+        others = []
+        for wheelset, vehicle, assumed in expected:
+            made = select(SIGNATURES.c.places).where(SAME, SIGNATURES.c.assumed == assumed)
+            others.append(and_(WINDOWS.c.wheelset == wheelset, WINDOWS.c.vehicle == vehicle, ~made.exists()))
+        if others:
+            list_due(self.connection, STAGE, and_(WINDOWS.c.samples_purged_ns.is_(None), or_(*others)))
 
     def known(self) -> StoredSignatures:
         """Return signatures of windows as they are stored by now, whose mileage is believed; by key.

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 from sqlalchemy import (
-    BigInteger,
     ColumnElement,
     Connection,
     Insert,
     Select,
     and_,
     bindparam,
-    cast,
     delete,
+    exists,
     false,
     func,
     literal,
-    null,
     or_,
     select,
     union_all,
@@ -28,14 +26,15 @@ from sqlalchemy import (
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.results import EVERYTHING, Due, Look, Mark, StageInputs
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import QuarantineState, SubjectKind
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.rows import table_of
-from fleet_db.stores.stale_spans import StaleSpanStore
+from fleet_db.stores.stale_spans import SPANS, StaleSpanStore
 from fleet_db.subjects import VERSIONS, Subjects
 from fleet_db.tables.operation import StageMarkRow
+from fleet_db.tables.recordings import QuarantineRow
 
-MARKS = table_of(StageMarkRow)
+MARKS, HELD = table_of(StageMarkRow), table_of(QuarantineRow)
 SUM = func.sum(VERSIONS.c.version)
 
 
@@ -77,19 +76,29 @@ class StageMarkStore:
             for row in rows
         }
 
-    def look(self, stages: Sequence[StageInputs], now_ns: int, counted: Collection[str]) -> Look:
+    def look(self, stages: Sequence[StageInputs], now_ns: int, counted: Collection[str], job: str) -> Look:
         """Return of which stages something is due; one statement for all.
 
         Args:
             counted: Names of the stages of which is counted what they have seen.
+            job: Whose quarantine is looked at.
         """
-        looks = [look for inputs in stages for look in _looks(inputs, now_ns)]
+        of_windows = [inputs for inputs in stages if inputs.kind is SubjectKind.WINDOW]
+        held = exists().where(HELD.c.stage == job, HELD.c.state == QuarantineState.HELD.value)
+        looks = [_look(_DUE, inputs.stage).where(_is_due(inputs, now_ns)) for inputs in stages]
+        looks += [_look(_LISTED, inputs.stage).where(_with_settings(inputs).exists()) for inputs in of_windows]
         looks += [
-            _look(stage, func.count()).where(MARKS.c.stage == stage, MARKS.c.subject != "") for stage in sorted(counted)
+            _look(_SEEN, stage, func.count()).where(MARKS.c.stage == stage, MARKS.c.subject != "")
+            for stage in sorted(counted)
         ]
-        rows = self.connection.execute(union_all(*looks)).all()
-        due = frozenset(row.stage for row in rows if row.seen is None)
-        return Look(due, {row.stage: row.seen for row in rows if row.seen is not None})
+        rows = self.connection.execute(union_all(*looks, _look(_HELD, job).where(held))).all()
+        listed = frozenset(row.stage for row in rows if row.what == _LISTED)
+        return Look(
+            due=frozenset(row.stage for row in rows if row.what == _DUE) | {one.stage for one in of_windows} - listed,
+            seen={row.stage: row.seen for row in rows if row.what == _SEEN},
+            listed=listed,
+            held=any(row.what == _HELD for row in rows),
+        )
 
     def note(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:
         """Note what a stage has seen of subjects; what this transaction raises of its inputs is seen where it rests."""
@@ -97,10 +106,6 @@ class StageMarkStore:
             self.windows.note(inputs, marks)
         elif inputs.facets:
             self._put(inputs, marks)
-
-    def has_settings(self, inputs: StageInputs) -> bool:
-        """Return whether a stage that works window by window has looked at all windows with these settings."""
-        return self.connection.execute(_with_settings(inputs)).first() is not None
 
     def list_again(self, inputs: StageInputs) -> None:
         """Let a stage look at the windows that its settings concern."""
@@ -130,19 +135,22 @@ class StageMarkStore:
         return self.subjects.growth(inputs.facets, None if inputs.together else (inputs.kind, subject))
 
 
-def _look(stage: str, seen: ColumnElement[Any]) -> Select[Any]:
-    return select(literal(stage).label("stage"), seen.label("seen"))
+_DUE, _LISTED, _SEEN, _HELD = "due", "listed", "seen", "held"
 
 
-def _looks(inputs: StageInputs, now_ns: int) -> Iterator[Select[Any]]:
-    """Yield statements that return a row where something is due of a stage, or its settings are others."""
-    found = _look(inputs.stage, cast(null(), BigInteger))
-    if inputs.facets:
-        yield found.where(_due(inputs, now_ns, None).exists())
-    else:
-        yield found.where(select(DUE.c.version).where(DUE.c.stage == inputs.stage).exists())
-    if inputs.kind is SubjectKind.WINDOW:
-        yield found.where(~_with_settings(inputs).exists())
+def _look(what: str, stage: str, seen: ColumnElement[int] | None = None) -> Select[Any]:
+    number = literal(0) if seen is None else seen
+    columns: list[ColumnElement[Any]] = [literal(what).label("what"), literal(stage).label("stage")]
+    return select(*columns, number.label("seen"))
+
+
+def _is_due(inputs: StageInputs, now_ns: int) -> ColumnElement[bool]:
+    """Return whether something is due of a stage."""
+    if inputs.facets and inputs.kind is not SubjectKind.WINDOW:
+        return _due(inputs, now_ns, None).exists()
+    if inputs.kind is SubjectKind.VEHICLE:
+        return exists().select_from(SPANS)
+    return exists().where(DUE.c.stage == inputs.stage)
 
 
 def _with_settings(inputs: StageInputs) -> Select[Any]:

@@ -7,7 +7,20 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, Subquery, bindparam, case, false, func, select, true
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    Select,
+    Subquery,
+    bindparam,
+    case,
+    false,
+    func,
+    select,
+    true,
+    union_all,
+)
 
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowState
@@ -63,6 +76,7 @@ COUNTED = 1000
 """Windows that are counted, the newest: 17 hours of running."""
 
 EVER_NS = -(2**63)
+SERIALS_AT_ONCE = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,13 +135,31 @@ def _counted(row: Row[Any], **given: object) -> CountedWindows:
     return value_of_row(CountedWindows, row, section=row.track_section, placed=bool(row.placed), **given)
 
 
-def refused_by_code(connection: Connection, wheelset: str, since_ns: int | None = None) -> dict[ReasonCode, int]:
-    """Return how many of the newest windows of a wheelset are refused, by reason code, the most frequent first."""
-    counts: dict[ReasonCode, int] = {}
-    for one in newest_by_reason(connection, wheelset, since_ns):
-        if one.state is WindowState.REFUSED and one.reason is not None:
-            counts[one.reason.code] = counts.get(one.reason.code, 0) + one.windows
-    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0].value)))
+def refused_by_code(connection: Connection, since_ns: Mapping[str, int | None]) -> dict[str, dict[ReasonCode, int]]:
+    """Return how many of the newest windows of wheelsets are refused, by serial and code, the most frequent first.
+
+    Args:
+        since_ns: By serial; None is ever.
+    """
+    found: dict[str, dict[ReasonCode, int]] = {serial: {} for serial in since_ns}
+    given = list(since_ns.items())
+    for first in range(0, len(given), SERIALS_AT_ONCE):
+        newest = union_all(*(_newest_refused(*one) for one in given[first : first + SERIALS_AT_ONCE])).subquery()
+        counted = select(newest.c.wheelset, newest.c.reason_code, func.count().label("windows"))
+        refused = counted.where(newest.c.state == WindowState.REFUSED.value, newest.c.reason_code.is_not(None))
+        for row in connection.execute(refused.group_by(newest.c.wheelset, newest.c.reason_code)):
+            found[row.wheelset][ReasonCode(row.reason_code)] = row.windows
+    return {
+        serial: dict(sorted(counts.items(), key=lambda item: (-item[1], item[0].value)))
+        for serial, counts in found.items()
+    }
+
+
+def _newest_refused(serial: str, since_ns: int | None) -> Select[Any]:
+    of_key = (WINDOWS.c.wheelset == serial, WINDOWS.c.start_ns >= (EVER_NS if since_ns is None else since_ns))
+    newest = select(WINDOWS.c.wheelset, WINDOWS.c.state, WINDOWS.c.reason_code).where(*of_key)
+    limited = newest.order_by(WINDOWS.c.start_ns.desc()).limit(COUNTED).subquery()
+    return select(limited)
 
 
 @cache

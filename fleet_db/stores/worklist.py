@@ -88,6 +88,14 @@ class WorklistEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class _Before:
+    """What a row said."""
+
+    document: str
+    with_alerts: bool
+
+
+@dataclass(frozen=True, slots=True)
 class WorklistStore:
     """Rows of the worklist, in one transaction."""
 
@@ -161,31 +169,36 @@ class WorklistStore:
         for serial in self.connection.scalars(select(WHEELSETS.c.serial)):
             self.subjects.show(serial)
 
-    def _locked(self, serials: Sequence[str]) -> Mapping[str, str]:
-        """Lock the rows of wheelsets and return their documents; a row that is missing is added."""
-        locking = select(ENTRIES.c.wheelset, ENTRIES.c.document).where(ENTRIES.c.wheelset.in_(serials))
-        locking = locking.order_by(ENTRIES.c.wheelset).with_for_update()
-        before = {row.wheelset: row.document for row in self.connection.execute(locking)}
+    def _locked(self, serials: Sequence[str]) -> Mapping[str, _Before]:
+        """Lock the rows of wheelsets and return what they say; a row that is missing is added."""
+        columns = (ENTRIES.c.wheelset, ENTRIES.c.document, ENTRIES.c.worst_severity)
+        locking = select(*columns).where(ENTRIES.c.wheelset.in_(serials)).order_by(ENTRIES.c.wheelset).with_for_update()
+        before = {
+            row.wheelset: _Before(row.document, with_alerts=row.worst_severity is not None)
+            for row in self.connection.execute(locking)
+        }
         missing = [serial for serial in serials if serial not in before]
         added = not_voided(self.connection, missing) if missing else ()
         for serial in added:
             insert_new(self.connection, ENTRIES, {**_EMPTY, "wheelset": serial})
         if added:  # the first rows are of this form
             insert_new(self.connection, MARKS, _OF_FORM)
-        return before | dict.fromkeys(added, "")
+        return before | dict.fromkeys(added, _Before("", with_alerts=False))
 
-    def _store(self, rows: Sequence[WorklistRow], before: Mapping[str, str]) -> None:
+    def _store(self, rows: Sequence[WorklistRow], before: Mapping[str, _Before]) -> None:
         """Store rows whose entries are there, with the kinds of their alerts, where they are others now."""
         changed, kinds = [], []
         for row in rows:
             values = _values(row)
-            if before[row.wheelset.serial] != values["document"]:
+            if before[row.wheelset.serial].document != values["document"]:
                 changed.append(values)
                 alerts = dict.fromkeys(one.kind for one in row.state.alerts)
                 kinds += [{"kind": kind, "wheelset": row.wheelset.serial} for kind in alerts]
         if changed:
             replace_all(self.connection, ENTRIES, changed)
-            self.connection.execute(delete(KINDS).where(KINDS.c.wheelset.in_([one["wheelset"] for one in changed])))
+        had = [one["wheelset"] for one in changed if before[one["wheelset"]].with_alerts]
+        if had:
+            self.connection.execute(delete(KINDS).where(KINDS.c.wheelset.in_(had)))
         if kinds:
             self.connection.execute(insert(KINDS), kinds)
 

@@ -58,6 +58,8 @@ class WorklistReader:
         found = []
         vehicles = {record.mounting.vehicle for record in records if record.mounting is not None}
         self.vehicles.update(self.registry.vehicles_of(vehicles - self.vehicles.keys()))
+        damaged = [serial for serial in serials if isinstance(trends.get(serial), Reason)]
+        refused = self._refused(records, {**geometries, **{serial: trends[serial] for serial in damaged}})
         for record in records:
             serial, mounting = record.serial, record.mounting
             vehicle = None if mounting is None else self.vehicles[mounting.vehicle]
@@ -78,18 +80,22 @@ class WorklistReader:
                     mileage=mileage,
                     alerts=alerts.get(serial, ()),
                     failure=failure,
-                    refused=self._refused(record, geometry),
+                    refused=refused.get(serial, {}),
                 )
             )
         return found
 
-    def _refused(self, wheelset: WheelsetRecord, geometry: GeometryRecord | None) -> Mapping[ReasonCode, int]:
-        """Return what the newest windows of a wheelset are refused for, where it has no geometry of its profile."""
-        has_windows = geometry is not None and geometry.geometry.windows > 0
-        if has_windows and geometry is not None and geometry.baseline == len(wheelset.reprofilings):
-            return {}
-        since_ns = max((one.at_ns for one in wheelset.reprofilings), default=None)
-        return refused_by_code(self.connection, wheelset.serial, since_ns)
+    def _refused(
+        self, wheelsets: Sequence[WheelsetRecord], geometries: Mapping[str, object]
+    ) -> Mapping[str, Mapping[ReasonCode, int]]:
+        """Return what the newest windows of wheelsets are refused for that have no geometry of their profile."""
+        without = {}
+        for wheelset in wheelsets:
+            found = geometries.get(wheelset.serial)
+            of_profile = isinstance(found, GeometryRecord) and found.baseline == len(wheelset.reprofilings)
+            if not isinstance(found, GeometryRecord) or not found.geometry.windows or not of_profile:
+                without[wheelset.serial] = max((one.at_ns for one in wheelset.reprofilings), default=None)
+        return refused_by_code(self.connection, without)
 
     def _class(self, code: str) -> VehicleClass | None:
         """Return a class; None where it is not on file or damaged, which stops nobody from storing."""

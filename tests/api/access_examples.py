@@ -182,7 +182,7 @@ def populate(storage: SqlStorage) -> Mapping[str, str]:
     api_fleet.populate(storage)
     _own(storage)
     with storage.write() as unit:
-        run = unit.jobs.start("estimate_windows", JobTrigger.SCHEDULE, api_fleet.RECORDED + 100)
+        run = unit.jobs.start("estimate_windows", JobTrigger.SCHEDULE, api_fleet.RECORDED + 100)[0]
         unit.jobs.finish(run.run_id, JobOutcome.FAILED, {"estimated": 3}, api_fleet.RECORDED + 200, "WS-000 of alpha")
     own = api_fleet.raised(storage, WHEELSET, fleet=FLEET)
     foreign = api_fleet.raised(storage, "WS-000")

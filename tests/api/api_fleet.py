@@ -421,5 +421,5 @@ def populate(storage: Storage) -> None:
     put_quarantined(storage)
     for number in range(7):
         with storage.write() as unit:
-            run = unit.jobs.start("estimate_windows", JobTrigger.SCHEDULE, RECORDED + number)
+            run = unit.jobs.start("estimate_windows", JobTrigger.SCHEDULE, RECORDED + number)[0]
             unit.jobs.finish(run.run_id, JobOutcome.SUCCEEDED, {"estimated": number}, RECORDED + number + SECOND // 2)

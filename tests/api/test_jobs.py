@@ -74,7 +74,7 @@ def test_a_run_that_another_process_has_under_way_is_409(
 ) -> None:
     storage = open_store(Settings(database_url=storage_url, data_dir=tmp_path, _env_file=None))
     with storage.write() as unit:
-        run = unit.jobs.start("refresh_trends", JobTrigger.SCHEDULE, 1)
+        run = unit.jobs.start("refresh_trends", JobTrigger.SCHEDULE, 1)[0]
     refused = client.post("/v1/jobs/refresh_trends/runs")
     assert refused.status_code == 409
     assert f"run {run.run_id}" in refused.json()["detail"]

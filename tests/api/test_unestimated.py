@@ -77,7 +77,7 @@ def align(unit: SqlUnitOfWork, source: AlignmentSource, status: Status = Status.
 def ran(storage: SqlStorage, job: str, error: str | None = None) -> None:
     outcome = JobOutcome.SUCCEEDED if error is None else JobOutcome.FAILED
     with storage.write() as unit:
-        run = unit.jobs.start(job, JobTrigger.CLI, fleet.RECORDED)
+        run = unit.jobs.start(job, JobTrigger.CLI, fleet.RECORDED)[0]
         unit.jobs.finish(run.run_id, outcome, {}, fleet.RECORDED + fleet.SECOND, error)
 
 

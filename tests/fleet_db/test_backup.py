@@ -86,7 +86,7 @@ def test_a_backup_becomes_the_same_installation(
         assert unit.feed_branches.all()[-1].after_sequence == unit.feed_branches.newest_sequence() == 3
     assert check_deep(opened, raw_of(opened), quietly).findings == ()
     with opened.write() as unit:  # numbers go on where they were
-        assert unit.jobs.start("refresh_geometry", JobTrigger.CLI, 6).run_id == 2
+        assert unit.jobs.start("refresh_geometry", JobTrigger.CLI, 6)[0].run_id == 2
         assert make.same(unit.windows.load("WS-1", make.START), make.window())
 
 

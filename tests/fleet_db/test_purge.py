@@ -44,7 +44,7 @@ def test_runs_go_but_the_newest_of_each_outcome(fleet: SqlStorage) -> None:
     outcomes = [JobOutcome.SUCCEEDED, JobOutcome.FAILED, JobOutcome.SUCCEEDED, JobOutcome.FAILED, JobOutcome.SUCCEEDED]
     with fleet.write() as unit:
         for day, outcome in enumerate(outcomes):
-            run = unit.jobs.start("refresh_trends", JobTrigger.SCHEDULE, day * DAY_NS)
+            run = unit.jobs.start("refresh_trends", JobTrigger.SCHEDULE, day * DAY_NS)[0]
             unit.jobs.finish(run.run_id, outcome, {}, day * DAY_NS + 1)
         unit.jobs.start("refresh_trends", JobTrigger.SCHEDULE, 0)  # it runs still
     assert purged(fleet, job_runs=2000.5) == {"job_runs": 0}

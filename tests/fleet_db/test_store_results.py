@@ -210,9 +210,9 @@ def test_the_database_wants_both_ends_of_a_receipt(fleet: SqlStorage) -> None:
 
 def test_runs(fleet: SqlStorage) -> None:
     with fleet.write() as unit:
-        first = unit.jobs.start("estimate", JobTrigger.SCHEDULE, 10)
-        second = unit.jobs.start("trends", JobTrigger.API, 11)
-        third = unit.jobs.start("estimate", JobTrigger.CLI, 12)
+        first = unit.jobs.start("estimate", JobTrigger.SCHEDULE, 10)[0]
+        second = unit.jobs.start("trends", JobTrigger.API, 11)[0]
+        third = unit.jobs.start("estimate", JobTrigger.CLI, 12)[0]
         unit.jobs.finish(first.run_id, JobOutcome.SUCCEEDED, {"windows": 5}, 20)
         assert unit.jobs.abandon_running(30) == 2
     with fleet.read() as unit:

@@ -35,7 +35,9 @@ def decoded(storage: SqlStorage, folder: Path) -> tuple[ChunkRecord, Windows]:
 def at_rest(receiver: Receiver, storage: SqlStorage) -> None:
     """Do what the job does, until nothing is left."""
     for _ in range(3):
-        list(receiver.decode(HeldRecordings(storage, CountingClock()).due()))
+        with storage.read() as unit:
+            due = HeldRecordings(storage, CountingClock()).due(unit)
+        list(receiver.decode(due))
         receiver.reassembler.work_off()
     with storage.read() as unit:
         assert unit.stale_spans.all() == []

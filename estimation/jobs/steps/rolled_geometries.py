@@ -70,6 +70,10 @@ class RolledGeometries:
             self._sums[part.roll_up.key] = found
         return found
 
+    def forget_sums(self) -> None:
+        """Forget the sums that were kept in memory."""
+        self._sums.clear()
+
     def records(self) -> list[GeometryRecord]:
         """Return the geometries whose inputs differ from what is stored; the current one comes last.
 

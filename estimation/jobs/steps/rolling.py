@@ -31,6 +31,7 @@ from estimation.values.roll_up import (
 from estimation.values.windows import DueStage
 
 KEPT_WAITING = 32  # windows that are added again each time before they are rolled: sums are written once for so many
+READ_AHEAD = 256  # packed sums or tables that are held at once, 50 kB each
 READ_TOGETHER = 64  # windows whose mileage is looked at before it is asked whether those behind them have to be, too
 Run = tuple[TabledWindow, float]  # a window with the mileage that the wheelset had run
 
@@ -84,6 +85,38 @@ def rolled(unit: UnitOfWork, rules: Membership) -> Rolled:
     if state is not None and _same_rules(state, rules):
         return _continued(unit, rules, state, stored, due)
     return _made_again(unit, rules, stored, due)
+
+
+def read_ahead(unit: UnitOfWork, some: Sequence[Membership]) -> None:
+    """Read together what :func:`rolled` asks for one wheelset after the other, of windows that are due."""
+    looks = []
+    for rules in some:
+        due, state = unit.due.of_wheelset(DueStage.SUMS, rules.wheelset), unit.roll_ups.state(rules.wheelset)
+        if state is not None and _same_rules(state, rules):
+            sealed = [one for one in unit.roll_ups.of(rules.wheelset) if one.sealed]
+            looks += [
+                (rules.wheelset, next(starts), _Mileages(baseline, sealed))
+                for baseline, starts in groupby(due, key=rules.baseline_of)
+            ]
+    unit.tables.read_ahead(readings=[(name, found.baseline.from_ns, at_ns) for name, at_ns, found in looks])
+    unit.tables.read_ahead(
+        spans=[
+            (name, start_ns, found.baseline.to_ns, READ_TOGETHER)
+            for name, start_ns, found in looks
+            if found.before(unit, name, start_ns) is not None
+        ]
+    )
+
+
+def read_sums_ahead(unit: UnitOfWork, some: Sequence[tuple[str, Rolled]]) -> None:
+    """Read together the sums and tables of roll-ups of wheelsets to which windows are added, if they are not many."""
+    changed = [(name, part) for name, found in some for part in found.parts if part.added]
+    numbers = [p.roll_up.number for _, p in changed if p.roll_up.number is not None and not p.afresh]
+    keys = [(name, member.start_ns) for name, part in changed for member in part.added]
+    if len(numbers) <= READ_AHEAD:
+        unit.roll_ups.read_ahead(numbers)
+    if len(keys) <= READ_AHEAD:
+        unit.tables.read_ahead(keys=keys)
 
 
 def _same_rules(state: RollUpState, rules: Membership) -> bool:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -72,6 +73,15 @@ class EntryReader:
     _measured: dict[str, Sequence[MeasuredProfiles]] = field(default_factory=dict)
     _damaged: dict[str, DamagedError] = field(default_factory=dict)
     _contacts: dict[tuple[str, int, RailShare], tuple[float, float] | None] = field(default_factory=dict)
+
+    def read_ahead(self, known: Sequence[KnownSignatures], others: Iterable[str]) -> None:
+        """Read together what is asked for one wheelset after the other; where something is damaged, that one fails."""
+        serials = sorted({one.found.wheelset for one in known}.union(others))
+        self.classes.look_up(serials, {one.found.vehicle for one in known})
+        self.unit.registry.mountings_of(serials)
+        for read in (self.unit.registry.measured_profiles_of, self.unit.geometries.read_ahead):
+            with suppress(DamagedError):
+                read(serials)
 
     def entries(self, known: Sequence[KnownSignatures]) -> Entries:
         """Return the library entries that signatures make, the newest of each wheelset, place and band of speed."""

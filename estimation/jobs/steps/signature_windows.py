@@ -59,9 +59,8 @@ def list_other(
     unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Assumptions | None, Outcome[None]]]
 ) -> Mapping[str, int]:
     """List the windows whose signatures were made with other assumptions, or that waited for their class."""
-    for wheelset, (assumptions, _outcome) in made.items():
-        for vehicle, digest in () if assumptions is None else assumptions.of_vehicles:
-            unit.signatures.list_other(wheelset, vehicle, digest)
+    rests_on = {wheelset: assumptions.of_vehicles for wheelset, (assumptions, _) in made.items() if assumptions}
+    unit.signatures.list_other([(wheelset, *one) for wheelset, own in rests_on.items() for one in own])
     return {}
 
 
@@ -112,8 +111,8 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
     windows = [key_of_text(key) for key in keys]
     made_of, expected = unit.signatures.made_of(windows), _Expected.of(unit, context)
     records = sorted(unit.windows.several(windows), key=lambda one: (one.vehicle, one.start_ns, one.axle))
-    expected.classes.look_up([one.wheelset for one in records])
-    loader = WindowLoader(unit, VehicleLookup(unit))
+    expected.classes.look_up([one.wheelset for one in records], {one.vehicle for one in records})
+    loader = WindowLoader(unit, VehicleLookup(unit), {record.key: record for record in records})
     inputs = {}
     for record in (one for one in records if not one.samples_purged):
         assumed, before = expected.classes.assumed(record.vehicle, record.wheelset), made_of.get(record.key)
@@ -227,6 +226,7 @@ def usable(
     Those that were made otherwise and whose samples are purged cannot be made again: their places may be others.
     """
     classes, layouts = ClassLookup(unit, context.settings.estimation), _layout_versions(unit)
+    classes.look_up([one.found.wheelset for one in known], {one.found.vehicle for one in known})
     found, left_out, digests = [], Counter[ReasonCode](), dict[tuple[str, str], str]()
     for one in known:
         pair = one.found.vehicle, one.found.wheelset

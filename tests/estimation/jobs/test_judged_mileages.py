@@ -12,6 +12,7 @@ from one_database import on_sqlite
 from sqlalchemy import select
 from wheelset_life import DAY_NS, START_NS, WINDOW_NS, SetClock, register, sample_window
 
+from estimation.jobs import estimate_windows
 from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
@@ -21,6 +22,7 @@ from estimation.motion.mileage import implausible_mileages
 from estimation.storage import Storage
 from estimation.values.reasons import Reason
 from estimation.values.windows import DueStage
+from fleet_db.due import list_due
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.window_rows import implausible_reason
@@ -37,6 +39,19 @@ def put(storage: Storage, number: int, mileage_km: float | None = None) -> None:
 
 def judge(storage: Storage) -> int:
     return run(JUDGE, JobContext(storage, SetClock(START_NS), "test", JobSettings()))["mileages_judged"]
+
+
+@on_sqlite
+def test_a_run_of_the_job_judges_where_nothing_else_is_due(storage: SqlStorage) -> None:
+    register(storage, "W1")
+    for number in range(6):
+        put(storage, number, 40_000.0 if number == 3 else None)
+    context = JobContext(storage, SetClock(START_NS), "test", JobSettings())
+    assert estimate_windows.JOB.run(context)["mileages_judged"] == 1
+    with storage.write() as unit:  # the mileage of a stored window is corrected, which makes nothing else due
+        list_due(unit.connection, DueStage.MILEAGES, WINDOWS.c.wheelset == "W1")
+    estimate_windows.JOB.run(context)
+    assert len(verdicts(storage)) == 1
 
 
 def verdicts(storage: SqlStorage) -> Mapping[int, Reason]:

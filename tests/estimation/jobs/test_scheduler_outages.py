@@ -129,7 +129,7 @@ def test_a_scheduler_whose_place_another_one_has_taken_commits_nothing_more(stor
     with storage.owned(JobTrigger.SCHEDULE, "first", LONG_S) as first:
         with first.write() as unit:
             unit.registry.add_fleet(FleetRecord("F-1", "before"))
-            run = unit.jobs.start("rounds", JobTrigger.SCHEDULE, 1)
+            run = unit.jobs.start("rounds", JobTrigger.SCHEDULE, 1)[0]
         assert not first.lease_lost()
         with first.leased("a", ["1"], "its worker", LONG_S) as (working, _):
             end_lease(storage, "first")
@@ -191,7 +191,7 @@ def test_a_scheduler_that_stands_by_takes_the_place_of_one_that_is_lost_without_
 def test_a_run_that_could_not_be_closed_is_closed_by_the_next_of_the_same_process(storage: SqlStorage) -> None:
     with storage.owned(JobTrigger.SCHEDULE, "one", LONG_S) as owned:
         with owned.write() as unit:
-            lost = unit.jobs.start("rounds", JobTrigger.SCHEDULE, 1)  # and its end could not be recorded
+            lost = unit.jobs.start("rounds", JobTrigger.SCHEDULE, 1)[0]  # and its end could not be recorded
         context = JobContext(owned, SetClock(7), "test", JobSettings())
         run_job(Job("other", "", 1.0, lambda _context: {}), context, JobTrigger.SCHEDULE)
         with owned.read() as unit:
