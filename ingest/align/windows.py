@@ -183,10 +183,7 @@ def _window(
     slot = (t_ns - extent[0]) // samples.interval_ns
     hunting, blows = _found(node, span, motion, slot, samples.interval_ns * 1e-9)
     guard = round((BLOW_GUARD_S if blows.sustained else CLIPPING_GUARD_S) * 1e9 / samples.interval_ns)
-    clipped = node.clipped[span]
-    if node.clipped_seconds is not None:
-        struck_out = narrowed(node.clipped_seconds[span], node.saturated[span], samples.interval_ns * 1e-9)
-        clipped = np.asarray(clipped | struck_out)
+    clipped = _clipped(node, span, samples.interval_ns * 1e-9)
     good, many = good_samples(slot, node.valid[span], clipped, motion.speed, guard)
     section, number = _section(motion, slot, good, lookup) if many else (None, NO_SECTION)
     distance = np.full(len(motion.distance), np.nan)
@@ -217,6 +214,14 @@ def _window(
         quality=replace(_quality(node, span, extent, motion, (valid, clipped), slot), hunting=hunting, blows=blows),
     )
     return MountedWindow(window, mounting, motion.odometer_excess_m, _off_line(motion, section, lookup))
+
+
+def _clipped(node: NodeSamples, span: slice, interval_s: float) -> BoolArray:
+    """Return which samples (n,) of a node are at the end of what its sensors measure."""
+    if node.clipped_seconds is None:
+        return node.clipped[span]
+    struck_out = narrowed(node.clipped_seconds[span], node.saturated[span], interval_s)
+    return np.asarray(node.clipped[span] | struck_out)
 
 
 def _off_line(motion: GridMotion, section: str | None, lookup: RegistryLookup) -> float:

@@ -178,6 +178,19 @@ class RunningGear:
         return float(max(np.sqrt(one * spring) + one * damper for one, spring, damper in pairs))
 
 
+def _on_track(gear: RunningGear, tables: Sequence[PreparedTable], track: TrackTruth) -> GearOnTrack:
+    axles = gear.wheels or ((Wheel(), Wheel()),)
+    (a, b), (c, d) = axles[0], axles[-1]
+    return GearOnTrack(
+        gear.constants(),
+        gear.creep.constants()._replace(free_rolling=gear.free_rolling),
+        Wheels((a.amplitude, b.amplitude, c.amplitude, d.amplitude), (a.phase, b.phase, c.phase, d.phase)),
+        (tables[0].nodes, tables[-1].nodes),
+        (tables[0].grid(track), tables[-1].grid(track)),
+        track.spline_coefficients(),
+    )
+
+
 def simulate_gear(
     gear: RunningGear,
     tables: Sequence[ContactGeometryTable | PreparedTable],
@@ -206,17 +219,8 @@ def simulate_gear(
         middle = courses[0] - gear.places[0]
         path, sensed = gear_path(gear.parameters, track.curves, track.s, middle, speed, STEP, gear.places)
     out, outside = np.empty((AXLES_OF_A_BOGIE, len(GEAR_OUTPUTS), len(speed))), np.zeros(AXLES_OF_A_BOGIE, np.int64)
-    axles = gear.wheels or ((Wheel(), Wheel()),)
-    (a, b), (c, d) = axles[0], axles[-1]
     integrate_gear(
-        GearOnTrack(
-            gear.constants(),
-            gear.creep.constants()._replace(free_rolling=gear.free_rolling),
-            Wheels((a.amplitude, b.amplitude, c.amplitude, d.amplitude), (a.phase, b.phase, c.phase, d.phase)),
-            (prepared[0].nodes, prepared[-1].nodes),
-            (prepared[0].grid(track), prepared[-1].grid(track)),
-            track.spline_coefficients(),
-        ),
+        _on_track(gear, prepared, track),
         speed,
         courses[0],
         path,
