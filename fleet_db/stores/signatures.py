@@ -23,6 +23,8 @@ SIGNATURES, WINDOWS = table_of(WearSignatureRow), table_of(WindowRow)
 SAME = and_(SIGNATURES.c.wheelset == WINDOWS.c.wheelset, SIGNATURES.c.start_ns == WINDOWS.c.start_ns)
 SPEED_BAND = 5  # m/s
 NEWEST = 24  # windows of a wheelset on a section in a band of speed that the library may use
+TOGETHER = 100
+"""Conditions in a statement: SQLite takes no more than a thousand, one behind the other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,11 +66,11 @@ class SignatureStore:
         Args:
             expected: Wheelset, vehicle, and the digest of what is assumed of the one on the other.
         """
-        others = []
-        for wheelset, vehicle, assumed in expected:
-            made = select(SIGNATURES.c.places).where(SAME, SIGNATURES.c.assumed == assumed)
-            others.append(and_(WINDOWS.c.wheelset == wheelset, WINDOWS.c.vehicle == vehicle, ~made.exists()))
-        if others:
+        for first in range(0, len(expected), TOGETHER):
+            others = []
+            for wheelset, vehicle, assumed in expected[first : first + TOGETHER]:
+                made = select(SIGNATURES.c.places).where(SAME, SIGNATURES.c.assumed == assumed)
+                others.append(and_(WINDOWS.c.wheelset == wheelset, WINDOWS.c.vehicle == vehicle, ~made.exists()))
             list_due(self.connection, STAGE, and_(WINDOWS.c.samples_purged_ns.is_(None), or_(*others)))
 
     def known(self) -> StoredSignatures:

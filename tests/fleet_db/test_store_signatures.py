@@ -130,9 +130,9 @@ def test_signatures_of_other_assumptions_are_due(fleet: SqlStorage) -> None:
         unit.signatures.put_all([made(start_ns, digest)])
         settle(unit)
         assert unit.signatures.vehicles(["WS-1", "WS-2"]) == [("WS-1", "V-1")]
-        unit.signatures.list_other("WS-1", "V-1", "a" * 64)
+        unit.signatures.list_other([("WS-1", "V-1", "a" * 64)])
         assert due(unit) == []
-        unit.signatures.list_other("WS-1", "V-1", "b" * 64)
+        unit.signatures.list_other([("WS-1", "V-1", "b" * 64)])
         assert due(unit) == [("WS-1", start_ns)]
 
 
