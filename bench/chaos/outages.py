@@ -18,7 +18,7 @@ import numpy as np
 from api import logs
 from api.factory import create_server, open_store
 from api.settings import Settings
-from bench.chaos.kills import estimate, free_port, schedule
+from bench.chaos.kills import LEASE_S, estimate, free_port, schedule
 from bench.chaos.part import ChaosSettings
 from bench.chaos.small_deployment import (
     PASSWORD,
@@ -56,7 +56,7 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
 
 def _database_away(both: Databases, lengths: Sequence[float]) -> Iterator[BenchRow]:
     paths = recordings(both.folder / "recordings", np.linspace(0.0, 1.0, len(lengths) + 1)[1:-1].tolist(), SECONDS)
-    broken, alone = both.new("postgresql"), both.new("postgresql")
+    broken, alone = (both.new("postgresql").model_copy(update={"lease_s": LEASE_S}) for _ in range(2))
     port, log = free_port(), both.folder / "outages.log"
     serving = broken.model_copy(update={"port": port})
     pids = [fork(partial(schedule, broken, 2.0), log), fork(partial(_serve, serving), log)]
@@ -78,6 +78,7 @@ def _database_away(both: Databases, lengths: Sequence[float]) -> Iterator[BenchR
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
                 wait_for([pid])
+    time.sleep(2.0 * LEASE_S)  # what a killed process ran is abandoned once its lease has ended
     wrong = _compared(broken, alone, paths)
     text = log.read_text(errors="replace")
     named = f"{len(lengths)} outages of PostgreSQL of {lengths[0]:.0f} to {lengths[-1]:.0f} s"

@@ -216,7 +216,12 @@ class JobRunStore:
     owner: int | None = None  # lease of the process that starts runs here
 
     def start(self, job: str, trigger: JobTrigger, started_ns: int) -> tuple[JobRun, bool]:
-        """Record that a run has begun; return it, and whether a result carries a later time than its begin."""
+        """Record that a run has begun; return it, and whether a result carries a later time than its begin.
+
+        A process runs one job at a time: what it ran before has ended.
+        """
+        if self.owner is not None:
+            self._abandon(started_ns, RUNS.c.owner == self.owner)
         run = JobRun(0, job, trigger, started_ns, None, JobOutcome.RUNNING, {})
         statement = insert(RUNS).values(columns_of(run, "run_id") | {"owner": self.owner})
         newest_ns = select(func.max(RESULTS.c.recorded_ns)).scalar_subquery()
@@ -242,14 +247,16 @@ class JobRunStore:
     def abandon_running(self, finished_ns: int) -> int:
         """Mark every run as abandoned whose process is gone; return how many."""
         WorkClaimStore(self.connection).end_outdated()
-        gone = or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(select(LEASES.c.lease_id)))
-        statement = update(RUNS).where(RUNS.c.outcome == RUNNING, gone)
+        return self._abandon(finished_ns, or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(select(LEASES.c.lease_id))))
+
+    def _abandon(self, finished_ns: int, which: ColumnElement[bool]) -> int:
+        statement = update(RUNS).where(RUNS.c.outcome == RUNNING, which)
         return self.connection.execute(
             statement.values(outcome=JobOutcome.ABANDONED.value, finished_ns=finished_ns, error=GONE)
         ).rowcount
 
     def get(self, run_id: int) -> JobRun:
-        """Return one run, abandoned where its process is gone or has begun another one; raises NotFoundError."""
+        """Return one run, abandoned where its process is gone; raises NotFoundError."""
         row = self.connection.execute(select(RUNS).where(RUNS.c.run_id == run_id)).first()
         if row is None:
             raise NotFoundError("job run", str(run_id))
@@ -265,24 +272,12 @@ class JobRunStore:
         return self._runs(self.connection.execute(statement.order_by(RUNS.c.run_id.desc()).limit(limit)).all())
 
     def _runs(self, rows: Sequence[Row[Any]]) -> list[JobRun]:
-        running = {row.run_id: row.owner for row in rows if row.owner is not None and row.outcome == RUNNING}
-        if not running:
-            return [value_of_row(JobRun, row) for row in rows]
-        owners = living(self.connection, set(running.values()))
-        following = _NEXT_BEGUN.where(RUNS.c.run_id.in_(running))
-        began = {row.run_id: row.started_ns for row in self.connection.execute(following)}
-        gone = {number for number, owner in running.items() if owner not in owners or began[number] is not None}
-        return [_abandoned(row, began[row.run_id]) if row.run_id in gone else value_of_row(JobRun, row) for row in rows]
+        owners = {row.owner for row in rows if row.owner is not None and row.outcome == RUNNING}
+        return [_run(row, owners - living(self.connection, owners)) for row in rows]
 
 
-def _abandoned(row: Row[Any], finished_ns: int | None) -> JobRun:
+def _run(row: Row[Any], gone: Collection[int]) -> JobRun:
     run = value_of_row(JobRun, row)
-    return replace(run, outcome=JobOutcome.ABANDONED, finished_ns=finished_ns, error=GONE)
-
-
-_LATER = RUNS.alias("later")
-_OF_SAME = select(_LATER.c.started_ns).where(_LATER.c.owner == RUNS.c.owner, _LATER.c.run_id > RUNS.c.run_id)
-_NEXT_BEGUN = select(
-    RUNS.c.run_id, _OF_SAME.order_by(_LATER.c.run_id).limit(1).correlate(RUNS).scalar_subquery().label("started_ns")
-)
-"""When the process of a run has begun its next one: it runs one job at a time."""
+    if run.outcome is JobOutcome.RUNNING and row.owner in gone:
+        return replace(run, outcome=JobOutcome.ABANDONED, error=GONE)
+    return run

@@ -81,7 +81,7 @@ def unfit(fleet: Deployment, folder: Path) -> dict[str, tuple[dict[str, str], st
     path = os.pathsep.join([str(other_version), os.environ.get("PYTHONPATH", "")])
     return {
         "version": ({"PYTHONPATH": path}, "has another version or other settings"),
-        "folder": ({"TREADWATCH_DATA_DIR": str(folder / "gone"), **here}, "the directory of the windows is not there"),
+        "folder": ({"TREADWATCH_DATA_DIR": str(folder / "gone"), **here}, str(folder / "gone" / "windows")),
         "windows": ({"TREADWATCH_DATA_DIR": str(other_folder), **here}, "does not see the files"),
         "database": ({"TREADWATCH_DATABASE_URL": url}, "works with another database"),
     }
