@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import Connection, Row, and_, delete, func, insert, or_, select, update
+from sqlalchemy import Connection, Row, and_, delete, func, insert, or_, select, tuple_, update
 
 from estimation.errors import ConflictError
 from estimation.values.geometry import BinTable
@@ -60,9 +60,10 @@ class RollUpStore:
         plain = unpack_bin_table(found[0], where=where)
         return plain, plain.without_samples if found[1] is None else unpack_bin_table(found[1], where=where)
 
-    def read_ahead(self, numbers: Collection[int]) -> None:
-        """Read sums together that :meth:`sums` is asked for one by one afterwards."""
+    def read_ahead(self, numbers: Collection[int], rolling: Collection[WindowKey]) -> None:
+        """Read together what :meth:`sums` and :meth:`rolling` are asked for one by one afterwards."""
         self.once.of("sums", numbers, self._sums)
+        self.once.of("rolling sums", rolling, self._rolling)
 
     def _sums(self, numbers: Collection[int]) -> Mapping[int, tuple[bytes, bytes | None]]:
         columns = (ROLL_UPS.c.number, ROLL_UPS.c.plain, ROLL_UPS.c.forgetting)
@@ -141,16 +142,16 @@ class RollUpStore:
 
     def rolling(self, wheelset: str, windows: Mapping[int, str], assumed: str) -> Mapping[int, tuple[RollingSums, ...]]:
         """Return by start what windows (digest by start) say of their rolling radius, where that was so assumed."""
-
-        def read(some: Collection[str]) -> Mapping[str, Sequence[Row[Any]]]:
-            rows = self.connection.execute(select(ROLLING).where(ROLLING.c.wheelset.in_(some)))
-            return by_wheelset(rows, lambda row: row)
-
+        rows = self.once.of("rolling sums", [(wheelset, at) for at in windows], self._rolling)
         return {
             row.start_ns: unpack_rolling_sums(row.packed, where=f"rolling sums of {wheelset}@{row.start_ns}")
-            for row in self.once.of_wheelset("rolling sums", wheelset, read) or ()
-            if row.assumed == assumed and windows.get(row.start_ns) == row.window_digest
+            for row in rows.values()
+            if row.assumed == assumed and windows[row.start_ns] == row.window_digest
         }
+
+    def _rolling(self, keys: Collection[WindowKey]) -> Mapping[WindowKey, Row[Any]]:
+        own = tuple_(ROLLING.c.wheelset, ROLLING.c.start_ns).in_(keys)
+        return {(row.wheelset, row.start_ns): row for row in self.connection.execute(select(ROLLING).where(own))}
 
     def put_rolling(self, found: Sequence[WindowRollingSums]) -> None:
         """Keep what windows say of their rolling radius, in the place of what was known of them."""

@@ -114,7 +114,8 @@ def read_sums_ahead(unit: UnitOfWork, some: Sequence[tuple[str, Rolled]]) -> Non
     numbers = [p.roll_up.number for _, p in changed if p.roll_up.number is not None and not p.afresh]
     keys = [(name, member.start_ns) for name, part in changed for member in part.added]
     if len(numbers) <= READ_AHEAD:
-        unit.roll_ups.read_ahead(numbers)
+        chosen = {(name, at_ns) for name, part in changed for _, at_ns in part.roll_up.chosen}
+        unit.roll_ups.read_ahead(numbers, sorted(chosen))
     if len(keys) <= READ_AHEAD:
         unit.tables.read_ahead(keys=keys)
 
