@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import ChainMap
-from collections.abc import Hashable, MutableMapping
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +12,7 @@ from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import table_of
-from fleet_db.subjects import VERSIONS
+from fleet_db.subjects import VERSIONS, Subjects
 from fleet_db.tables.alerts import FeedBranchRow
 
 BRANCHES = table_of(FeedBranchRow)
@@ -42,10 +41,10 @@ class KeptRecords:
 class OnFile(ReadOnce):
     """Records of the registry: while it does not change, no transaction reads again what another one has read.
 
-    A transaction that writes may see what is not committed, and adds nothing to what others see.
+    A transaction that has changed it sees what is not committed: it neither uses nor adds to what others see.
     """
 
-    connection: Connection
+    subjects: Subjects
     kept: KeptRecords
     _read: dict[str, Records] = field(default_factory=dict)
 
@@ -53,13 +52,14 @@ class OnFile(ReadOnce):
         """Look at the version of the registry again."""
         self._read.clear()
 
-    def _of_kind(self, kind: str) -> MutableMapping[Any, Any]:
+    def _of_kind(self, kind: str) -> dict[Any, Any]:
         if kind in LARGE:
             return ReadOnce._of_kind(self, kind)  # noqa: SLF001 - of the class that this one extends
+        if self.subjects.growth([Facet.REGISTRY]):
+            return {}
         if not self._read:
-            self._read["now"] = self.kept.of(_version(self.connection))
-        records: dict[Any, Any] = self._read["now"].setdefault(kind, {})
-        return records if self.snapshot else ChainMap({}, records)
+            self._read["now"] = self.kept.of(_version(self.subjects.connection))
+        return self._read["now"].setdefault(kind, {})
 
 
 def _version(connection: Connection) -> Hashable:

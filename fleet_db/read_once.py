@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Mapping, MutableMapping
+from collections.abc import Callable, Collection, Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -41,7 +41,7 @@ class ReadOnce:
     def renew(self) -> None:
         """Let what others have changed meanwhile be seen; a transaction that writes remembers nothing."""
 
-    def _of_kind(self, kind: str) -> MutableMapping[Any, Any]:
+    def _of_kind(self, kind: str) -> dict[Any, Any]:
         """Return the records of a kind that need not be read; what is read is added to it."""
         return self._records.setdefault(kind, {}) if self.snapshot else {}
 

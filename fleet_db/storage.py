@@ -125,7 +125,7 @@ class SqlUnitOfWork:
         once = ReadOnce(not self.writing, self.together)
         on_file = once
         if self.kept is not None:
-            on_file = OnFile(not self.writing, self.together, connection=connection, kept=self.kept)
+            on_file = OnFile(not self.writing, self.together, subjects=self.subjects, kept=self.kept)
         # a transaction that changes records reads them as they are in it
         of_registry = once if self.writing else on_file
         self.registry = RegistryStore(connection, self.subjects, self.shipped, once=of_registry)

@@ -70,7 +70,16 @@ class GeometryStore:
 
     def read_with(self, kinds: Collection[ResultKind[Any]], subjects: Collection[str]) -> None:
         """Read with one statement what :meth:`current_of` is asked next, and what is in force of other kinds."""
-        self.results.read_ahead({GEOMETRY: CURRENT, **dict.fromkeys(kinds)}, subjects)
+        self.results.read_ahead([(GEOMETRY, subjects, CURRENT), *((kind, subjects, None) for kind in kinds)])
+
+    def read_intervals(self, wanted: Mapping[str, tuple[int, int | None, int | None]]) -> None:
+        """Read together what :meth:`intervals` is asked of one wheelset after the other.
+
+        Args:
+            wanted: By wheelset its baseline, and the numbers of the first and the last interval of it; None is all.
+        """
+        if wanted:
+            self.results.read_ahead((GEOMETRY, [serial], _intervals(*span)) for serial, span in wanted.items())
 
     def current_of(self, wheelsets: Collection[str]) -> Mapping[str, GeometryRecord]:
         """Return what :meth:`current` does of each of some wheelsets that has one, by serial."""
