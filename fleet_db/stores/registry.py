@@ -181,9 +181,13 @@ class RegistryStore:
 
     def newest_measurement_of(self, wheelsets: Collection[str]) -> Mapping[str, tuple[int, float]]:
         """Return time (ns UTC) and mileage (km) of the newest measurement of the profiles of wheelsets, by serial."""
-        statement = select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km)
-        statement = statement.where(MEASURED.c.wheelset.in_(wheelsets)).order_by(MEASURED.c.at_ns)
-        return {wheelset: (int(at_ns), float(km)) for wheelset, at_ns, km in self.connection.execute(statement)}
+
+        def read(some: Collection[str]) -> Mapping[str, tuple[int, float]]:
+            statement = select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km)
+            statement = statement.where(MEASURED.c.wheelset.in_(some)).order_by(MEASURED.c.at_ns)
+            return {wheelset: (int(at_ns), float(km)) for wheelset, at_ns, km in self.connection.execute(statement)}
+
+        return self.once.of("newest measurement", wheelsets, read)
 
     def vehicle_class(self, code: str, version: int | None = None) -> ClassOnFile | None:
         """Return the newest version of a class, or the one given; of the package where none is registered."""
