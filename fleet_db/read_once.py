@@ -49,6 +49,11 @@ class ReadOnce:
         """Return a record that :meth:`of` has read; None where it has not, or there is none."""
         return self._records.get(kind, {}).get(key)
 
+    def is_absent(self, kind: str, key: Hashable) -> bool:
+        """Return whether :meth:`of` has looked for a record and found none."""
+        records = self._records.get(kind, {})
+        return key in records and records[key] is None
+
     def of_wheelset(
         self, kind: str, wheelset: str, read: Callable[[Collection[str]], Mapping[str, Record]]
     ) -> Record | None:
