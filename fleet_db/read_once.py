@@ -38,7 +38,7 @@ class ReadOnce:
             known.update((key, found.get(key)) for key in missing)
         return {key: known[key] for key in keys if known[key] is not None}
 
-    def renew(self) -> None:
+    def renew(self, version: str | None) -> None:
         """Let what others have changed meanwhile be seen; a transaction that writes remembers nothing."""
 
     def _of_kind(self, kind: str) -> dict[Any, Any]:
