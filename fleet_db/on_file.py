@@ -55,7 +55,8 @@ class OnFile(ReadOnce):
 
     def renew(self, version: str | None) -> None:
         """Go on with a version of the registry that was read just now."""
-        self._read["now"] = self.kept.of(version)
+        if version is not None:
+            self._read["now"] = self.kept.of(version)
 
     def _of_kind(self, kind: str) -> dict[Any, Any]:
         if kind in LARGE:

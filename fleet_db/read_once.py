@@ -45,6 +45,10 @@ class ReadOnce:
         """Return the records of a kind that need not be read; what is read is added to it."""
         return self._records.setdefault(kind, {}) if self.snapshot else {}
 
+    def remember(self, kind: str, records: Mapping[Any, Any]) -> None:
+        """Let records be those that this transaction has read."""
+        self._records.setdefault(kind, {}).update(records)
+
     def known(self, kind: str, key: Hashable) -> Any:  # noqa: ANN401 - a record of this kind
         """Return a record that :meth:`of` has read; None where it has not, or there is none."""
         return self._records.get(kind, {}).get(key)
