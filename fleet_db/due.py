@@ -72,6 +72,7 @@ NOT_LOOKED_AT = and_(
     ~_LOOKED_AT.exists(),
 )
 """Condition on estimated windows on a section whose creep, of these samples, has not been looked at."""
+WINDOW = "window"  # kind of rows of windows that a transaction has read
 BATCH = 500  # keys in a statement
 OF_SAMPLES = (SIGNATURES, DueStage.TABLES, DueStage.MILEAGES)
 """Stages that read samples, or what is stored with them."""
@@ -122,7 +123,10 @@ class WindowDueStore:
         Args:
             keys: Only of these; None is all.
         """
-        statement = select(DUE).where(DUE.c.stage == inputs.stage)
+        key = (DUE.c.wheelset.label("due_wheelset"), DUE.c.start_ns.label("due_start_ns"))
+        together = keys is not None and inputs.stage == DueStage.TABLES
+        columns = (*key, DUE.c.version, *(WINDOWS.columns if together else ()))
+        statement = select(*columns).where(DUE.c.stage == inputs.stage)
         if inputs.stage == DueStage.TABLES:
             is_same = and_(WINDOWS.c.wheelset == DUE.c.wheelset, WINDOWS.c.start_ns == DUE.c.start_ns)
             ready = or_(DUE.c.section.not_in(_aligned_by_fleet()), PLACED, WINDOWS.c.state.is_(None))
@@ -130,8 +134,12 @@ class WindowDueStore:
         if keys is not None:
             own = tuple_(DUE.c.wheelset, DUE.c.start_ns)
             statement = statement.where(own.in_([key_of_text(key) for key in keys]))
-        rows = self.connection.execute(statement.order_by(DUE.c.vehicle, DUE.c.start_ns, DUE.c.wheelset))
-        return {text_of_key(row.wheelset, row.start_ns): Due(row.version) for row in rows}
+        rows = self.connection.execute(statement.order_by(DUE.c.vehicle, DUE.c.start_ns, DUE.c.wheelset)).all()
+        found = {(row.due_wheelset, row.due_start_ns): row for row in rows}
+        if together:
+            there = {key: row for key, row in found.items() if row.state is not None}
+            self.once.of(WINDOW, list(found), lambda _: there)
+        return {text_of_key(*key): Due(row.version) for key, row in found.items()}
 
     def wheelsets(self, inputs: StageInputs, serials: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return the wheelsets with windows that are due, by serial.
@@ -233,15 +241,23 @@ def _list_keys(
         connection.execute(_listed(connection.dialect.name, stages, chosen, raised=raised))
 
 
-def estimated(connection: Connection, keys: Sequence[WindowKey]) -> None:
-    """List windows that are estimated for the stages that read what the windows beside them are needed for."""
+def estimated(connection: Connection, keys: Sequence[WindowKey], tabled: Collection[WindowKey] = ()) -> None:
+    """List windows that are estimated for the stages that read what the windows beside them are needed for.
+
+    Args:
+        tabled: Those that are listed to be summed as well.
+    """
+    to_sum = set(tabled)
     for first in range(0, len(keys), BATCH):
-        own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys[first : first + BATCH])
+        some = keys[first : first + BATCH]
+        own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(some)
+        summed = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_([key for key in some if key in to_sum])
         lacked = [code.value for code in OF_OTHERS]
         signed = select(OF_WINDOWS.c.places).where(SAME_WINDOW, OF_WINDOWS.c.reason_code.in_(lacked))
-        lacking = and_(NAMED == SIGNATURES, WINDOWS.c.samples_purged_ns.is_(None), signed.exists())
-        chosen = and_(own, or_(lacking, and_(NAMED == CREEP, NOT_LOOKED_AT)))
-        connection.execute(_listed(connection.dialect.name, (SIGNATURES, CREEP), chosen))
+        lacking = and_(NAMED.in_([SIGNATURES]), WINDOWS.c.samples_purged_ns.is_(None), signed.exists())
+        looked_at = and_(NAMED.in_([CREEP]), NOT_LOOKED_AT)
+        chosen = and_(own, or_(lacking, looked_at, and_(NAMED.in_([DueStage.SUMS]), summed)))
+        connection.execute(_listed(connection.dialect.name, (SIGNATURES, CREEP, DueStage.SUMS), chosen))
 
 
 def is_due(stage: DueStage, table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows

@@ -42,10 +42,13 @@ class ReadOnce:
         """Return a record that :meth:`of` has read; None where it has not, or there is none."""
         return self._records.get(kind, {}).get(key)
 
+    def has(self, kind: str, key: Hashable) -> bool:
+        """Return whether :meth:`of` has looked for a record, though there may be none."""
+        return key in self._records.get(kind, {})
+
     def is_absent(self, kind: str, key: Hashable) -> bool:
         """Return whether :meth:`of` has looked for a record and found none."""
-        records = self._records.get(kind, {})
-        return key in records and records[key] is None
+        return self.has(kind, key) and self.known(kind, key) is None
 
     def of_wheelset(
         self, kind: str, wheelset: str, read: Callable[[Collection[str]], Mapping[str, Record]]

@@ -30,6 +30,7 @@ from estimation.values.results import Result
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultStore
+from fleet_db.stores.window_rows import NOTED_OF, noted_columns, noted_in
 from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import WheelsetBinRow, WindowBinTableRow
 
@@ -176,9 +177,10 @@ class GeometryStore:
         tabled = exists().where(TABLES.c.wheelset == WHEELSETS.c.serial)
         current = (RESULTS.c.stage == GEOMETRY.stage, RESULTS.c.part.between(*CURRENT))
         having = exists().where(*current, RESULTS.c.subject == WHEELSETS.c.serial, RESULTS.c.superseded_ns.is_(None))
-        columns = (WHEELSETS.c.serial, tabled.label("tabled"), having.label("having"))
+        columns = (WHEELSETS.c.serial, tabled.label("tabled"), having.label("having"), *noted_columns())
         rows = self.connection.execute(select(*columns).where(WHEELSETS.c.serial.in_(wheelsets))).all()
         self.once.of(HAVING, wheelsets, lambda _: {row.serial: True for row in rows if row.having})
+        self.once.of(NOTED_OF, wheelsets, lambda _: {row.serial: noted_in(row) for row in rows})
         return frozenset(row.serial for row in rows if row.tabled or row.having)
 
     def bins_are_current(self, wheelset: str) -> bool:

@@ -9,16 +9,16 @@ import pytest
 from bench.house import CORE_JOBS, job_statements
 
 MOST = {
-    "refresh_alignment": 78,
-    "estimate_windows": 86,
-    "refresh_geometry": 63,
-    "refresh_adhesion": 115,
-    "refresh_trends": 37,
-    "evaluate_alerts": 88,
-    "refresh_rails": 65,
-    "refresh_signatures": 85,
+    "refresh_alignment": 43,
+    "estimate_windows": 62,
+    "refresh_geometry": 51,
+    "refresh_adhesion": 111,
+    "refresh_trends": 35,
+    "evaluate_alerts": 86,
+    "refresh_rails": 62,
+    "refresh_signatures": 79,
 }
-MOST_TO_ALERTS = 343
+MOST_TO_ALERTS = 278
 
 
 @pytest.mark.slow

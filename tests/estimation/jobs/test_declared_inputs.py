@@ -41,6 +41,7 @@ from estimation.values.trend import (
 )
 
 READS: Mapping[str, str] = {
+    "registry.classes_of": Facet.REGISTRY,
     "registry.wheelsets_of": Facet.REGISTRY,
     "registry.mountings_of": Facet.REGISTRY,
     "registry.vehicles_of": Facet.REGISTRY,
