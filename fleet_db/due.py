@@ -8,7 +8,6 @@ For the alignment an epoch is stale as well when a window that it holds has gone
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -44,6 +43,7 @@ from estimation.values.runs import FAILED, SubjectKind
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
+from fleet_db.on_file import VERSION
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import by_wheelset, reason_columns, table_of
 from fleet_db.subjects import Subjects
@@ -72,7 +72,6 @@ NOT_LOOKED_AT = and_(
     ~_LOOKED_AT.exists(),
 )
 """Condition on estimated windows on a section whose creep, of these samples, has not been looked at."""
-WINDOW = "window"  # kind of rows of windows that a transaction has read
 BATCH = 500  # keys in a statement
 OF_SAMPLES = (SIGNATURES, DueStage.TABLES, DueStage.MILEAGES)
 """Stages that read samples, or what is stored with them."""
@@ -97,7 +96,13 @@ class WindowDueStore:
 
     def of_wheelset(self, stage: DueStage, wheelset: str) -> Mapping[int, int]:
         """Return start and version of the due windows of a wheelset, oldest first."""
-        return dict(self._starts(stage, [wheelset]).get(wheelset, ()))
+
+        def read(some: Collection[str]) -> Mapping[str, Sequence[tuple[int, int]]]:
+            statement = select(DUE).where(DUE.c.stage == stage.value, DUE.c.wheelset.in_(some))
+            rows = self.connection.execute(statement.order_by(DUE.c.start_ns))
+            return by_wheelset(rows, lambda row: (row.start_ns, row.version))
+
+        return dict(self.once.of_wheelset(f"due {stage}", wheelset, read) or ())
 
     def of_section(self, stage: str, section: str, until_ns: int | None = None) -> Mapping[WindowKey, int]:
         """Return the due windows of a section with their versions.
@@ -123,10 +128,7 @@ class WindowDueStore:
         Args:
             keys: Only of these; None is all.
         """
-        key = (DUE.c.wheelset.label("due_wheelset"), DUE.c.start_ns.label("due_start_ns"))
-        together = keys is not None and inputs.stage == DueStage.TABLES
-        columns = (*key, DUE.c.version, *(WINDOWS.columns if together else ()))
-        statement = select(*columns).where(DUE.c.stage == inputs.stage)
+        statement = select(DUE, VERSION.label("registry")).where(DUE.c.stage == inputs.stage)
         if inputs.stage == DueStage.TABLES:
             is_same = and_(WINDOWS.c.wheelset == DUE.c.wheelset, WINDOWS.c.start_ns == DUE.c.start_ns)
             ready = or_(DUE.c.section.not_in(_aligned_by_fleet()), PLACED, WINDOWS.c.state.is_(None))
@@ -134,12 +136,8 @@ class WindowDueStore:
         if keys is not None:
             own = tuple_(DUE.c.wheelset, DUE.c.start_ns)
             statement = statement.where(own.in_([key_of_text(key) for key in keys]))
-        rows = self.connection.execute(statement.order_by(DUE.c.vehicle, DUE.c.start_ns, DUE.c.wheelset)).all()
-        found = {(row.due_wheelset, row.due_start_ns): row for row in rows}
-        if together:
-            there = {key: row for key, row in found.items() if row.state is not None}
-            self.once.of(WINDOW, list(found), lambda _: there)
-        return {text_of_key(*key): Due(row.version) for key, row in found.items()}
+        rows = self.connection.execute(statement.order_by(DUE.c.vehicle, DUE.c.start_ns, DUE.c.wheelset))
+        return {text_of_key(row.wheelset, row.start_ns): Due(row.version, registry=row.registry) for row in rows}
 
     def wheelsets(self, inputs: StageInputs, serials: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return the wheelsets with windows that are due, by serial.
@@ -147,29 +145,18 @@ class WindowDueStore:
         Args:
             serials: Only of these; None is all.
         """
+        columns = (DUE.c.wheelset, func.sum(DUE.c.version).label("seen"), VERSION.label("registry"))
+        statement = select(*columns).where(DUE.c.stage == inputs.stage)
         if serials is not None:
-            windows = self.of_wheelsets(inputs.stage, serials)
-            seen = Counter[str]()
-            for (wheelset, _), version in windows.items():
-                seen[wheelset] += version
-            return {wheelset: Due(version) for wheelset, version in sorted(seen.items())}
-        statement = select(DUE.c.wheelset, func.sum(DUE.c.version).label("seen")).where(DUE.c.stage == inputs.stage)
+            statement = statement.where(DUE.c.wheelset.in_(serials))
         rows = self.connection.execute(statement.group_by(DUE.c.wheelset).order_by(DUE.c.wheelset))
-        return {row.wheelset: Due(int(row.seen)) for row in rows}
+        return {row.wheelset: Due(int(row.seen), registry=row.registry) for row in rows}
 
     def of_wheelsets(self, stage: str, serials: Collection[str]) -> Mapping[WindowKey, int]:
         """Return the due windows of some wheelsets with their versions, by wheelset and start."""
-        found = self._starts(stage, serials)
-        return {(serial, start_ns): version for serial in sorted(found) for start_ns, version in found[serial]}
-
-    def _starts(self, stage: str, serials: Collection[str]) -> Mapping[str, Sequence[tuple[int, int]]]:
-
-        def read(some: Collection[str]) -> Mapping[str, Sequence[tuple[int, int]]]:
-            statement = select(DUE).where(DUE.c.stage == stage, DUE.c.wheelset.in_(some))
-            rows = self.connection.execute(statement.order_by(DUE.c.start_ns))
-            return by_wheelset(rows, lambda row: (row.start_ns, row.version))
-
-        return self.once.of_wheelsets(f"due {stage}", serials, read)
+        statement = select(DUE).where(DUE.c.stage == stage, DUE.c.wheelset.in_(serials))
+        rows = self.connection.execute(statement.order_by(DUE.c.wheelset, DUE.c.start_ns))
+        return {(row.wheelset, row.start_ns): row.version for row in rows}
 
     def list_again(self, stage: str, keys: Sequence[WindowKey]) -> None:
         """Let windows be due still that a stage is about to settle."""

@@ -22,7 +22,6 @@ from sqlalchemy import (
 )
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import Mounting
 from estimation.values.windows import (
     DueStage,
     MileageReading,
@@ -34,15 +33,13 @@ from estimation.values.windows import (
 )
 from fleet_db.due import BATCH, is_due, list_due
 from fleet_db.receipts import ChunkState
-from fleet_db.rows import by_wheelset, replace_all, table_of, value_of_row
+from fleet_db.rows import by_wheelset, replace_all, table_of
 from fleet_db.stores.window_rows import implausible_reason, keys_given
 from fleet_db.stores.windows import WindowStore
 from fleet_db.tables.recordings import ChunkRow
-from fleet_db.tables.registry import MountingRow, VehicleRow
 from fleet_db.tables.windows import WindowRow
 
 WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
-MOUNTINGS, VEHICLES = table_of(MountingRow), table_of(VehicleRow)
 _READING = ("start_ns", "mileage_km", "odometer_excess_m", "off_line_m", "implausible", "implausible_code")
 READING = [WINDOWS.c[name] for name in _READING]
 DOUBTED = WINDOWS.c.implausible_code.is_not(None)  # word for word that of the index
@@ -96,16 +93,6 @@ class PlausibilityStore:
         doubted = (WINDOWS.c.implausible_code == ReasonCode.ODOMETER_IMPLAUSIBLE.value, DOUBTED)
         statement = select(WINDOWS.c.wheelset).where(WINDOWS.c.wheelset.in_(wheelsets), *doubted)
         return frozenset(self.connection.scalars(statement.distinct()))
-
-    def mounted(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[tuple[Mounting, float]]]:
-        """Return by serial the mountings of wheelsets, oldest first, each with the greatest speed of its vehicle."""
-        with_speed = select(MOUNTINGS, VEHICLES.c.max_speed_m_s).join_from(
-            MOUNTINGS, VEHICLES, VEHICLES.c.code == MOUNTINGS.c.vehicle
-        )
-        rows = self.connection.execute(
-            with_speed.where(MOUNTINGS.c.wheelset.in_(wheelsets)).order_by(MOUNTINGS.c.from_ns)
-        )
-        return by_wheelset(rows, lambda row: (value_of_row(Mounting, row), row.max_speed_m_s))
 
     def judge(self, verdicts: Mapping[WindowKey, Reason | None]) -> int:
         """Store which windows have a mileage or place that is not believed; return how many changed.

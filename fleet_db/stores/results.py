@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, Row, Select, bindparam, case, delete, insert, select, update
+from sqlalchemy import Connection, Row, Select, bindparam, case, delete, insert, or_, select, update
 
 from estimation.errors import DamagedError
 from estimation.values.fields import JsonValue
@@ -41,6 +41,26 @@ class ResultStore:
     connection: Connection
     subjects: Subjects
     once: ReadOnce = field(default_factory=ReadOnce)
+    _ahead: dict[tuple[str, str, Parts | None], list[Row[Any]]] = field(default_factory=dict)
+
+    def read_ahead(self, asked: Iterable[tuple[ResultKind[Any], Collection[str], Parts | None]]) -> None:
+        """Read with one statement what :meth:`in_force` is asked next.
+
+        Args:
+            asked: Kinds, subjects of each, and parts: first and last; None is all.
+        """
+        asked, wanted = list(asked), dict[tuple[str, str], list[tuple[Parts | None, list[Row[Any]]]]]()
+        for kind, subjects, parts in asked:
+            for subject in subjects:
+                rows = self._ahead.setdefault((kind.stage, subject, parts), [])
+                rows.clear()
+                wanted.setdefault((kind.stage, subject), []).append((parts, rows))
+        chosen = [_chosen(kind, subjects, None, parts).whereclause for kind, subjects, parts in asked]
+        found = select(RESULTS).where(or_(*(one for one in chosen if one is not None)))
+        for row in self.connection.execute(found.order_by(RESULTS.c.subject, RESULTS.c.part)):
+            for parts, rows in wanted.get((row.stage, row.subject), ()):
+                if parts is None or parts[0] <= row.part <= parts[1]:
+                    rows.append(row)
 
     def in_force(
         self,
@@ -57,6 +77,12 @@ class ResultStore:
             subjects: None is all that have one.
             parts: First and last; None is all.
         """
+        ahead = [self._ahead.get((kind.stage, subject, parts)) for subject in sorted(subjects or ())]
+        if ahead and as_of_ns is None and None not in ahead:
+            own = [row for rows in ahead for row in rows or ()]
+            if kind.one_in_force:
+                own.sort(key=lambda row: (row.recorded_ns, row.result_id), reverse=True)
+            return [_result(kind, row) for row in own]
         order = NEWEST_FIRST if kind.one_in_force else (RESULTS.c.subject, RESULTS.c.part)
         statement = _chosen(kind, subjects, as_of_ns, parts).order_by(*order)
         return [_result(kind, row) for row in self.connection.execute(statement)]
@@ -112,6 +138,7 @@ class ResultStore:
         if not results:
             return ()
         serialise(self.connection, Subject.GEOMETRIES)
+        self._ahead.clear()
         before = self._before(kind, results)
         news = []
         for result in results:

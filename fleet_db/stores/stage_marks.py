@@ -21,6 +21,7 @@ from sqlalchemy import (
     literal,
     or_,
     select,
+    tuple_,
     union_all,
 )
 from sqlalchemy.dialects import postgresql, sqlite
@@ -28,10 +29,11 @@ from sqlalchemy.dialects import postgresql, sqlite
 from estimation.values.results import EVERYTHING, Due, Look, Mark, StageInputs
 from estimation.values.runs import QuarantineState, SubjectKind
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
+from fleet_db.on_file import VERSION
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import table_of
 from fleet_db.stores.stale_spans import SPANS, StaleSpanStore
-from fleet_db.subjects import VERSIONS, Subjects
+from fleet_db.subjects import MOUNTINGS, VERSIONS, Subjects
 from fleet_db.tables.operation import StageMarkRow
 from fleet_db.tables.recordings import QuarantineRow
 
@@ -51,6 +53,7 @@ class StageMarkStore:
     subjects: Subjects
     windows: WindowDueStore
     once: ReadOnce = field(default_factory=ReadOnce)
+    on_file: ReadOnce = field(default_factory=ReadOnce)
 
     def due(self, inputs: StageInputs, now_ns: int, subjects: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return what a stage has not seen as it is now, by subject, in their order; one statement.
@@ -76,11 +79,40 @@ class StageMarkStore:
                     made_from=None if row.come else row.made_from,
                     marked=row.made_from is not None,
                     again_ns=row.again_ns,
+                    registry=row.registry,
                 )
                 for row in rows
             }
 
         return read(None) if subjects is None else self.once.of(f"mark of {inputs.stage}", subjects, read)
+
+    def take_over(self, inputs: StageInputs, due: Mapping[str, Due]) -> None:
+        """Go on with what a transaction before this one has read of subjects that are due.
+
+        What has changed since then lets them be due again.
+        """
+        self.once.remember(f"mark of {inputs.stage}", due)
+        self.on_file.renew(next((one.registry for one in due.values()), None))
+
+    def versions(
+        self, subjects: Collection[tuple[SubjectKind, str]], vehicles: Collection[str], facets: Collection[str]
+    ) -> int:
+        """Return the sum of the versions of some facets: it is another where one of them is.
+
+        Records of the registry are read as they are now from here on.
+
+        Args:
+            vehicles: All wheelsets that have ever been mounted there are among the subjects.
+        """
+        self.subjects.flush()
+        facts = VERSIONS.alias("facts")
+        own = tuple_(facts.c.kind, facts.c.subject).in_(sorted(subjects))
+        mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle.in_(vehicles))
+        beside = and_(facts.c.kind == SubjectKind.WHEELSET.value, facts.c.subject.in_(mounted))
+        summed = select(func.sum(facts.c.version).label("now"), VERSION.label("registry"))
+        row = self.connection.execute(summed.where(or_(own, beside), facts.c.facet.in_(facets))).one()
+        self.on_file.renew(row.registry)
+        return int(row.now or 0)
 
     def look(self, stages: Sequence[StageInputs], now_ns: int, counted: Collection[str], job: str) -> Look:
         """Return of which stages something is due; one statement for all.
@@ -170,7 +202,13 @@ def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> 
     of_stage = and_(MARKS.c.stage == inputs.stage, MARKS.c.subject == subject)
     come = and_(MARKS.c.again_ns.is_not(None), MARKS.c.again_ns <= now_ns)
     marked = (MARKS.c.seen, MARKS.c.common, MARKS.c.made_from, MARKS.c.again_ns)
-    columns = (subject.label("subject"), SUM.label("now"), MARKS.c.made_from, MARKS.c.again_ns)
+    columns = (
+        subject.label("subject"),
+        SUM.label("now"),
+        MARKS.c.made_from,
+        MARKS.c.again_ns,
+        VERSION.label("registry"),
+    )
     statement = select(*columns, func.coalesce(come, false()).label("come")).select_from(
         VERSIONS.outerjoin(MARKS, of_stage)
     )

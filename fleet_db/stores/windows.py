@@ -36,7 +36,7 @@ from estimation.values.windows import (
     WindowRecord,
     WindowState,
 )
-from fleet_db.due import BATCH, WINDOW, list_due, list_for_alignment, positions_forgotten, windows_changed, windows_left
+from fleet_db.due import BATCH, list_due, list_for_alignment, positions_forgotten, windows_changed, windows_left
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import (
     by_wheelset,
@@ -144,9 +144,6 @@ class WindowStore:
         """
         found: builtins.list[WindowRecord] = []
         ordered = sorted(set(keys))
-        if not held and all(self.once.has(WINDOW, key) for key in ordered):
-            known = (self.once.known(WINDOW, key) for key in ordered)
-            return [to_window_record(row) for row in known if row is not None]
         for first in range(0, len(ordered), BATCH):
             rows = self.connection.execute(_several(held), {"keys": ordered[first : first + BATCH]})
             found += [to_window_record(row) for row in rows]

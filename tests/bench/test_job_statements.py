@@ -9,16 +9,16 @@ import pytest
 from bench.house import CORE_JOBS, job_statements
 
 MOST = {
-    "refresh_alignment": 43,
-    "estimate_windows": 62,
-    "refresh_geometry": 51,
-    "refresh_adhesion": 111,
-    "refresh_trends": 35,
-    "evaluate_alerts": 86,
-    "refresh_rails": 62,
-    "refresh_signatures": 79,
+    "refresh_alignment": 41,
+    "estimate_windows": 55,
+    "refresh_geometry": 42,
+    "refresh_adhesion": 100,
+    "refresh_trends": 24,
+    "evaluate_alerts": 65,
+    "refresh_rails": 55,
+    "refresh_signatures": 66,
 }
-MOST_TO_ALERTS = 278
+MOST_TO_ALERTS = 227
 
 
 @pytest.mark.slow

@@ -51,7 +51,7 @@ Verdicts = Mapping[WindowKey, Reason | None]
 def load_readings(unit: UnitOfWork, serials: Sequence[str], _: JobContext) -> Mapping[str, Readings]:
     """Return the new readings of some wheelsets, or all where one is doubted or something speaks against a new one."""
     due, doubted = unit.due.of_wheelsets(DueStage.MILEAGES, serials), unit.plausibility.doubted(serials)
-    mounted = unit.plausibility.mounted(serials)
+    mounted = _mounted(unit, serials)
     spans = {serial: _spans(serial, own) for serial, own in _starts(due).items() if serial not in doubted}
     around = unit.plausibility.readings_around([span for own in spans.values() for span in own])
     new: Mapping[str, Sequence[MileageReading]] = {
@@ -70,7 +70,7 @@ def load_readings(unit: UnitOfWork, serials: Sequence[str], _: JobContext) -> Ma
             found[serial] = Readings(serial, tuple(new.get(serial, ())), (), seen)
         else:
             every = tuple(unit.plausibility.readings(serial))
-            found[serial] = Readings(serial, every, tuple(mounted.get(serial, ())), seen)
+            found[serial] = Readings(serial, every, mounted.get(serial, ()), seen)
     return found
 
 
@@ -107,6 +107,15 @@ def _is_new(reading: MileageReading, span: ReadingSpan, due: Collection[WindowKe
     """Return whether a reading in or beside a span is one of those that the span was made of."""
     wheelset, from_ns, to_ns = span
     return from_ns <= reading.start_ns <= to_ns and (wheelset, reading.start_ns) in due
+
+
+def _mounted(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, tuple[Mounted, ...]]:
+    mountings = unit.registry.mountings_of(serials)
+    vehicles = unit.registry.vehicles_of({one.vehicle for own in mountings.values() for one in own})
+    return {
+        serial: tuple((mounting, vehicles[mounting.vehicle].max_speed_m_s) for mounting in own)
+        for serial, own in mountings.items()
+    }
 
 
 def _starts(due: Iterable[WindowKey]) -> Mapping[str, Sequence[int]]:
