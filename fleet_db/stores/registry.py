@@ -25,15 +25,7 @@ from fleet_db.stores.decoded_again import decode_undecoded
 from fleet_db.stores.estimated_again import Again
 from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided, stands_voided
 from fleet_db.stores.stale_spans import StaleSpanStore
-from fleet_db.stores.vehicle_classes import (
-    Shipped,
-    classes_of_vehicles,
-    find_class,
-    newest_classes,
-    no_class,
-    store_class,
-    taken_out,
-)
+from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class, taken_out
 from fleet_db.stores.wheelset_events import (
     MEASURED,
     MOUNTINGS,
@@ -110,17 +102,6 @@ class RegistryStore:
             return {one.code: one for one in self._vehicles(select(VEHICLES).where(VEHICLES.c.code.in_(some)))}
 
         return self.once.of("vehicle", codes, read)
-
-    def classes_of(self, codes: Collection[str]) -> Mapping[str, ClassOnFile | None]:
-        """Return the class of vehicles, by the code of each that is on file, as :meth:`vehicle_class` does."""
-
-        def read(some: Collection[str]) -> Mapping[str, tuple[VehicleRecord, ClassOnFile | None]]:
-            found = classes_of_vehicles(self.connection, some)
-            self.once.of("vehicle", list(found), lambda new: {code: found[code][0] for code in new})
-            return found
-
-        found = self.once.of("vehicle with class", codes, read)
-        return {code: self._or_shipped(vehicle.vehicle_class, own) for code, (vehicle, own) in found.items()}
 
     def vehicles_of_class(self, code: str) -> Sequence[VehicleRecord]:
         """Return the vehicles of a class, by code."""
@@ -222,11 +203,10 @@ class RegistryStore:
             found = self.once.of("class", [code], partial(newest_classes, self.connection)).get(code)
         else:
             found = find_class(self.connection, code, version)
-        return self._or_shipped(code, found) if version in {None, SHIPPED_VERSION} else found
-
-    def _or_shipped(self, code: str, on_file: ClassOnFile | None) -> ClassOnFile | None:
-        of_package = self.shipped(code) if on_file is None else None
-        return on_file if of_package is None else ClassOnFile(of_package)
+        if found is not None or version not in {None, SHIPPED_VERSION}:
+            return found
+        of_package = self.shipped(code)
+        return None if of_package is None else ClassOnFile(of_package)
 
     def vehicle_classes(self) -> Sequence[ClassOnFile]:
         """Return the newest version of every registered class, by code."""

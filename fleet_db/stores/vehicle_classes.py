@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, func, insert, select
+from sqlalchemy import Connection, Row, func, insert, select
 
 from estimation.errors import DamagedError, ParameterError
 from estimation.values.fields import JsonValue
-from estimation.values.registry import VehicleRecord
 from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass, class_digest, class_document, class_of_document
 from fleet_db.registry_events import RecordKind
-from fleet_db.rows import table_of, value_of_row
+from fleet_db.rows import table_of
 from fleet_db.stores.registry_history import RecordKey, last_voided, stands_voided
-from fleet_db.tables.registry import VehicleClassRow, VehicleRow
+from fleet_db.tables.registry import VehicleClassRow
 
-CLASSES, VEHICLES = table_of(VehicleClassRow), table_of(VehicleRow)
+CLASSES = table_of(VehicleClassRow)
 Shipped = Callable[[str], VehicleClass | None]  # the class of the package by code
 
 
@@ -36,38 +35,15 @@ def find_class(connection: Connection, code: str, version: int | None) -> ClassO
 
 def newest_classes(connection: Connection, codes: Collection[str] | None = None) -> dict[str, ClassOnFile]:
     """Return the newest version of classes by code, of some or of all, without voided ones. Raises DamagedError."""
-    chosen = _newest() if codes is None else _newest().where(CLASSES.c.code.in_(codes))
-    found = {row.code: _in_force(row) for row in connection.execute(chosen)}
-    return {code: on_file for code, on_file in found.items() if on_file is not None}
-
-
-def classes_of_vehicles(
-    connection: Connection, codes: Collection[str]
-) -> dict[str, tuple[VehicleRecord, ClassOnFile | None]]:
-    """Return vehicles with the newest version of their class as :func:`newest_classes` does, by code."""
-    newest, found = _newest().subquery(), dict[str, ClassOnFile | None]()
-    names = ("version", "document", "recorded_ns", "voided")
-    columns = (newest.c.code.label("class_code"), *(newest.c[name] for name in names))
-    joined = select(VEHICLES, *columns).outerjoin_from(VEHICLES, newest, newest.c.code == VEHICLES.c.vehicle_class)
-    vehicles = {}
-    for row in connection.execute(joined.where(VEHICLES.c.code.in_(codes)).order_by(VEHICLES.c.code)):
-        vehicle = value_of_row(VehicleRecord, row)
-        if vehicle.vehicle_class not in found:
-            found[vehicle.vehicle_class] = None if row.class_code is None else _in_force(row)
-        vehicles[vehicle.code] = (vehicle, found[vehicle.vehicle_class])
-    return vehicles
-
-
-def _newest() -> Select[Any]:
-    newer = CLASSES.alias("newer")
-    last = select(func.max(newer.c.version)).where(newer.c.code == CLASSES.c.code).scalar_subquery()
-    voided = last_voided(RecordKind.VEHICLE_CLASS, CLASSES.c.code).label("voided")
-    return select(CLASSES, voided).where(CLASSES.c.version == last)
-
-
-def _in_force(row: Row[Any]) -> ClassOnFile | None:
-    on_file = _on_file(row)
-    return None if _is(on_file, row.voided) else on_file
+    newest = select(CLASSES.c.code, func.max(CLASSES.c.version).label("version")).group_by(CLASSES.c.code)
+    if codes is not None:
+        newest = newest.where(CLASSES.c.code.in_(codes))
+    of_newest = newest.subquery()
+    statement = select(CLASSES, last_voided(RecordKind.VEHICLE_CLASS, CLASSES.c.code).label("voided")).join(
+        of_newest, (of_newest.c.code == CLASSES.c.code) & (of_newest.c.version == CLASSES.c.version)
+    )
+    found = {row.code: (_on_file(row), row.voided) for row in connection.execute(statement)}
+    return {code: on_file for code, (on_file, voided) in found.items() if not _is(on_file, voided)}
 
 
 def taken_out(connection: Connection, newest: ClassOnFile) -> bool:
@@ -101,5 +77,4 @@ def _on_file(row: Row[Any]) -> ClassOnFile:
     try:
         return ClassOnFile(class_of_document(row.document), row.version, row.recorded_ns)
     except (KeyError, TypeError, ValueError, ParameterError) as error:
-        code = getattr(row, "class_code", row.code)
-        raise DamagedError(f"version {row.version} of vehicle class {code!r}: {error}") from error
+        raise DamagedError(f"version {row.version} of vehicle class {row.code!r}: {error}") from error

@@ -151,9 +151,7 @@ class WindowStore:
 
     def get(self, wheelset: str, start_ns: int) -> WindowRecord | None:
         """Return one window's record."""
-        key = (WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
-        found = self._records(select(WINDOWS).where(*key))
-        return found[0] if found else None
+        return next(iter(self.several([(wheelset, start_ns)])), None)
 
     def any_decided(self, section: str) -> bool:
         """Return whether a window on a section has been estimated or refused; the empty text stands for none."""
@@ -235,9 +233,6 @@ class WindowStore:
         Args:
             standing: The windows, where this transaction holds them.
             tabled: Those that have another bin table and are to be listed to be summed.
-
-        Raises:
-            NotFoundError: There is no such window.
         """
         if standing is None:
             standing = {record.key: record for record in self.several([mark.key for mark in marks])}

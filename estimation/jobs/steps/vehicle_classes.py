@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
-from estimation.errors import NotFoundError
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.parameters import WindowParameters
 from estimation.storage import UnitOfWork
@@ -61,14 +60,15 @@ class ClassLookup:
         if missing:
             self._wheelsets.update({one.serial: one for one in self.unit.registry.wheelsets_of(missing)})
         codes = sorted(set(vehicles) - self._classes.keys())
-        for vehicle, found in (self.unit.registry.classes_of(codes) if codes else {}).items():
-            self._classes[vehicle] = found or class_unknown(self.unit.registry.vehicle(vehicle).vehicle_class)
+        on_file = self.unit.registry.vehicles_of(codes) if codes else {}
+        by_class = {one.vehicle_class: self._of_class(one.vehicle_class) for one in on_file.values()}
+        self._classes.update({code: by_class[one.vehicle_class] for code, one in on_file.items()})
 
     def of_vehicle(self, vehicle: str) -> ClassOnFile | Reason:
         """Return the class of a vehicle, or that it is not on file."""
-        self.look_up((), [vehicle])
         if vehicle not in self._classes:
-            raise NotFoundError("vehicle", vehicle)
+            code = self.unit.registry.vehicle(vehicle).vehicle_class
+            self._classes[vehicle] = self._of_class(code)
         return self._classes[vehicle]
 
     def assumed(self, vehicle: str, wheelset: str) -> Assumed | Reason:
@@ -87,6 +87,10 @@ class ClassLookup:
         """Return the digest of what is assumed; empty where the class is not on file."""
         found = self.assumed(vehicle, wheelset)
         return "" if isinstance(found, Reason) else found.digest
+
+    def _of_class(self, code: str) -> ClassOnFile | Reason:
+        found = self.unit.registry.vehicle_class(code)
+        return class_unknown(code) if found is None else found
 
     def _look_up(self, vehicle: str, wheelset: str) -> Assumed | Reason:
         on_file = self.of_vehicle(vehicle)

@@ -41,7 +41,6 @@ from estimation.values.trend import (
 )
 
 READS: Mapping[str, str] = {
-    "registry.classes_of": Facet.REGISTRY,
     "registry.wheelsets_of": Facet.REGISTRY,
     "registry.mountings_of": Facet.REGISTRY,
     "registry.vehicles_of": Facet.REGISTRY,
