@@ -152,12 +152,6 @@ class WindowDueStore:
         rows = self.connection.execute(statement.group_by(DUE.c.wheelset).order_by(DUE.c.wheelset))
         return {row.wheelset: Due(int(row.seen), registry=row.registry) for row in rows}
 
-    def of_wheelsets(self, stage: str, serials: Collection[str]) -> Mapping[WindowKey, int]:
-        """Return the due windows of some wheelsets with their versions, by wheelset and start."""
-        statement = select(DUE).where(DUE.c.stage == stage, DUE.c.wheelset.in_(serials))
-        rows = self.connection.execute(statement.order_by(DUE.c.wheelset, DUE.c.start_ns))
-        return {(row.wheelset, row.start_ns): row.version for row in rows}
-
     def list_again(self, stage: str, keys: Sequence[WindowKey]) -> None:
         """Let windows be due still that a stage is about to settle."""
         _list_keys(self.connection, (stage,), keys)

@@ -9,16 +9,16 @@ import pytest
 from bench.house import CORE_JOBS, job_statements
 
 MOST = {
-    "refresh_alignment": 41,
-    "estimate_windows": 55,
-    "refresh_geometry": 42,
-    "refresh_adhesion": 100,
-    "refresh_trends": 24,
-    "evaluate_alerts": 65,
-    "refresh_rails": 55,
-    "refresh_signatures": 66,
+    "refresh_alignment": 39,
+    "estimate_windows": 53,
+    "refresh_geometry": 39,
+    "refresh_adhesion": 99,
+    "refresh_trends": 23,
+    "evaluate_alerts": 64,
+    "refresh_rails": 54,
+    "refresh_signatures": 65,
 }
-MOST_TO_ALERTS = 227
+MOST_TO_ALERTS = 218
 
 
 @pytest.mark.slow

@@ -50,8 +50,7 @@ Verdicts = Mapping[WindowKey, Reason | None]
 
 def load_readings(unit: UnitOfWork, serials: Sequence[str], _: JobContext) -> Mapping[str, Readings]:
     """Return the new readings of some wheelsets, or all where one is doubted or something speaks against a new one."""
-    due, doubted = unit.due.of_wheelsets(DueStage.MILEAGES, serials), unit.plausibility.doubted(serials)
-    mounted = _mounted(unit, serials)
+    (due, doubted), mounted = unit.plausibility.due(serials), _mounted(unit, serials)
     spans = {serial: _spans(serial, own) for serial, own in _starts(due).items() if serial not in doubted}
     around = unit.plausibility.readings_around([span for own in spans.values() for span in own])
     new: Mapping[str, Sequence[MileageReading]] = {

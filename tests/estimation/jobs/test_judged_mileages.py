@@ -57,7 +57,7 @@ def test_a_run_of_the_job_judges_where_nothing_else_is_due(storage: SqlStorage) 
 def verdicts(storage: SqlStorage) -> Mapping[int, Reason]:
     with storage.read() as unit:
         rows = unit.connection.execute(select(WINDOWS)).all()
-        assert unit.due.of_wheelsets(DueStage.MILEAGES, ["W1"]) == {}
+        assert unit.plausibility.due(["W1"])[0] == {}
     return {row.start_ns: reason for row in rows if (reason := implausible_reason(row)) is not None}
 
 
