@@ -10,15 +10,15 @@ from bench.house import CORE_JOBS, job_statements
 
 MOST = {
     "refresh_alignment": 39,
-    "estimate_windows": 53,
+    "estimate_windows": 52,
     "refresh_geometry": 39,
-    "refresh_adhesion": 99,
+    "refresh_adhesion": 98,
     "refresh_trends": 23,
     "evaluate_alerts": 64,
     "refresh_rails": 54,
-    "refresh_signatures": 65,
+    "refresh_signatures": 64,
 }
-MOST_TO_ALERTS = 218
+MOST_TO_ALERTS = 217
 
 
 @pytest.mark.slow
