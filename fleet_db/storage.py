@@ -14,7 +14,7 @@ from estimation.errors import ConflictError, LeaseLostError, StorageError
 from estimation.values.runs import Claimed, JobTrigger
 from fleet_db.due import WindowDueStore
 from fleet_db.locks import Claims, Lease, UnendedLease, UnendedLeases, prolonged, serialise_vehicle, single_writer
-from fleet_db.read_once import ReadOnce
+from fleet_db.rows import ReadOnce
 from fleet_db.session import (
     BUSY_TIMEOUT_MS,
     IMMEDIATE,
@@ -25,38 +25,33 @@ from fleet_db.session import (
     translate_errors,
 )
 from fleet_db.stores.access import ApiKeyStore, AuditStore, IdempotencyStore
-from fleet_db.stores.adhesion import AdhesionStore
 from fleet_db.stores.alerts import AlertStore
-from fleet_db.stores.assembled import AssembledWindowStore
+from fleet_db.stores.assembled import AssembledWindowStore, StaleSpanStore
 from fleet_db.stores.bin_tables import BinTableStore
 from fleet_db.stores.chunks import ChunkStore, RawScrubStore, RecordingChangeStore
 from fleet_db.stores.corrections import CorrectionStore
-from fleet_db.stores.geometries import GeometryStore
+from fleet_db.stores.geometries import GeometryStore, TrendStore
 from fleet_db.stores.installation import FeedBranchStore, RawMarkStore, RecordedTimeStore, StoredSettingStore
 from fleet_db.stores.jobs import JobRunStore, WorkClaimStore
+from fleet_db.stores.opinions import AdhesionStore, DamperStore, SuspensionStore
 from fleet_db.stores.plausibility import PlausibilityStore
-from fleet_db.stores.quarantine import QuarantineStore
 from fleet_db.stores.rails import RailsStore
 from fleet_db.stores.registry import RegistryStore
-from fleet_db.stores.registry_history import RegistryHistoryStore
+from fleet_db.stores.registry_history import RegistryHistoryStore, Shipped, no_class
 from fleet_db.stores.results import ResultStore
 from fleet_db.stores.roll_ups import RollUpStore
-from fleet_db.stores.sensor_changes import SensorChangeStore
 from fleet_db.stores.signatures import SignatureStore
-from fleet_db.stores.stage_marks import StageMarkStore
-from fleet_db.stores.stale_spans import StaleSpanStore
-from fleet_db.stores.suspension import DamperStore, SuspensionStore
+from fleet_db.stores.stage_marks import QuarantineStore, StageMarkStore
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
-from fleet_db.stores.trends import TrendStore
-from fleet_db.stores.vehicle_classes import Shipped, no_class
 from fleet_db.stores.webhooks import WebhookStore
+from fleet_db.stores.wheelset_events import SensorChangeStore
 from fleet_db.stores.windows import WindowStore
 from fleet_db.stores.worklist import WorklistStore
 from fleet_db.stores.worklist_inputs import WorklistReader
 from fleet_db.subjects import Subjects
 from fleet_db.telemetry import WindowFiles
-from fleet_db.visibility import VISIBLE
+from fleet_db.visibility import bind
 
 
 @dataclass(slots=True)
@@ -260,13 +255,14 @@ class SqlStorage:
         Raises:
             StorageError: The database cannot be reached, or something was written.
         """
-        bound = {} if self.visible_fleets is None else {VISIBLE: self.visible_fleets}
         with (
             translate_errors(),
-            (self.reading or self.engine).connect().execution_options(**bound) as connection,
+            (self.reading or self.engine).connect() as connection,
             dropped_on_failure(connection),
             snapshot(connection),
         ):
+            if self.visible_fleets is not None:
+                bind(connection, self.visible_fleets)
             yield SqlUnitOfWork(connection, self._files(), writing=False, shipped=self.shipped)
 
     @contextmanager

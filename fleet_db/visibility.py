@@ -13,7 +13,6 @@ from typing import Any
 from sqlalchemy import (
     ColumnElement,
     Connection,
-    Engine,
     FromClause,
     Select,
     Table,
@@ -35,8 +34,6 @@ from fleet_db.tables.registry import VehicleRow, WheelsetRow
 Fleets = frozenset[str]
 Columns = Any  # the columns of a table or of an alias of it
 Rule = Callable[[Columns, Fleets], ColumnElement[bool]]
-VISIBLE = "treadwatch_visible_fleets"
-"""Execution option of a connection: the fleets that its statements see; absent, all."""
 _VEHICLES, _WHEELSETS, _ALERTS = table_of(VehicleRow), table_of(WheelsetRow), table_of(AlertRow)
 _CHUNKS, _WEBHOOK_FLEETS = table_of(ChunkRow), table_of(WebhookFleetRow)
 
@@ -146,21 +143,13 @@ HIDDEN = frozenset(
 """Tables that a bound caller does not see at all."""
 
 
-def narrow_statements(engine: Engine) -> Engine:
-    """Return an engine whose bound connections see only their fleets."""
-    event.listen(engine, "before_execute", _narrow, retval=True)
-    return engine
+def bind(connection: Connection, fleets: Fleets) -> None:
+    """Let every statement of a connection see only these fleets."""
 
+    def narrow(_: Connection, statement: Executable, several: Any, given: Any, _options: object) -> tuple[Any, ...]:  # noqa: ANN401
+        return narrowed(statement, fleets), several, given
 
-def _narrow(
-    connection: Connection,
-    statement: Executable,
-    several: Any,  # noqa: ANN401 - parameters as SQLAlchemy hands them over
-    given: Any,  # noqa: ANN401 - the same
-    options: Mapping[str, Any],
-) -> tuple[Executable, Any, Any]:
-    fleets: Fleets | None = options.get(VISIBLE, connection.get_execution_options().get(VISIBLE))
-    return (statement if fleets is None else narrowed(statement, fleets)), several, given
+    event.listen(connection, "before_execute", narrow, retval=True)
 
 
 def narrowed(statement: Any, fleets: Fleets) -> Any:  # noqa: ANN401 - any statement

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.values.registry import Mounting, Reprofiling
-from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
 

@@ -21,9 +21,8 @@ from fleet_db.keeping.kept_files import (
     orphaned_recordings,
     orphaned_samples,
 )
-from fleet_db.raw import RawStore
-from fleet_db.raw_files import check_raw_store
-from fleet_db.receipts import ChunkState
+from fleet_db.raw import RawStore, check_raw_store
+from fleet_db.records import ChunkState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.chunks import RawFile, RawScrub

@@ -14,13 +14,13 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.roll_up import APART
 from estimation.values.runs import TRIED_AGAIN, JobOutcome
 from estimation.values.windows import DueStage, WindowState
+from fleet_db.atomic_files import unlink_old
 from fleet_db.due import DUE, is_due
 from fleet_db.keeping.kept_files import LEAST_AGE_S, SAMPLES, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
-from fleet_db.process_locks import keeping_alone
+from fleet_db.locks import keeping_alone
 from fleet_db.raw import RawStore
-from fleet_db.raw_files import unlink_old
-from fleet_db.receipts import ChunkRecord
+from fleet_db.records import ChunkRecord, DeliveryState
 from fleet_db.rows import replace_all, table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.tables.alerts import WebhookDeliveryRow
@@ -30,7 +30,6 @@ from fleet_db.tables.results import ResultRow
 from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, TrackReportRow, WindowPositionRow
 from fleet_db.tables.windows import RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 from fleet_db.telemetry import WindowFiles
-from fleet_db.webhook_records import DeliveryState
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 EPOCHS, MEMBERS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow)

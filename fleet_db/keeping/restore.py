@@ -27,14 +27,13 @@ from fleet_db.keeping.kept_files import (
     lines_of,
     not_listed,
 )
+from fleet_db.locks import keeping_alone
 from fleet_db.migrate import check_upgradable, known_revisions, refusal, upgrade
-from fleet_db.process_locks import keeping_alone
-from fleet_db.raw import RawStore
-from fleet_db.raw_files import FileRawStore
+from fleet_db.raw import FileRawStore, RawStore
 from fleet_db.rows import table_of
 from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, sqlite_file, translate_errors
+from fleet_db.stores.assembled import StaleSpanStore
 from fleet_db.stores.installation import FeedBranchStore
-from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.tables import Base
 from fleet_db.tables.windows import WindowRow
 

@@ -24,8 +24,7 @@ from sqlalchemy.exc import OperationalError
 from estimation.errors import StorageError
 from fleet_db.keeping.kept_files import SAMPLES
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
-from fleet_db.raw import RawStore, RawTotal
-from fleet_db.raw_files import total_of
+from fleet_db.raw import RawStore, RawTotal, total_of
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables.base import Base

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, insert, or_, select, update
 
 from estimation.errors import ConflictError, NotFoundError
-from fleet_db.access_records import ApiKey, AuditEntry
+from fleet_db.records import ApiKey, AuditEntry
 from fleet_db.rows import columns_of, insert_new, row_of, table_of, value_of_row
 from fleet_db.tables.operation import ApiKeyRow, AuditRow, IdempotencyRow
 

@@ -15,8 +15,7 @@ from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
 from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.locks import Subject, serialise
-from fleet_db.read_once import ReadOnce
-from fleet_db.rows import by_wheelset
+from fleet_db.rows import ReadOnce, by_wheelset
 from fleet_db.session import to_json
 from fleet_db.stores.alert_queries import (
     ALERTS,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import builtins
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
 from typing import Any
 
 from sqlalchemy import (
@@ -28,7 +27,7 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
 from estimation.values.windows import WindowState
-from fleet_db.receipts import ChunkRecord, ChunkState, RecordingChange
+from fleet_db.records import ChunkRecord, ChunkState, RecordingChange
 from fleet_db.rows import columns_of, insert_new, row_of, table_of, value_of_row
 from fleet_db.subjects import Subjects
 from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, ChunkRow, RawScrubRow, RecordingChangeRow, of_length
@@ -121,7 +120,7 @@ class ChunkStore:
         """
         within = {"of_vehicle": vehicle, "from_ns": from_ns, "to_ns": to_ns}
         within |= {f"from_ns_{number}": from_ns - (longest or 0) for number, (_, _, longest) in enumerate(LENGTHS)}
-        found = self._read(_in_span(clock), within)
+        found = self._read(IN_SPAN[clock], within)
         return sorted(found, key=lambda record: (record.first_ns or 0, record.digest))
 
     def overlapping_by_recorder(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[ChunkRecord]:
@@ -244,7 +243,6 @@ class ChunkStore:
             self.subjects.raised(SubjectKind.VEHICLE, record.vehicle, Facet.RECORDINGS)
 
 
-@cache
 def _in_span(clock: tuple[str, str]) -> CompoundSelect[Any]:
     """Return the statement for decoded recordings in a span of a clock, in the parameters ``from_ns`` and ``to_ns``."""
     first, last = (CHUNKS.c[name] for name in clock)
@@ -256,6 +254,9 @@ def _in_span(clock: tuple[str, str]) -> CompoundSelect[Any]:
         for number, (_, condition, longest) in enumerate(LENGTHS)
     ]
     return union_all(*each)
+
+
+IN_SPAN = {clock: _in_span(clock) for clock in CLOCKS}
 
 
 def _values(record: ChunkRecord) -> dict[str, object]:

@@ -7,9 +7,9 @@ from dataclasses import replace
 from estimation.errors import ConflictError
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import SubjectKind, after_failure
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.stores.chunks import ChosenChunks, ChunkStore
-from fleet_db.stores.quarantine import QuarantineStore
+from fleet_db.stores.stage_marks import QuarantineStore
 
 STAGE = "ingest"
 MOST = 1_000_000

@@ -14,7 +14,7 @@ from estimation.values.track import AlignmentSource, TrackAlignment
 from estimation.values.windows import PassedOver
 from estimation.vehicle.vehicle_class import ClassOnFile, same_motion
 from fleet_db.due import positions_forgotten
-from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
+from fleet_db.records import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.rows import table_of
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore

@@ -33,7 +33,7 @@ from estimation.values.windows import (
     WindowState,
 )
 from fleet_db.due import BATCH, is_due, list_due
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.rows import by_wheelset, replace_all, table_of
 from fleet_db.stores.window_rows import implausible_reason, keys_given
 from fleet_db.stores.windows import WindowStore

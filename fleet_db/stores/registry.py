@@ -16,16 +16,25 @@ from estimation.values.windows import DueStage
 from estimation.vehicle.vehicle_class import SHIPPED_VERSION, ClassOnFile, VehicleClass, class_document
 from fleet_db.due import list_due
 from fleet_db.locks import Subject, serialise
-from fleet_db.read_once import ReadOnce
-from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
-from fleet_db.registry_events import Decision, RecordAction, RecordKind
-from fleet_db.rows import by_wheelset, columns_of, delete_row, row_of, table_of, upsert, value_of_row
+from fleet_db.records import NOTHING_AGAIN, Decision, EstimatedAgain, RecordAction, RecordKind
+from fleet_db.rows import ReadOnce, by_wheelset, columns_of, delete_row, row_of, table_of, upsert, value_of_row
+from fleet_db.stores.assembled import StaleSpanStore
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.decoded_again import decode_undecoded
 from fleet_db.stores.estimated_again import Again
-from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided, stands_voided
-from fleet_db.stores.stale_spans import StaleSpanStore
-from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class, taken_out
+from fleet_db.stores.registry_history import (
+    Record,
+    RecordKey,
+    RegistryHistoryStore,
+    Shipped,
+    find_class,
+    is_voided,
+    newest_classes,
+    no_class,
+    stands_voided,
+    store_class,
+    taken_out,
+)
 from fleet_db.stores.wheelset_events import (
     MEASURED,
     MOUNTINGS,

@@ -9,9 +9,9 @@ from typing import Any
 from sqlalchemy import Connection, Select, delete, func, insert, select, update
 
 from estimation.errors import NotFoundError
+from fleet_db.records import Delivery, DeliveryState, DisabledReason, Webhook, WebhookCount, WebhookState
 from fleet_db.rows import columns_of, table_of, value_of_row
 from fleet_db.tables.alerts import AlertEventRow, WebhookDeliveryRow, WebhookFleetRow, WebhookRow, WebhookSecretRow
-from fleet_db.webhook_records import Delivery, DeliveryState, DisabledReason, Webhook, WebhookCount, WebhookState
 
 WEBHOOKS, FLEETS = table_of(WebhookRow), table_of(WebhookFleetRow)
 SECRETS, DELIVERIES = table_of(WebhookSecretRow), table_of(WebhookDeliveryRow)

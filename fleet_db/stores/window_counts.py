@@ -25,7 +25,7 @@ from sqlalchemy import (
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowState
 from fleet_db.due import IS_PENDING, PLACED
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.rows import stored_reason, table_of, value_of_row
 from fleet_db.tables.recordings import ChunkRow
 from fleet_db.tables.results import WorklistEntryRow

@@ -1,8 +1,8 @@
-"""Rows of windows: read and written, and the states of many at once."""
+"""Rows of windows: read and written, the states of many at once, and where they were along their sections."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -33,13 +33,25 @@ from estimation.values.windows import (
     Window,
     WindowKey,
     WindowMark,
+    WindowPosition,
     WindowQuality,
     WindowRecord,
     WindowState,
 )
 from fleet_db.due import BATCH, estimated, list_due, list_to_estimate, list_waiting
-from fleet_db.rows import nan_if_null, null_if_nan, reason_columns, replace_all, stored_reason, table_of
+from fleet_db.rows import (
+    columns_of,
+    insert_all_new,
+    nan_if_null,
+    null_if_nan,
+    reason_columns,
+    replace_all,
+    stored_reason,
+    table_of,
+    value_of_row,
+)
 from fleet_db.subjects import Subjects
+from fleet_db.tables.track import WindowPositionRow
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
@@ -233,3 +245,40 @@ def window_values(window: Window, mileage_km: float) -> dict[str, object]:
         "state": WindowState.PENDING.value,
         **reason_columns(None),
     }
+
+
+POSITIONS = table_of(WindowPositionRow)
+OF_WINDOWS = select(POSITIONS).where(keys_given(POSITIONS))
+
+
+def positions_of(connection: Connection, keys: Sequence[WindowKey]) -> Mapping[WindowKey, WindowPosition]:
+    """Return by wheelset and start where those of some windows were that have been looked at."""
+    found = {}
+    for first in range(0, len(keys), BATCH):
+        for row in connection.execute(OF_WINDOWS, {"keys": keys[first : first + BATCH]}):
+            found[row.wheelset, row.start_ns] = value_of_row(WindowPosition, row)
+    return found
+
+
+def put_positions(connection: Connection, positions: Sequence[WindowPosition]) -> frozenset[WindowKey]:
+    """Store where windows were, in the place of what was known; return those of which that has changed."""
+    before = positions_of(connection, [(one.wheelset, one.start_ns) for one in positions])
+    changed = {
+        (one.wheelset, one.start_ns): columns_of(one)
+        for one in positions
+        if before.get((one.wheelset, one.start_ns)) != one
+    }
+    rows = [changed[key] for key in sorted(changed)]
+    if insert_all_new(connection, POSITIONS, rows) < len(rows):
+        replace_all(connection, POSITIONS, rows)
+    return frozenset(changed)
+
+
+def forget_positions(connection: Connection, keys: Sequence[WindowKey]) -> set[str | None]:
+    """Forget where some windows were; return the sections that they are on."""
+    sections: set[str | None] = set()
+    for first in range(0, len(keys), BATCH):
+        given = {"keys": keys[first : first + BATCH]}
+        sections.update(connection.scalars(select(WINDOWS.c.track_section).where(keys_given(WINDOWS)), given))
+        connection.execute(delete(POSITIONS).where(keys_given(POSITIONS)), given)
+    return sections

@@ -36,8 +36,8 @@ from estimation.values.windows import (
     WindowState,
 )
 from fleet_db.due import BATCH, list_due, list_for_alignment, positions_forgotten, windows_changed, windows_left
-from fleet_db.read_once import ReadOnce
 from fleet_db.rows import (
+    ReadOnce,
     by_wheelset,
     insert_new,
     key_given,

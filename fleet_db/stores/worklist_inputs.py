@@ -17,12 +17,11 @@ from estimation.values.runs import code_of_error, first_line
 from estimation.values.windows import WindowState
 from estimation.vehicle.vehicle_class import VehicleClass
 from estimation.worklist.row import WorklistInputs
-from fleet_db.registry_events import RecordKind
+from fleet_db.records import RecordKind
 from fleet_db.rows import table_of
-from fleet_db.stores.geometries import GeometryStore
+from fleet_db.stores.geometries import GeometryStore, TrendStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import is_voided
-from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.window_counts import refused_by_code
 from fleet_db.tables.alerts import AlertRow
 from fleet_db.tables.registry import WheelsetRow

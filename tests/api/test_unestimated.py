@@ -23,7 +23,7 @@ from estimation.values.registry import FleetRecord, Mounting, Reprofiling, Vehic
 from estimation.values.runs import JobOutcome, JobTrigger, Quarantined, SubjectKind
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
 from estimation.values.windows import WindowPosition, WindowState
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.window_counts import COUNTED, _grouped
 from ingest.vehicle_class_schema import shipped_class

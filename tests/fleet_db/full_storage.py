@@ -10,8 +10,8 @@ import stored_values as make
 from estimation.values.alerts import AlertEventKind
 from estimation.values.runs import JobTrigger
 from estimation.values.windows import WindowState
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkState
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from fleet_db.tables import Base
 

@@ -20,8 +20,8 @@ from estimation.values.runs import JobTrigger
 from fleet_db.keeping.backup import BackupPlan, back_up, read_manifest, write_manifest
 from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.restore import CAUSE, restore
+from fleet_db.locks import keeping_alone
 from fleet_db.migrate import upgrade
-from fleet_db.process_locks import keeping_alone
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from fleet_db.tables.windows import WheelsetBinRow

@@ -13,17 +13,17 @@ from stored_raw import raw_of
 
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.runs import JobOutcome, JobTrigger
+from fleet_db.atomic_files import unlink_old
 from fleet_db.keeping import purge as purge_module
 from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.kept_files import LEAST_AGE_S, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.purge import Purged, purge, purged_before
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
-from fleet_db.process_locks import keeping_alone
-from fleet_db.raw_files import FileRawStore, unlink_old
-from fleet_db.receipts import ChunkState
+from fleet_db.locks import keeping_alone
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkState, Delivery, DeliveryState, Failure, Webhook, WebhookState
 from fleet_db.storage import SqlStorage
 from fleet_db.tables.recordings import PurgeRow
-from fleet_db.webhook_records import Delivery, DeliveryState, Failure, Webhook, WebhookState
 
 NOW = 2_000 * DAY_NS
 NOTHING = dict.fromkeys((kind.value for kind in Kept), None)

@@ -11,7 +11,7 @@ from stored_values import measured_profiles, same
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
-from fleet_db.registry_events import Decision, RecordAction, RecordKind
+from fleet_db.records import Decision, RecordAction, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
 

@@ -12,7 +12,7 @@ from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.geometry import COMBINATIONS, BinStatus, GeometryRecord
 from estimation.values.runs import JobOutcome, JobTrigger
 from estimation.values.trend import TREND
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.results import _as_of
 

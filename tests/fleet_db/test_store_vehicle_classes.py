@@ -26,7 +26,7 @@ from estimation.vehicle.vehicle_class import (
     class_document,
     class_of_document,
 )
-from fleet_db.receipts import NOTHING_AGAIN
+from fleet_db.records import NOTHING_AGAIN
 from fleet_db.storage import SqlStorage
 
 COACH = VehicleClass(

@@ -25,7 +25,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.windows import WindowRecord, WindowState
 from fleet_db.packed_values import from_document
-from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
 from fleet_db.stores.worklist import WorklistFilter, WorklistOrder, WorklistPlace

@@ -21,8 +21,8 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import WindowPosition, WindowState
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkState
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest import reassembly

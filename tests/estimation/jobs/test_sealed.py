@@ -25,7 +25,7 @@ from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.packed_values import pack_geometry
-from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.registry_history import RecordKey
 

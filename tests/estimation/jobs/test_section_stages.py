@@ -28,7 +28,7 @@ from estimation.values.results import Mark
 from estimation.values.track import EpochMember, TrackLayout
 from estimation.values.windows import DueStage, WindowState
 from fleet_db.due import WINDOWS
-from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.assembled import AssembledWindow
 from fleet_db.stores.registry_history import RecordKey

@@ -1,27 +1,43 @@
-"""Creep forces of windows and the friction of sections."""
+"""What windows say of adhesion and dampers, sections of friction, and their passes of the suspension of vehicles."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import Connection, Row, Select, and_, delete, func, select, tuple_
+from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
-from estimation.values.opinions import CREEP, FRICTION, SectionAdhesion, WindowAdhesion
+from estimation.values.opinions import (
+    CREEP,
+    FRICTION,
+    GEAR,
+    GEAR_DAMPERS,
+    GearDamper,
+    SectionAdhesion,
+    WindowAdhesion,
+    WindowDamper,
+)
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
+from estimation.values.trend import SuspensionFinding
 from estimation.values.windows import WindowKey
 from fleet_db.due import NOT_LOOKED_AT, list_due
 from fleet_db.packed_values import (
     pack_section_adhesion,
     pack_window_adhesion,
+    pack_window_damper,
     unpack_section_adhesion,
     unpack_window_adhesion,
+    unpack_window_damper,
 )
-from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
+from fleet_db.rows import columns_of, insert_all_new, replace_all, table_of, upsert, value_of_row
 from fleet_db.rows import replace as replace_row
+from fleet_db.stores.results import ResultStore
 from fleet_db.subjects import Subjects
-from fleet_db.tables.windows import SectionAdhesionRow, WindowAdhesionRow, WindowRow
+from fleet_db.tables.track import SuspensionFindingRow
+from fleet_db.tables.windows import SectionAdhesionRow, WindowAdhesionRow, WindowDamperRow, WindowRow
 
 OF_WINDOWS, OF_SECTIONS = table_of(WindowAdhesionRow), table_of(SectionAdhesionRow)
 WINDOWS = table_of(WindowRow)
@@ -182,3 +198,100 @@ def _values(found: WindowAdhesion) -> dict[str, object]:
         "with_sums": found.sums is not None,
         "packed": pack_window_adhesion(found),
     }
+
+
+FINDINGS = table_of(SuspensionFindingRow)
+
+
+@dataclass(frozen=True, slots=True)
+class SuspensionStore:
+    """What the passes of sections show of the suspension of vehicles."""
+
+    connection: Connection
+    subjects: Subjects
+
+    def put(self, finding: SuspensionFinding, epoch: int | None = None) -> None:
+        """Store a finding of an epoch; one of the same vehicle, section and time is replaced."""
+        values = columns_of(finding, "assumed") | {"assumed_m": finding.assumed, "epoch": epoch}
+        upsert(self.connection, FINDINGS, values)
+        self.subjects.raised(SubjectKind.VEHICLE, finding.vehicle, Facet.STIFFNESS)
+
+    def forget(self, section: str, epoch: int, *, behind: bool) -> None:
+        """Remove what an epoch of a section, with ``behind`` later ones too, has shown, before it is stored again."""
+        chosen = FINDINGS.c.epoch >= epoch if behind else FINDINGS.c.epoch == epoch
+        gone = delete(FINDINGS).where(FINDINGS.c.section == section, chosen).returning(FINDINGS.c.vehicle)
+        for vehicle in self.connection.scalars(gone):
+            self.subjects.raised(SubjectKind.VEHICLE, vehicle, Facet.STIFFNESS)
+
+    def list(self, vehicle: str | None = None) -> Sequence[SuspensionFinding]:
+        """Return the findings of a vehicle, or of all, in order of vehicle, time and section."""
+        statement = select(FINDINGS)
+        if vehicle is not None:
+            statement = statement.where(FINDINGS.c.vehicle == vehicle)
+        return self._read(statement, FINDINGS.c)
+
+    def newest(self, count: int) -> Sequence[SuspensionFinding]:
+        """Return at most ``count`` newest findings of every vehicle, in order of vehicle, time and section."""
+        order = (FINDINGS.c.to_ns.desc(), FINDINGS.c.section.desc())
+        rank = func.row_number().over(partition_by=FINDINGS.c.vehicle, order_by=order)
+        ranked = select(FINDINGS, rank.label("rank")).subquery()
+        return self._read(select(ranked).where(ranked.c.rank <= count), ranked.c)
+
+    def _read(self, statement: Select[Any], columns: ReadOnlyColumnCollection[str, Any]) -> Sequence[SuspensionFinding]:
+        ordered = statement.order_by(columns.vehicle, columns.to_ns, columns.section)
+        return [value_of_row(SuspensionFinding, row, assumed=row.assumed_m) for row in self.connection.execute(ordered)]
+
+
+DAMPERS = table_of(WindowDamperRow)
+SAME_DAMPER = and_(
+    WINDOWS.c.wheelset == DAMPERS.c.wheelset,
+    WINDOWS.c.start_ns == DAMPERS.c.start_ns,
+    WINDOWS.c.content_digest == DAMPERS.c.content_digest,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class DamperStore:
+    """What windows say of the lateral dampers of running gears, and what they say together."""
+
+    connection: Connection
+    results: ResultStore
+
+    def put_all(self, found: Sequence[WindowDamper]) -> None:
+        """Store what windows say of dampers; what they said before is replaced."""
+        rows = [_damper_values(one) for one in found]
+        if insert_all_new(self.connection, DAMPERS, rows) < len(rows):
+            replace_all(self.connection, DAMPERS, rows)
+
+    def gears(self, vehicles: Sequence[str]) -> Sequence[GEAR]:
+        """Return the running gears of some vehicles of which windows say something."""
+        columns = (DAMPERS.c.vehicle, DAMPERS.c.first_axle)
+        rows = self.connection.execute(select(*columns).where(columns[0].in_(vehicles)).distinct().order_by(*columns))
+        return [(row.vehicle, row.first_axle) for row in rows]
+
+    def newest(self, vehicle: str, first_axle: int, limit: int) -> Sequence[WindowDamper]:
+        """Return what the newest windows of a running gear that are there unchanged say, newest first."""
+        own = (DAMPERS.c.vehicle == vehicle, DAMPERS.c.first_axle == first_axle)
+        statement = select(DAMPERS).select_from(DAMPERS.join(WINDOWS, SAME_DAMPER)).where(*own)
+        rows = self.connection.execute(statement.order_by(DAMPERS.c.start_ns.desc()).limit(limit))
+        return [unpack_window_damper(row.packed, where=f"damper of {vehicle} axle {first_axle}") for row in rows]
+
+    def forget(self, vehicle: str, first_axle: int, before_ns: int) -> int:
+        """Remove what windows of a running gear say that began before a time; return of how many."""
+        own = (DAMPERS.c.vehicle == vehicle, DAMPERS.c.first_axle == first_axle)
+        return self.connection.execute(delete(DAMPERS).where(*own, DAMPERS.c.start_ns < before_ns)).rowcount
+
+    def of_vehicle(self, vehicle: str) -> Sequence[GearDamper]:
+        """Return the dampers of a vehicle by axle."""
+        return self.of_vehicles([vehicle])
+
+    def of_vehicles(self, vehicles: Collection[str]) -> Sequence[GearDamper]:
+        """Return the dampers of some vehicles, by vehicle and axle."""
+        found = self.results.in_force(GEAR_DAMPERS, vehicles)
+        dampers = (one.value for one in found if one.value is not None)
+        return sorted(dampers, key=lambda one: (one.vehicle, one.first_axle))
+
+
+def _damper_values(found: WindowDamper) -> dict[str, object]:
+    plain = ("vehicle", "first_axle", "start_ns", "wheelset", "content_digest")
+    return {**{name: getattr(found, name) for name in plain}, "packed": pack_window_damper(found)}
