@@ -34,7 +34,6 @@ from fleet_db.stores.geometries import GeometryStore, TrendStore
 from fleet_db.stores.installation import FeedBranchStore, RawMarkStore, RecordedTimeStore, StoredSettingStore
 from fleet_db.stores.jobs import JobRunStore, WorkClaimStore
 from fleet_db.stores.opinions import AdhesionStore, DamperStore, SuspensionStore
-from fleet_db.stores.plausibility import PlausibilityStore
 from fleet_db.stores.rails import RailsStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RegistryHistoryStore, Shipped, no_class
@@ -46,6 +45,7 @@ from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.webhooks import WebhookStore
 from fleet_db.stores.wheelset_events import SensorChangeStore
+from fleet_db.stores.window_counts import PlausibilityStore
 from fleet_db.stores.windows import WindowStore
 from fleet_db.stores.worklist import WorklistStore
 from fleet_db.stores.worklist_inputs import WorklistReader
