@@ -54,59 +54,26 @@ from fleet_db.telemetry import WindowFiles
 from fleet_db.visibility import bind
 
 
-@dataclass(slots=True)
 class SqlUnitOfWork:
-    """One transaction over all stores."""
+    """One transaction over all stores.
 
-    connection: Connection
-    files: WindowFiles
-    writing: bool
-    shipped: Shipped = no_class
-    owner: int | None = None  # lease of the process that runs jobs
-    done: set[str] = field(default_factory=set)  # of what is claimed: it is free once this is committed
-    together: set[str] = field(default_factory=set)  # wheelsets of which a reading transaction reads all together
-    subjects: Subjects = field(init=False)
-    chunks: ChunkStore = field(init=False)
-    settings: StoredSettingStore = field(init=False)
-    stale_spans: StaleSpanStore = field(init=False)
-    quarantine: QuarantineStore = field(init=False)
-    raw_marks: RawMarkStore = field(init=False)
-    raw_scrubs: RawScrubStore = field(init=False)
-    recording_changes: RecordingChangeStore = field(init=False)
-    registry: RegistryStore = field(init=False)
-    registry_history: RegistryHistoryStore = field(init=False)
-    sensor_changes: SensorChangeStore = field(init=False)
-    corrections: CorrectionStore = field(init=False)
-    tracks: TrackStore = field(init=False)
-    epochs: EpochStore = field(init=False)
-    windows: WindowStore = field(init=False)
-    assembled: AssembledWindowStore = field(init=False)
-    tables: BinTableStore = field(init=False)
-    due: WindowDueStore = field(init=False)
-    geometries: GeometryStore = field(init=False)
-    marks: StageMarkStore = field(init=False)
-    results: ResultStore = field(init=False)
-    trends: TrendStore = field(init=False)
-    suspensions: SuspensionStore = field(init=False)
-    adhesion: AdhesionStore = field(init=False)
-    dampers: DamperStore = field(init=False)
-    signatures: SignatureStore = field(init=False)
-    alerts: AlertStore = field(init=False)
-    feed_branches: FeedBranchStore = field(init=False)
-    jobs: JobRunStore = field(init=False)
-    plausibility: PlausibilityStore = field(init=False)
-    recorded_times: RecordedTimeStore = field(init=False)
-    idempotency: IdempotencyStore = field(init=False)
-    worklist: WorklistStore = field(init=False)
-    api_keys: ApiKeyStore = field(init=False)
-    audit: AuditStore = field(init=False)
-    rails: RailsStore = field(init=False)
-    roll_ups: RollUpStore = field(init=False)
-    webhooks: WebhookStore = field(init=False)
-    work_claims: WorkClaimStore = field(init=False)
+    Attributes:
+        done: Of what is claimed: it is free once this is committed.
+        together: Wheelsets of which a reading transaction reads all together.
+    """
 
-    def __post_init__(self) -> None:
-        connection = self.connection
+    def __init__(
+        self,
+        connection: Connection,
+        files: WindowFiles,
+        *,
+        writing: bool,
+        shipped: Shipped = no_class,
+        owner: int | None = None,
+    ) -> None:
+        self.connection = connection
+        self.done: set[str] = set()
+        self.together: set[str] = set()
         self.subjects = Subjects(connection)
         self.chunks = ChunkStore(connection, self.subjects)
         self.settings = StoredSettingStore(connection)
@@ -115,8 +82,8 @@ class SqlUnitOfWork:
         self.raw_marks = RawMarkStore(connection)
         self.raw_scrubs = RawScrubStore(connection)
         self.recording_changes = RecordingChangeStore(connection)
-        once = ReadOnce(not self.writing, self.together)
-        self.registry = RegistryStore(connection, self.subjects, self.shipped, once=once)
+        once = ReadOnce(not writing, self.together)
+        self.registry = RegistryStore(connection, self.subjects, shipped, once=once)
         self.tracks = TrackStore(connection, self.subjects, once)
         self.registry_history = RegistryHistoryStore(connection, self.subjects)
         self.sensor_changes = SensorChangeStore(connection, self.subjects)
@@ -124,8 +91,8 @@ class SqlUnitOfWork:
             connection, self.registry, self.tracks, self.registry_history, self.sensor_changes
         )
         self.epochs = EpochStore(connection, self.subjects)
-        self.windows = WindowStore(connection, self.subjects, self.files, once)
-        self.assembled = AssembledWindowStore(connection, self.subjects, self.files)
+        self.windows = WindowStore(connection, self.subjects, files, once)
+        self.assembled = AssembledWindowStore(connection, self.subjects, files)
         self.tables = BinTableStore(connection, self.subjects, once)
         self.due = WindowDueStore(connection, once)
         self.marks = StageMarkStore(connection, self.subjects, self.due)
@@ -136,11 +103,11 @@ class SqlUnitOfWork:
         self.adhesion = AdhesionStore(connection, self.subjects)
         self.dampers = DamperStore(connection, self.results)
         self.signatures = SignatureStore(connection, self.subjects)
-        self.alerts = AlertStore(connection, self.writing, self.subjects, once)
+        self.alerts = AlertStore(connection, writing, self.subjects, once)
         self.plausibility = PlausibilityStore(connection, self.windows)
         self.recorded_times = RecordedTimeStore(connection)
         self.feed_branches = FeedBranchStore(connection)
-        self.jobs = JobRunStore(connection, self.owner)
+        self.jobs = JobRunStore(connection, owner)
         self.idempotency = IdempotencyStore(connection)
         reader = WorklistReader(connection, self.registry, self.geometries, self.trends)
         self.worklist = WorklistStore(connection, self.subjects, reader)

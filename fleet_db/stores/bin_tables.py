@@ -60,12 +60,13 @@ class BinTableStore:
     subjects: Subjects
     once: ReadOnce = field(default_factory=ReadOnce)
 
-    def put(self, wheelset: str, start_ns: int, table: BinTable, track_version: int | None, window_digest: str) -> None:
-        """Store the bin table of a window; raises NotFoundError, and ConflictError where its content is other."""
-        self.put_all([WindowTable(wheelset, start_ns, window_digest, table, track_version)])
-
     def put_all(self, tables: Sequence[WindowTable]) -> None:
-        """Store the bin tables of different windows as :meth:`put` does; where one has been purged it stays summed."""
+        """Store the bin tables of different windows; where one has been purged it stays summed.
+
+        Raises:
+            NotFoundError: There is no such window.
+            ConflictError: Its content is another.
+        """
         windows = self._checked([(one.key, one.window_digest) for one in tables])
         rows = {one.key: _values(one) for one in tables if windows[one.key].table_purged_ns is None}
         stored = self._by_key(STORED, list(rows))

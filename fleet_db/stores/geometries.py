@@ -22,12 +22,11 @@ from estimation.values.geometry import (
     WheelsetGeometry,
     key_of_part,
     part_of,
-    result_of_geometry,
 )
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.results import Result
-from estimation.values.trend import TREND, TrendRecord, WearTrend, baseline_part
+from estimation.values.trend import TREND, TrendRecord, WearTrend
 from fleet_db.rows import ReadOnce, nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultStore
 from fleet_db.tables.registry import WheelsetRow
@@ -48,13 +47,6 @@ class GeometryStore:
     connection: Connection
     results: ResultStore
     once: ReadOnce = field(default_factory=ReadOnce)
-
-    def put(self, record: GeometryRecord) -> bool:
-        """Put an estimate in force; False if that of its key has the same inputs, parameters and numerics."""
-        news = self.results.put_all(GEOMETRY, [result_of_geometry(record)])
-        if news and record.interval is None:
-            self.show_bins([record.wheelset])
-        return bool(news)
 
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:
         """Return the current geometry of the newest baseline with windows, as it was recorded at ``as_of_ns``.
@@ -319,10 +311,6 @@ class TrendStore:
     results: ResultStore
     geometries: GeometryStore
 
-    def put(self, record: TrendRecord) -> bool:
-        """Put a trend; False if the newest of its wheelset is of the same baseline, inputs and numerics."""
-        return bool(self.results.put_all(TREND, [result_of_trend(record)]))
-
     def version(self, wheelset: str) -> tuple[int | None, ...]:
         """Return what changes whenever the newest trend or the current geometry does; None for none."""
         return *self.results.version(TREND, wheelset), *(self.geometries.version(wheelset) or (None, None))
@@ -336,22 +324,6 @@ class TrendStore:
         """Return the newest trend, as it was recorded at ``as_of_ns``: that of the baseline in force then."""
         found = self.results.latest(TREND, wheelset, as_of_ns)
         return None if found is None else _trend_record(found)
-
-
-def result_of_trend(record: TrendRecord) -> Result[WearTrend]:
-    """Return a trend as a result."""
-    return Result(
-        subject=record.wheelset,
-        part=baseline_part(record.baseline),
-        made_from=record.input_digest,
-        numerics=record.code_version,
-        recorded_ns=record.recorded_ns,
-        value=record.trend,
-        status=record.trend.status,
-        reason=record.trend.reason,
-        head=record.trend.head,
-        parameters=record.parameters,
-    )
 
 
 def _trend_record(result: Result[WearTrend]) -> TrendRecord:

@@ -80,11 +80,6 @@ class AdhesionStore:
             self.subjects.raised(SubjectKind.SECTION, one.track_section, CREEP)
             self.subjects.raised(SubjectKind.VEHICLE, one.vehicle, CREEP)
 
-    def window(self, wheelset: str, start_ns: int) -> WindowAdhesion | None:
-        """Return the creep of a window; None where it has not been looked at."""
-        same = (OF_WINDOWS.c.wheelset == wheelset, OF_WINDOWS.c.start_ns == start_ns)
-        return next(iter(self._windows(select(OF_WINDOWS).where(*same))), None)
-
     def of_wheelset(self, wheelset: str, after_ns: int | None, limit: int) -> Sequence[WindowAdhesion]:
         """Return the creep of the windows of a wheelset that begin after a time, oldest first.
 

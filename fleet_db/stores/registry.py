@@ -280,12 +280,6 @@ class RegistryStore:
             return NOTHING_AGAIN
         return Again(self.connection, self.subjects, recorded_ns).wheelset(record.serial)
 
-    def add_mountings(self, records: Sequence[Mounting], recorded_ns: int | None = None) -> None:
-        """Add or change mountings together: wheelsets may change places. Raises as :meth:`add_mounting`."""
-        before = self.take_out(records)
-        for record in records:
-            self.add_mounting(record, before.get((record.wheelset, record.from_ns)), recorded_ns)
-
     def take_out(self, records: Sequence[Mounting]) -> dict[tuple[str, int], Mounting]:
         """Remove the mountings that others of the same wheelset and start will replace; return them by those."""
         serialise(self.connection, Subject.REGISTRY)
