@@ -99,11 +99,7 @@ class WindowDueStore:
         return dict(self.once.of_wheelset(f"due {stage}", wheelset, read) or ())
 
     def of_section(self, stage: str, section: str, until_ns: int | None = None) -> Mapping[WindowKey, int]:
-        """Return the due windows of a section with their versions.
-
-        Args:
-            until_ns: Last start; None is all.
-        """
+        """Return the due windows of a section, up to a start, with their versions."""
         statement = select(DUE).where(DUE.c.stage == stage, DUE.c.section == section)
         if until_ns is not None:
             statement = statement.where(DUE.c.start_ns <= until_ns)
@@ -117,11 +113,7 @@ class WindowDueStore:
             self.connection.execute(_settled(), given)
 
     def due(self, inputs: StageInputs, keys: Collection[str] | None = None) -> Mapping[str, Due]:
-        """Return the windows that are due by key as text, in the order of vehicle, time and wheelset.
-
-        Args:
-            keys: Only of these; None is all.
-        """
+        """Return the windows, some or all, that are due by key as text, in the order of vehicle, time and wheelset."""
         statement = select(DUE).where(DUE.c.stage == inputs.stage)
         if inputs.stage == DueStage.TABLES:
             is_same = and_(WINDOWS.c.wheelset == DUE.c.wheelset, WINDOWS.c.start_ns == DUE.c.start_ns)
@@ -134,11 +126,7 @@ class WindowDueStore:
         return {text_of_key(row.wheelset, row.start_ns): Due(row.version) for row in rows}
 
     def wheelsets(self, inputs: StageInputs, serials: Collection[str] | None = None) -> Mapping[str, Due]:
-        """Return the wheelsets with windows that are due, by serial.
-
-        Args:
-            serials: Only of these; None is all.
-        """
+        """Return the wheelsets, some or all, with windows that are due, by serial."""
         statement = select(DUE.c.wheelset, func.sum(DUE.c.version).label("seen")).where(DUE.c.stage == inputs.stage)
         if serials is not None:
             statement = statement.where(DUE.c.wheelset.in_(serials))
@@ -161,21 +149,12 @@ class WindowDueStore:
 
 
 def list_due(connection: Connection, stage: str, chosen: ColumnElement[bool], **given: Any) -> None:  # noqa: ANN401
-    """List windows as due, in the transaction that changes them; before it removes them.
-
-    Args:
-        chosen: Condition on the table of windows.
-        given: Parameters of the condition.
-    """
+    """List windows on which a condition holds as due, in the transaction that changes them; before it removes them."""
     connection.execute(_listed(connection.dialect.name, (stage,), chosen), given)
 
 
 def list_to_estimate(connection: Connection, chosen: ColumnElement[bool]) -> None:
-    """Let windows with samples wait to be estimated again.
-
-    Args:
-        chosen: Condition on the table of windows, but for their states.
-    """
+    """Let windows with samples wait to be estimated again on which a condition holds, whatever their states."""
     waits = and_(chosen, WINDOWS.c.samples_purged_ns.is_(None))
     _let_wait(connection, waits)
     list_due(connection, DueStage.TABLES, waits)
@@ -232,11 +211,7 @@ def estimated(connection: Connection, keys: Sequence[WindowKey]) -> None:
 
 
 def is_due(stage: DueStage, table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
-    """Return the condition that the window of a row is due.
-
-    Args:
-        table: With the columns ``wheelset`` and ``start_ns``.
-    """
+    """Return the condition that the window of a row, with ``wheelset`` and ``start_ns``, is due."""
     same = (DUE.c.wheelset == table.c.wheelset, DUE.c.start_ns == table.c.start_ns)
     return select(DUE.c.version).where(DUE.c.stage == stage.value, *same).exists()
 
@@ -300,11 +275,7 @@ OF_EPOCH = (MEMBERS.c.section, MEMBERS.c.epoch)
 
 
 def list_for_alignment(subjects: Subjects, sections: Mapping[WindowKey, str | None]) -> None:
-    """List windows that are new or others now; after they are stored.
-
-    Args:
-        sections: That the windows are on, by key; those on none are no concern of an alignment.
-    """
+    """List windows (by key, with their section or None) that are new or others now; after they are stored."""
     keys = sorted(key for key, section in sections.items() if section is not None)
     for first in range(0, len(keys), BATCH):
         own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys[first : first + BATCH])
@@ -330,11 +301,7 @@ def windows_left(subjects: Subjects, keys: Sequence[WindowKey]) -> None:
 
 
 def positions_forgotten(subjects: Subjects, chosen: ColumnElement[bool]) -> None:
-    """Let epochs be computed again that have found where some windows were; before that is forgotten.
-
-    Args:
-        chosen: Condition on the table of windows.
-    """
+    """Let epochs be computed again that have found where some windows were; before that is forgotten."""
     placed = MEMBERS.join(POSITIONS, PLACED_MEMBER).join(WINDOWS, OF_WINDOW)
     found = subjects.connection.execute(select(*OF_EPOCH).select_from(placed).where(chosen).distinct())
     stale_epochs(subjects, [(row.section, row.epoch) for row in found])

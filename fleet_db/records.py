@@ -47,15 +47,11 @@ class ChunkRecord:
 
 @dataclass(frozen=True, slots=True)
 class EstimatedAgain:
-    """What is estimated again because the class of vehicles, or the nominal radius of a wheelset, has changed.
-
-    Attributes:
-        from_ns: Start of the oldest of their windows, ns UTC on the vehicle's clock; None where there is none.
-    """
+    """What is estimated again because the class of vehicles, or the nominal radius of a wheelset, has changed."""
 
     subjects: tuple[str, ...] = ()  # codes of the vehicles, or the wheelset, of which something is
     windows: int = 0  # how many of their windows; 0 where only geometries are
-    from_ns: int | None = None
+    from_ns: int | None = None  # start of the oldest of their windows, on the vehicle's clock; None where there is none
     sections: tuple[str, ...] = ()  # codes of the sections whose alignment is estimated from the begin
 
 
@@ -126,26 +122,18 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class RegistryEvent:
-    """One decision on a record.
-
-    Attributes:
-        kind, subject, at_ns: The record: its wheelset or section, and its time on the vehicle's clock where that
-            belongs to its key.
-        action, actor, reason: What was done, by whom, and why; the last two are empty where a registry file changed it.
-        record: What it was before it was changed or voided; what was restored; empty where it is new.
-        after: What it was afterwards where it was entered or changed; None of others.
-    """
+    """One decision on a record."""
 
     id: int  # in the order of the decisions
     kind: RecordKind
-    subject: str
-    at_ns: int | None
+    subject: str  # wheelset, vehicle, class or section of the record
+    at_ns: int | None  # on the vehicle's clock, where it belongs to the key of the record
     action: RecordAction
-    actor: str
+    actor: str  # empty where a registry file changed it, as the reason
     reason: str
-    record: Mapping[str, JsonValue]
+    record: Mapping[str, JsonValue]  # before it was changed or voided, or what was restored; empty where it is new
     recorded_ns: int | None  # our time; None where it is not known
-    after: Mapping[str, JsonValue] | None = None
+    after: Mapping[str, JsonValue] | None = None  # where it was entered or changed
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,12 +217,7 @@ class Failure(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Webhook:
-    """Where events of the feed are sent; without its secrets.
-
-    Args:
-        fleets, kinds, severities: Which events, as the feed's filters; an empty set is no filter.
-        position: Number of the event up to which everything is delivered, or is none of its events.
-    """
+    """Where events of the feed are sent, without its secrets; empty sets of fleets, kinds and severities are all."""
 
     webhook_id: Annotated[int, Served(name="id")]
     url: str
@@ -257,7 +240,7 @@ class Webhook:
     since_ns: Annotated[int, Served("Since when it is in this state.", "state_since")]
     created_ns: Annotated[int, Served("When it was made.")]
     created_by: Annotated[str, Served("Who made it.", example="depot west")]
-    position: int
+    position: int  # number of the event up to which everything is delivered, or is none of its events
     revision: int = 1
 
 

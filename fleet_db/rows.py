@@ -220,25 +220,16 @@ Record = TypeVar("Record")
 
 @dataclass(frozen=True, slots=True)
 class ReadOnce:
-    """Records by kind and key: a transaction that sees one snapshot reads none of them again.
+    """Records by kind and key: a transaction that sees one snapshot reads none of them again."""
 
-    Attributes:
-        snapshot: Whether the transaction sees one snapshot; one that writes reads anew each time.
-        together: Wheelsets of which all is read together.
-    """
-
-    snapshot: bool = False
-    together: set[str] = field(default_factory=set)
+    snapshot: bool = False  # one that writes reads anew each time
+    together: set[str] = field(default_factory=set)  # wheelsets of which all is read together
     _records: dict[str, dict[Any, Any]] = field(default_factory=dict)
 
     def of(
         self, kind: str, keys: Collection[Key], read: Callable[[Collection[Key]], Mapping[Key, Record]]
     ) -> dict[Key, Record]:
-        """Return records by key; a key without one is left out.
-
-        Args:
-            read: Reads those of some keys.
-        """
+        """Return records by key, of which ``read`` reads those that are missing; a key without one is left out."""
         known = self._records.setdefault(kind, {}) if self.snapshot else {}
         missing = [key for key in dict.fromkeys(keys) if key not in known]
         if missing:
@@ -265,11 +256,7 @@ class ReadOnce:
         return self.of(kind, wheelsets, read)
 
     def one(self, kind: str, key: Hashable, read: Callable[[], Record]) -> Record:
-        """Return a record of which there may be none.
-
-        Args:
-            read: Reads it.
-        """
+        """Return a record, which ``read`` reads, of which there may be none."""
 
         def known(_: Collection[Hashable]) -> Mapping[Hashable, tuple[Record]]:
             return {key: (read(),)}

@@ -33,8 +33,7 @@ from fleet_db.stores.corrections import CorrectionStore
 from fleet_db.stores.geometries import GeometryStore, TrendStore
 from fleet_db.stores.installation import FeedBranchStore, RawMarkStore, RecordedTimeStore, StoredSettingStore
 from fleet_db.stores.jobs import JobRunStore, WorkClaimStore
-from fleet_db.stores.opinions import AdhesionStore, DamperStore, SuspensionStore
-from fleet_db.stores.rails import RailsStore
+from fleet_db.stores.opinions import AdhesionStore, DamperStore, RailsStore, SuspensionStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RegistryHistoryStore, Shipped, no_class
 from fleet_db.stores.results import ResultStore
@@ -55,12 +54,7 @@ from fleet_db.visibility import bind
 
 
 class SqlUnitOfWork:
-    """One transaction over all stores.
-
-    Attributes:
-        done: Of what is claimed: it is free once this is committed.
-        together: Wheelsets of which a reading transaction reads all together.
-    """
+    """One transaction over all stores."""
 
     def __init__(
         self,
@@ -72,8 +66,8 @@ class SqlUnitOfWork:
         owner: int | None = None,
     ) -> None:
         self.connection = connection
-        self.done: set[str] = set()
-        self.together: set[str] = set()
+        self.done: set[str] = set()  # of what is claimed: it is free once this is committed
+        self.together: set[str] = set()  # wheelsets of which a reading transaction reads all together
         self.subjects = Subjects(connection)
         self.chunks = ChunkStore(connection, self.subjects)
         self.settings = StoredSettingStore(connection)
@@ -217,11 +211,7 @@ class SqlStorage:
 
     @contextmanager
     def read(self) -> Iterator[SqlUnitOfWork]:
-        """Read one snapshot; nothing can be written.
-
-        Raises:
-            StorageError: The database cannot be reached, or something was written.
-        """
+        """Read one snapshot; StorageError: the database cannot be reached, or something was written."""
         with (
             translate_errors(),
             (self.reading or self.engine).connect() as connection,
@@ -324,11 +314,7 @@ class SqlStorage:
                 unit.work_claims.forget(lease, claims.stage, claims.keys)
 
     def lease_lost(self) -> bool:
-        """Return whether the lease of this storage has ended.
-
-        Raises:
-            StorageError: The database cannot be asked.
-        """
+        """Return whether the lease of this storage has ended; StorageError: the database cannot be asked."""
         if self.lease is None:
             return False
         with self.read() as unit:

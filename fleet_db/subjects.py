@@ -20,9 +20,8 @@ from estimation.values.runs import SubjectKind
 from estimation.values.trend import SUSPENSION, TREND
 from estimation.worklist.row import FACETS as SHOWN
 from fleet_db.rows import table_of
-from fleet_db.tables.operation import SubjectVersionRow
+from fleet_db.tables.operation import ResultRow, SubjectVersionRow
 from fleet_db.tables.registry import MountingRow
-from fleet_db.tables.results import ResultRow
 from fleet_db.tables.track import TrackEpochWindowRow
 from fleet_db.tables.windows import WindowRow
 

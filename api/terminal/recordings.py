@@ -17,7 +17,7 @@ from estimation.errors import TreadwatchError
 from estimation.values.runs import Quarantined, SubjectKind
 from fleet_db.records import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.stores.chunks import ChosenChunks
-from fleet_db.stores.decoded_again import STAGE
+from fleet_db.stores.estimated_again import STAGE
 from ingest.corrections import Author, RecordingCorrections, receipt_of
 from ingest.receiver import ChunkReceipt, Receiver
 

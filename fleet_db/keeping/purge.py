@@ -24,9 +24,8 @@ from fleet_db.records import ChunkRecord, DeliveryState
 from fleet_db.rows import replace_all, table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.tables.alerts import WebhookDeliveryRow
-from fleet_db.tables.operation import AuditRow, IdempotencyRow, JobRunRow
+from fleet_db.tables.operation import AuditRow, IdempotencyRow, JobRunRow, ResultRow
 from fleet_db.tables.recordings import PurgeRow
-from fleet_db.tables.results import ResultRow
 from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, TrackReportRow, WindowPositionRow
 from fleet_db.tables.windows import RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 from fleet_db.telemetry import WindowFiles

@@ -28,38 +28,23 @@ HAS_TABLE = exists().where(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.sta
 
 @dataclass(frozen=True, slots=True)
 class AssembledWindow:
-    """A window as it was assembled, to be stored.
+    """A window as it was assembled, to be stored."""
 
-    Attributes:
-        window, digest: With its samples; of its content.
-        mileage_km: Of the wheelset since new, at its start.
-        odometer_excess_m: By which odometer and speed differ beyond what they may, m.
-        off_line_m: From the line of its section, by GNSS, m; 0 within the limit.
-    """
-
-    window: Window
-    digest: str
-    mileage_km: float
-    odometer_excess_m: float = 0.0
-    off_line_m: float = 0.0
+    window: Window  # with its samples
+    digest: str  # of its content
+    mileage_km: float  # of the wheelset since new, at its start
+    odometer_excess_m: float = 0.0  # by which odometer and speed differ beyond what they may
+    off_line_m: float = 0.0  # from the line of its section, by GNSS; 0 within the limit
 
 
 @dataclass(frozen=True, slots=True)
 class StoredWindow:
-    """A stored window with what only its storage needs.
-
-    Attributes:
-        record: The window.
-        sample_bytes: Size of its file.
-        samples_purged: Whether its file was purged.
-        untouched: Whether there is no bin table of it, nor was one.
-        odometer_excess_m, off_line_m: As in :class:`AssembledWindow`.
-    """
+    """A stored window with what only its storage needs; distances as in :class:`AssembledWindow`."""
 
     record: WindowRecord
-    sample_bytes: int
+    sample_bytes: int  # size of its file
     samples_purged: bool
-    untouched: bool
+    untouched: bool  # whether there is no bin table of it, nor was one
     odometer_excess_m: float
     off_line_m: float
 
@@ -100,10 +85,7 @@ class AssembledWindowStore:
         ]
 
     def add(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> bool:
-        """Store windows that are not there yet; return False where another transaction has stored one meanwhile.
-
-        What that one has stored stays.
-        """
+        """Store windows that are not there yet; False: another transaction has stored one meanwhile, which stays."""
         rows = [self._row(each, recorded_ns) for each in windows]
         count = insert_all_new(self.connection, WINDOWS, rows)
         self._changed(windows)
@@ -202,11 +184,7 @@ class AssembledWindowStore:
         return purged
 
     def intact(self, record: WindowRecord, *, verify: bool) -> bool:
-        """Return whether the file of a window is there, or purged; one that is damaged is removed, to be written again.
-
-        Args:
-            verify: Whether the file is read and checked; else only its size is.
-        """
+        """Return whether the file of a window is there, whole if ``verify``, or purged; a damaged one is removed."""
         key = and_(WINDOWS.c.wheelset == record.wheelset, WINDOWS.c.start_ns == record.start_ns)
         row = self.connection.execute(select(WINDOWS.c.sample_bytes, WINDOWS.c.samples_purged_ns).where(key)).first()
         if row is not None and row.samples_purged_ns is not None:
@@ -293,12 +271,9 @@ APART_NS = 86_400_000_000_000
 
 
 def make_stale(connection: Connection, section: str, cause: str, *, elsewhere: bool) -> None:
-    """Let the windows on a section be assembled again.
+    """Let the windows on a section be assembled again, and ``elsewhere`` those on none, which may have its new number.
 
     A window on another registered section stays: its vehicle sent the number of that one.
-
-    Args:
-        elsewhere: Whether those on no registered section are, too: their vehicles may have sent its new number.
     """
     on_it = WINDOWS.c.track_section == section
     touched = or_(on_it, WINDOWS.c.track_section.is_(None)) if elsewhere else on_it

@@ -42,22 +42,15 @@ LOOKED_THROUGH = 5_000
 
 @dataclass(frozen=True, slots=True)
 class ChosenChunks:
-    """Which receipts are listed; None is no filter.
-
-    Attributes:
-        state, vehicle, fleet, code: Of the recording, of its vehicle now, and of its reason. Deleted recordings are
-            listed where their state is asked for only.
-        received_from_ns, received_to_ns: Received in this range, ns of our clock, half-open.
-        measured_from_ns, measured_to_ns: With frames in this range of the vehicle's clock, half-open.
-    """
+    """Which receipts are listed; None is no filter. Deleted recordings are only where their state is asked for."""
 
     state: ChunkState | None = None
     vehicle: str | None = None
-    fleet: str | None = None
-    code: ReasonCode | None = None
-    received_from_ns: int | None = None
+    fleet: str | None = None  # of its vehicle now
+    code: ReasonCode | None = None  # of its reason
+    received_from_ns: int | None = None  # by our clock, half-open with the next
     received_to_ns: int | None = None
-    measured_from_ns: int | None = None
+    measured_from_ns: int | None = None  # with frames in this range of the vehicle's clock, half-open
     measured_to_ns: int | None = None
 
     def conditions(self) -> builtins.list[ColumnElement[bool]]:

@@ -66,10 +66,7 @@ class GeometryStore:
         return {wheelset: _record(_newest(results)) for wheelset, results in found.items()}
 
     def version(self, wheelset: str) -> tuple[int, int] | None:
-        """Return what changes whenever :meth:`current` does, at less cost: None where there is no geometry.
-
-        Number and recorded time of the current geometry that was put last, of any baseline.
-        """
+        """Return number and time of the current geometry put last: they change whenever :meth:`current` does."""
         number, recorded_ns = self.results.version(GEOMETRY, wheelset, CURRENT)
         return None if number is None or recorded_ns is None else (number, recorded_ns)
 
@@ -93,11 +90,7 @@ class GeometryStore:
         return _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), _record)
 
     def read_ahead(self, wheelsets: Collection[str]) -> None:
-        """Read together what :meth:`baselines` and :meth:`conicities` are asked for one wheelset after the other.
-
-        Raises:
-            DamagedError: Something of one of them is damaged.
-        """
+        """Read together what :meth:`baselines` and :meth:`conicities` are asked for one by one; raises DamagedError."""
         self.once.of("current geometries", wheelsets, self._baselines)
         self.once.of("conicities", wheelsets, self._conicities)
 
@@ -141,11 +134,7 @@ class GeometryStore:
         return [found for number, found in ahead if number == baseline]
 
     def conicities_of(self, baselines: Mapping[str, int]) -> Mapping[str, Sequence[IntervalConicities]]:
-        """Return the conicities of the intervals of some wheelsets, of one baseline of each.
-
-        Args:
-            baselines: Their numbers, by wheelset.
-        """
+        """Return the conicities of the intervals of some wheelsets, of one baseline of each by its number."""
         found: dict[str, list[IntervalConicities]] = {wheelset: [] for wheelset in baselines}
         for result in self.results.heads(GEOMETRY, list(baselines), _spanned(baselines.values())):
             if key_of_part(result.part)[0] == baselines[result.subject]:
@@ -253,11 +242,7 @@ def _record(result: Result[WheelsetGeometry]) -> GeometryRecord:
 
 
 def _conicities(result: Result[WheelsetGeometry]) -> IntervalConicities:
-    """Return what the head of a geometry says of its conicities: a trend reads hundreds of them, and no bins.
-
-    Raises:
-        DamagedError: It is not one of :func:`result_of_geometry`.
-    """
+    """Return what the head of a geometry says of its conicities: a trend reads hundreds of them, and no bins."""
     head, (baseline, interval) = _head(result), key_of_part(result.part)
     try:
         why = head["no_conicity"]

@@ -20,8 +20,7 @@ from fleet_db.records import NOTHING_AGAIN, Decision, EstimatedAgain, RecordActi
 from fleet_db.rows import ReadOnce, by_wheelset, columns_of, delete_row, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.assembled import StaleSpanStore
 from fleet_db.stores.chunks import ChunkStore
-from fleet_db.stores.decoded_again import decode_undecoded
-from fleet_db.stores.estimated_again import Again
+from fleet_db.stores.estimated_again import Again, decode_undecoded
 from fleet_db.stores.registry_history import (
     Record,
     RecordKey,

@@ -18,7 +18,7 @@ from fleet_db.packed_values import pack_value, unpack_value
 from fleet_db.rows import ReadOnce, reason_columns, stored_reason, table_of
 from fleet_db.session import to_json
 from fleet_db.subjects import Subjects
-from fleet_db.tables.results import ResultRow
+from fleet_db.tables.operation import ResultRow
 
 V = TypeVar("V")
 RESULTS = table_of(ResultRow)

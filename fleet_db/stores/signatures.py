@@ -61,11 +61,7 @@ class SignatureStore:
         return [(row.wheelset, row.vehicle) for row in rows]
 
     def list_other(self, expected: Sequence[tuple[str, str, str]]) -> None:
-        """List the windows whose signatures were not made with these assumptions.
-
-        Args:
-            expected: Wheelset, vehicle, and the digest of what is assumed of the one on the other.
-        """
+        """List the windows whose signatures were not made with the digest expected of their wheelset and vehicle."""
         for first in range(0, len(expected), TOGETHER):
             others = []
             for wheelset, vehicle, assumed in expected[first : first + TOGETHER]:

@@ -43,9 +43,9 @@ from fleet_db.records import ChunkState
 from fleet_db.rows import by_wheelset, replace_all, stored_reason, table_of, value_of_row
 from fleet_db.stores.window_rows import implausible_reason, keys_given
 from fleet_db.stores.windows import WindowStore
+from fleet_db.tables.operation import WorklistEntryRow
 from fleet_db.tables.recordings import ChunkRow
 from fleet_db.tables.registry import WheelsetRow
-from fleet_db.tables.results import WorklistEntryRow
 from fleet_db.tables.windows import WindowRow
 
 WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
@@ -98,12 +98,7 @@ SERIALS_AT_ONCE = 50
 
 @dataclass(frozen=True, slots=True)
 class CountedWindows:
-    """Windows of one wheelset that have the same state, reason code, section and vehicle.
-
-    Attributes:
-        first_ns, newest_start_ns, newest_end_ns: Begin of the oldest, begin and end of the newest, ns UTC on the
-            vehicle's clock.
-    """
+    """Windows of one wheelset that have the same state, reason code, section and vehicle."""
 
     state: WindowState
     reason: Reason | None  # as it is stored of the newest; None where none is
@@ -111,7 +106,7 @@ class CountedWindows:
     vehicle: str
     placed: bool  # whether their place on the section is found; False of those that do not wait
     windows: int
-    first_ns: int
+    first_ns: int  # begin of the oldest
     newest_start_ns: int
     newest_end_ns: int
 
@@ -153,11 +148,7 @@ def _counted(row: Row[Any], **given: object) -> CountedWindows:
 
 
 def refused_by_code(connection: Connection, since_ns: Mapping[str, int | None]) -> dict[str, dict[ReasonCode, int]]:
-    """Return how many of the newest windows of wheelsets are refused, by serial and code, the most frequent first.
-
-    Args:
-        since_ns: By serial; None is ever.
-    """
+    """Return how many of the newest windows since a time (None: ever) are refused, by serial and code, most first."""
     found: dict[str, dict[ReasonCode, int]] = {serial: {} for serial in since_ns}
     given = list(since_ns.items())
     for first in range(0, len(given), SERIALS_AT_ONCE):
@@ -214,19 +205,12 @@ ENTRIES = table_of(WorklistEntryRow)
 
 @dataclass(frozen=True, slots=True)
 class Backlog:
-    """What waits.
-
-    Attributes:
-        oldest_recording_ns, oldest_window_ns: Since when, ns of our clock, the oldest recording waits to be decoded
-            and the oldest window to be estimated; None where none does.
-        last_data: Fleet, and newest data on the vehicle's clock, of each vehicle with a mounted wheelset; None without
-            data.
-    """
+    """What waits."""
 
     recordings: Mapping[ChunkState, int]  # how many there are, by state
-    oldest_recording_ns: int | None
-    oldest_window_ns: int | None
-    last_data: tuple[tuple[str, int | None], ...]
+    oldest_recording_ns: int | None  # since when, by our clock, it waits to be decoded; None where none does
+    oldest_window_ns: int | None  # the same of a window that waits to be estimated
+    last_data: tuple[tuple[str, int | None], ...]  # fleet and newest data of each vehicle with a mounted wheelset
 
 
 def backlog_of(connection: Connection) -> Backlog:

@@ -68,21 +68,14 @@ REALS = (
 
 
 def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
-    """Return the condition that the key of a row is among the parameters ``keys``.
-
-    Args:
-        table: With the columns ``wheelset`` and ``start_ns``.
-    """
+    """Return the condition that wheelset and start of a row are among the parameters ``keys``."""
     return tuple_(table.c.wheelset, table.c.start_ns).in_(bindparam("keys", expanding=True))
 
 
 def mark_all(connection: Connection, subjects: Subjects, marks: Sequence[WindowMark]) -> list[WindowMark]:
     """Set states of windows; those that are refused lose their bin tables. Return those that have their states now.
 
-    A window whose samples have been purged stays as it is; that it was to change is noted.
-
-    Raises:
-        NotFoundError: There is no such window.
+    A window whose samples have been purged stays as it is; that it was to change is noted. NotFoundError: one is gone.
     """
     standing = _standing(connection, [mark.key for mark in marks])
     held, changed, gone = [], [], []
@@ -115,12 +108,7 @@ def mark_all(connection: Connection, subjects: Subjects, marks: Sequence[WindowM
 
 
 def wait_again(subjects: Subjects, chosen: ColumnElement[bool], what: PassedOver) -> None:
-    """Let windows wait to be estimated again; those without samples stay as they are, and that is noted.
-
-    Args:
-        chosen: Condition on the table of windows, but for their states.
-        what: Would have changed those that stay.
-    """
+    """Let chosen windows wait to be estimated again; those without samples stay, and ``what`` is noted of them."""
     of = select(WINDOWS.c.wheelset, WINDOWS.c.track_section).where(chosen).distinct()
     for wheelset, section in subjects.connection.execute(of):
         subjects.tables(wheelset)
@@ -207,11 +195,7 @@ def to_window_record(row: Row[Any]) -> WindowRecord:
 
 
 def implausible_reason(row: Any) -> Reason | None:  # noqa: ANN401 - a row of windows, whatever was selected
-    """Return why the mileage of a row of windows is not believed; None where it is.
-
-    Args:
-        row: With the columns ``implausible`` and ``implausible_code``.
-    """
+    """Return why the mileage of a row of windows is not believed; None where it is."""
     return None if row.implausible_code is None else Reason(ReasonCode(row.implausible_code), row.implausible)
 
 

@@ -27,8 +27,8 @@ from fleet_db.rows import insert_new, replace_all, table_of
 from fleet_db.stores.stage_marks import MARKS
 from fleet_db.stores.worklist_inputs import WorklistReader, not_voided
 from fleet_db.subjects import Subjects
+from fleet_db.tables.operation import WorklistAlertRow, WorklistEntryRow
 from fleet_db.tables.registry import WheelsetRow
-from fleet_db.tables.results import WorklistAlertRow, WorklistEntryRow
 
 ENTRIES, KINDS, WHEELSETS = table_of(WorklistEntryRow), table_of(WorklistAlertRow), table_of(WheelsetRow)
 AT_ONCE = 500

@@ -34,7 +34,7 @@ from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import Window
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.geometries import GeometryStore
-from fleet_db.stores.rails import RailsStore
+from fleet_db.stores.opinions import RailsStore
 
 WEAR = 0.04  # what the rails of S2 add to every conicity
 EVERYWHERE, ONLY_WORN = (0, 1, 2), 4
