@@ -41,8 +41,8 @@ from estimation.values.runs import FAILED, SubjectKind
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
-from fleet_db.rows import ReadOnce, by_wheelset, reason_columns, table_of
-from fleet_db.subjects import Subjects
+from fleet_db.rows import by_wheelset, reason_columns, table_of
+from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.track import (
     TrackAlignmentRow,
     TrackEpochRow,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
 from typing import Any, TypeVar, cast, get_args, get_origin
@@ -212,53 +211,3 @@ def reason_columns(reason: Reason | None) -> dict[str, str | None]:
 def stored_reason(row: Any) -> Reason | None:  # noqa: ANN401 - a row of any table with both columns
     """Return the reason of a row by its columns ``reason`` and ``reason_code``; None where it has none."""
     return None if row.reason_code is None else Reason(ReasonCode(row.reason_code), row.reason)
-
-
-Key = TypeVar("Key", bound=Hashable)
-Record = TypeVar("Record")
-
-
-@dataclass(frozen=True, slots=True)
-class ReadOnce:
-    """Records by kind and key: a transaction that sees one snapshot reads none of them again."""
-
-    snapshot: bool = False  # one that writes reads anew each time
-    together: set[str] = field(default_factory=set)  # wheelsets of which all is read together
-    _records: dict[str, dict[Any, Any]] = field(default_factory=dict)
-
-    def of(
-        self, kind: str, keys: Collection[Key], read: Callable[[Collection[Key]], Mapping[Key, Record]]
-    ) -> dict[Key, Record]:
-        """Return records by key, of which ``read`` reads those that are missing; a key without one is left out."""
-        known = self._records.setdefault(kind, {}) if self.snapshot else {}
-        missing = [key for key in dict.fromkeys(keys) if key not in known]
-        if missing:
-            found = read(missing)
-            known.update((key, found.get(key)) for key in missing)
-        return {key: known[key] for key in keys if known[key] is not None}
-
-    def known(self, kind: str, key: Hashable) -> Any:  # noqa: ANN401 - a record of this kind
-        """Return a record that :meth:`of` has read; None where it has not, or there is none."""
-        return self._records.get(kind, {}).get(key)
-
-    def of_wheelset(
-        self, kind: str, wheelset: str, read: Callable[[Collection[str]], Mapping[str, Record]]
-    ) -> Record | None:
-        """Return what :meth:`of_wheelsets` does of one; None where it has none."""
-        return self.of_wheelsets(kind, [wheelset], read).get(wheelset)
-
-    def of_wheelsets(
-        self, kind: str, wheelsets: Collection[str], read: Callable[[Collection[str]], Mapping[str, Record]]
-    ) -> dict[str, Record]:
-        """Return what :meth:`of` does of wheelsets; one of those that are read together is read with all of them."""
-        if self.snapshot and not self.together.isdisjoint(wheelsets):
-            self.of(kind, sorted(self.together), read)
-        return self.of(kind, wheelsets, read)
-
-    def one(self, kind: str, key: Hashable, read: Callable[[], Record]) -> Record:
-        """Return a record, which ``read`` reads, of which there may be none."""
-
-        def known(_: Collection[Hashable]) -> Mapping[Hashable, tuple[Record]]:
-            return {key: (read(),)}
-
-        return self.of(kind, [key], known)[key][0]

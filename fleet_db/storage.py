@@ -14,7 +14,6 @@ from estimation.errors import ConflictError, LeaseLostError, StorageError
 from estimation.values.runs import Claimed, JobTrigger
 from fleet_db.due import WindowDueStore
 from fleet_db.locks import Claims, Lease, UnendedLease, UnendedLeases, prolonged, serialise_vehicle, single_writer
-from fleet_db.rows import ReadOnce
 from fleet_db.session import (
     BUSY_TIMEOUT_MS,
     IMMEDIATE,
@@ -48,7 +47,7 @@ from fleet_db.stores.window_counts import PlausibilityStore
 from fleet_db.stores.windows import WindowStore
 from fleet_db.stores.worklist import WorklistStore
 from fleet_db.stores.worklist_inputs import WorklistReader
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import KeptRecords, OnFile, ReadOnce, Subjects
 from fleet_db.telemetry import WindowFiles
 from fleet_db.visibility import bind
 
@@ -63,7 +62,8 @@ class SqlUnitOfWork:
         *,
         writing: bool,
         shipped: Shipped = no_class,
-        owner: int | None = None,
+        kept: KeptRecords | None = None,  # of the registry; None where a transaction does not see all of it
+        owner: int | None = None,  # lease of the process that runs jobs
     ) -> None:
         self.connection = connection
         self.done: set[str] = set()  # of what is claimed: it is free once this is committed
@@ -77,7 +77,11 @@ class SqlUnitOfWork:
         self.raw_scrubs = RawScrubStore(connection)
         self.recording_changes = RecordingChangeStore(connection)
         once = ReadOnce(not writing, self.together)
-        self.registry = RegistryStore(connection, self.subjects, shipped, once=once)
+        on_file = once
+        if kept is not None:
+            on_file = OnFile(not writing, self.together, connection=connection, kept=kept)
+        # a transaction that changes records reads them as they are in it
+        self.registry = RegistryStore(connection, self.subjects, shipped, once=once if writing else on_file)
         self.tracks = TrackStore(connection, self.subjects, once)
         self.registry_history = RegistryHistoryStore(connection, self.subjects)
         self.sensor_changes = SensorChangeStore(connection, self.subjects)
@@ -103,7 +107,8 @@ class SqlUnitOfWork:
         self.feed_branches = FeedBranchStore(connection)
         self.jobs = JobRunStore(connection, owner)
         self.idempotency = IdempotencyStore(connection)
-        reader = WorklistReader(connection, self.registry, self.geometries, self.trends)
+        shown = replace(self.registry, once=on_file)
+        reader = WorklistReader(connection, shown, self.geometries, self.trends)
         self.worklist = WorklistStore(connection, self.subjects, reader)
         self.api_keys = ApiKeyStore(connection)
         self.audit = AuditStore(connection)
@@ -139,6 +144,7 @@ class SqlStorage:
         claims: What is claimed under it and worked on; None where it is not for claims.
         owner: Lease of the process that runs jobs, with which those of its work end; None where there is none.
         unended: Leases of this process that could not be ended yet.
+        kept: What this process has read of the registry.
         reading: Of reading transactions; None is made from ``engine``.
     """
 
@@ -151,6 +157,7 @@ class SqlStorage:
     claims: Claims | None = None
     owner: int | None = None
     unended: UnendedLeases = field(default_factory=UnendedLeases, compare=False, repr=False)
+    kept: KeptRecords = field(default_factory=KeptRecords, compare=False, repr=False)
     reading: Engine | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -162,8 +169,11 @@ class SqlStorage:
         return self if fleets is None else replace(self, visible_fleets=fleets)
 
     @contextmanager
-    def write(self) -> Iterator[SqlUnitOfWork]:
+    def write(self, *, fenced: bool = True) -> Iterator[SqlUnitOfWork]:
         """Commit on a clean exit, roll back on an exception.
+
+        Args:
+            fenced: Whether nothing is committed once the lease of this storage has ended; records of runs are.
 
         Raises:
             ConflictError: A constraint of the database refused it.
@@ -179,12 +189,14 @@ class SqlStorage:
             dropped_on_failure(connection),
             connection.begin(),
         ):
-            unit = SqlUnitOfWork(connection, self._files(), writing=True, shipped=self.shipped, owner=self.owner)
+            unit = SqlUnitOfWork(
+                connection, self._files(), writing=True, shipped=self.shipped, kept=self.kept, owner=self.owner
+            )
             if self.lease is not None:
                 unit.work_claims.bound(self.lease.length_s)
             yield unit
             unit.finish()
-            freed = self._fence(unit)
+            freed = self._fence(unit) if fenced else frozenset()
         if self.claims is not None:
             self.claims.keys -= freed
 
@@ -220,7 +232,8 @@ class SqlStorage:
         ):
             if self.visible_fleets is not None:
                 bind(connection, self.visible_fleets)
-            yield SqlUnitOfWork(connection, self._files(), writing=False, shipped=self.shipped)
+            kept = self.kept if self.visible_fleets is None else None
+            yield SqlUnitOfWork(connection, self._files(), writing=False, shipped=self.shipped, kept=kept)
 
     @contextmanager
     def owned(self, kind: JobTrigger, holder: str, length_s: float) -> Iterator[SqlStorage]:

@@ -16,9 +16,9 @@ from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
 from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.locks import Subject, serialise
-from fleet_db.rows import ReadOnce, by_wheelset, table_of
+from fleet_db.rows import by_wheelset, table_of
 from fleet_db.session import to_json
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.alerts import AlertEventRow, AlertRow
 from fleet_db.tables.registry import MountingRow
 

@@ -30,10 +30,10 @@ from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTa
 from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
-from fleet_db.rows import ReadOnce, insert_all_new, on_sections, replace, replace_all, table_of
+from fleet_db.rows import insert_all_new, on_sections, replace, replace_all, table_of
 from fleet_db.stores.window_rows import keys_given, list_for_sums, to_window_record
 from fleet_db.stores.windows import NOT_PASSED_OVER
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)

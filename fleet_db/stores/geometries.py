@@ -27,8 +27,9 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.results import Result
 from estimation.values.trend import TREND, TrendRecord, WearTrend
-from fleet_db.rows import ReadOnce, nan_if_null, null_if_nan, table_of
+from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultStore
+from fleet_db.subjects import ReadOnce
 from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import WheelsetBinRow, WindowBinTableRow
 

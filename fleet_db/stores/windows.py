@@ -37,7 +37,6 @@ from estimation.values.windows import (
 )
 from fleet_db.due import BATCH, list_due, list_for_alignment, positions_forgotten, windows_changed, windows_left
 from fleet_db.rows import (
-    ReadOnce,
     by_wheelset,
     insert_new,
     key_given,
@@ -56,7 +55,7 @@ from fleet_db.stores.window_rows import (
     wait_again,
     window_values,
 )
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.registry import MountingRow, WheelsetRow
 from fleet_db.tables.track import WindowPositionRow
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow

@@ -29,6 +29,7 @@ OPEN = """
 import sys
 from pathlib import Path
 import stored_values as make
+from bench.put_values import put_geometry
 from estimation.values.alerts import AlertEventKind
 from estimation.values.registry import FleetRecord
 from estimation.values.runs import JobTrigger
