@@ -13,7 +13,7 @@ from estimation.values.results import Due
 from estimation.values.windows import HUNTING_SHARE, DueStage, PassedOver, Window, WindowKey, WindowRecord
 from fleet_db.due import OF_SAMPLES, raise_sections, windows_changed, windows_left
 from fleet_db.records import ChunkState
-from fleet_db.rows import insert_all_new, replace_all, table_of
+from fleet_db.rows import equal, given, insert_all_new, replace_all, table_of, value_of_row
 from fleet_db.stores.window_rows import list_for_sums, pass_over, to_window_record, window_values
 from fleet_db.subjects import Subjects
 from fleet_db.tables.recordings import ChunkRow, StaleSpanRow
@@ -239,16 +239,14 @@ class StaleSpanStore:
 
     def all(self, vehicle: str | None = None) -> Sequence[StaleSpan]:
         """Return the stale spans, of one vehicle or of all, by vehicle and begin."""
-        statement = select(SPANS).order_by(SPANS.c.vehicle, SPANS.c.from_ns, SPANS.c.id)
-        if vehicle is not None:
-            statement = statement.where(SPANS.c.vehicle == vehicle)
-        return [StaleSpan(**row._mapping) for row in self.connection.execute(statement)]  # noqa: SLF001 - public accessor of SQLAlchemy
+        statement = select(SPANS).where(*equal(SPANS, vehicle=vehicle))
+        rows = self.connection.execute(statement.order_by(SPANS.c.vehicle, SPANS.c.from_ns, SPANS.c.id))
+        return [value_of_row(StaleSpan, row) for row in rows]
 
     def due(self, vehicles: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return the vehicles of which something is stale, by code; of some or of all."""
-        statement = select(SPANS.c.vehicle, func.max(SPANS.c.id).label("newest"))
-        if vehicles is not None:
-            statement = statement.where(SPANS.c.vehicle.in_(vehicles))
+        newest = select(SPANS.c.vehicle, func.max(SPANS.c.id).label("newest"))
+        statement = newest.where(*given(vehicles, SPANS.c.vehicle.in_))
         rows = self.connection.execute(statement.group_by(SPANS.c.vehicle).order_by(SPANS.c.vehicle))
         return {row.vehicle: Due(row.newest) for row in rows}
 

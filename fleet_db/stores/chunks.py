@@ -28,7 +28,7 @@ from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
 from estimation.values.windows import WindowState
 from fleet_db.records import ChunkRecord, ChunkState, RecordingChange
-from fleet_db.rows import columns_of, insert_new, row_of, table_of, value_of_row
+from fleet_db.rows import columns_of, equal, given, insert_new, row_of, table_of, value_of_row
 from fleet_db.subjects import Subjects
 from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, ChunkRow, RawScrubRow, RecordingChangeRow, of_length
 from fleet_db.tables.registry import MountingRow, VehicleRow
@@ -58,14 +58,13 @@ class ChosenChunks:
         of_fleet = None if self.fleet is None else select(VEHICLES.c.code).where(VEHICLES.c.fleet == self.fleet)
         not_deleted = CHUNKS.c.state != ChunkState.DELETED.value
         return [
-            not_deleted if self.state is None else CHUNKS.c.state == self.state.value,
-            *([] if self.vehicle is None else [CHUNKS.c.vehicle == self.vehicle]),
-            *([] if of_fleet is None else [CHUNKS.c.vehicle.in_(of_fleet)]),
-            *([] if self.code is None else [CHUNKS.c.reason_code == self.code.value]),
-            *([] if self.received_from_ns is None else [CHUNKS.c.received_ns >= self.received_from_ns]),
-            *([] if self.received_to_ns is None else [CHUNKS.c.received_ns < self.received_to_ns]),
-            *([] if self.measured_from_ns is None else [CHUNKS.c.last_ns >= self.measured_from_ns]),
-            *([] if self.measured_to_ns is None else [CHUNKS.c.first_ns < self.measured_to_ns]),
+            *([not_deleted] if self.state is None else []),
+            *equal(CHUNKS, state=self.state, vehicle=self.vehicle, reason_code=self.code),
+            *given(of_fleet, CHUNKS.c.vehicle.in_),
+            *given(self.received_from_ns, CHUNKS.c.received_ns.__ge__),
+            *given(self.received_to_ns, CHUNKS.c.received_ns.__lt__),
+            *given(self.measured_from_ns, CHUNKS.c.last_ns.__ge__),
+            *given(self.measured_to_ns, CHUNKS.c.first_ns.__lt__),
         ]
 
 
@@ -157,10 +156,8 @@ class ChunkStore:
     ) -> Sequence[ChunkRecord]:
         """Return receipts that wait for decoding, oldest first, behind (recorded time, digest) of ``after``."""
         place = (CHUNKS.c.recorded_ns, CHUNKS.c.digest)
-        statement = select(CHUNKS).where(UNDECODED, tuple_(*place) > tuple_(*after)).order_by(*place).limit(limit)
-        if vehicle is not None:
-            statement = statement.where(CHUNKS.c.vehicle == vehicle)
-        return self._read(statement)
+        behind = select(CHUNKS).where(UNDECODED, tuple_(*place) > tuple_(*after), *equal(CHUNKS, vehicle=vehicle))
+        return self._read(behind.order_by(*place).limit(limit))
 
     def undecoded_size(self) -> Undecoded:
         """Return how many recordings wait for a worker to decode them, how large they are, and since when."""

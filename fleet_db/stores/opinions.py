@@ -42,7 +42,18 @@ from fleet_db.packed_values import (
     unpack_window_adhesion,
     unpack_window_damper,
 )
-from fleet_db.rows import columns_of, insert_all_new, key_given, key_of, replace_all, table_of, upsert, value_of_row
+from fleet_db.rows import (
+    columns_of,
+    equal,
+    given,
+    insert_all_new,
+    key_given,
+    key_of,
+    replace_all,
+    table_of,
+    upsert,
+    value_of_row,
+)
 from fleet_db.rows import replace as replace_row
 from fleet_db.stores.results import ResultStore
 from fleet_db.subjects import Subjects
@@ -95,10 +106,9 @@ class AdhesionStore:
 
         A window whose samples are others by now is left out until it has been looked at again.
         """
-        same = (OF_WINDOWS.c.wheelset == wheelset, OF_WINDOWS.c.content_digest == WINDOWS.c.content_digest)
-        chosen = select(OF_WINDOWS).select_from(OF_WINDOWS.join(WINDOWS, SAME)).where(*same)
-        if after_ns is not None:
-            chosen = chosen.where(OF_WINDOWS.c.start_ns > after_ns)
+        own = (OF_WINDOWS.c.wheelset == wheelset, OF_WINDOWS.c.content_digest == WINDOWS.c.content_digest)
+        chosen = select(OF_WINDOWS).select_from(OF_WINDOWS.join(WINDOWS, SAME))
+        chosen = chosen.where(*own, *given(after_ns, OF_WINDOWS.c.start_ns.__gt__))
         return self._windows(chosen.limit(limit))
 
     def of_section(self, section: str, from_ns: int, to_ns: int) -> Sequence[WindowAdhesion]:
@@ -230,10 +240,7 @@ class SuspensionStore:
 
     def list(self, vehicle: str | None = None) -> Sequence[SuspensionFinding]:
         """Return the findings of a vehicle, or of all, in order of vehicle, time and section."""
-        statement = select(FINDINGS)
-        if vehicle is not None:
-            statement = statement.where(FINDINGS.c.vehicle == vehicle)
-        return self._read(statement, FINDINGS.c)
+        return self._read(select(FINDINGS).where(*equal(FINDINGS, vehicle=vehicle)), FINDINGS.c)
 
     def newest(self, count: int) -> Sequence[SuspensionFinding]:
         """Return at most ``count`` newest findings of every vehicle, in order of vehicle, time and section."""
@@ -319,9 +326,7 @@ class RailsStore:
         """
         columns = [CELLS.c[name] for name in (*_KEY, "digest", "interval_digest")]
         wanted: Select[Any] = select(*columns, cast(CELLS.c.document, Text).label("document"))
-        if wheelsets is not None:
-            wanted = wanted.where(CELLS.c.wheelset.in_(sorted(wheelsets)))
-        rows = self.connection.execute(wanted)
+        rows = self.connection.execute(wanted.where(*given(wheelsets, CELLS.c.wheelset.in_)))
         return sorted((_cell(row) for row in rows), key=lambda one: (one.wheel, one.rail))
 
     def put_cells(self, cells: Sequence[StoredCell]) -> None:

@@ -17,7 +17,7 @@ from estimation.vehicle.vehicle_class import SHIPPED_VERSION, ClassOnFile, Vehic
 from fleet_db.due import list_due
 from fleet_db.locks import Subject, serialise
 from fleet_db.records import NOTHING_AGAIN, Decision, EstimatedAgain, RecordAction, RecordKind
-from fleet_db.rows import by_wheelset, columns_of, delete_row, row_of, table_of, upsert, value_of_row
+from fleet_db.rows import by_wheelset, columns_of, delete_row, given, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.assembled import StaleSpanStore
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.estimated_again import Again, decode_undecoded
@@ -94,10 +94,8 @@ class RegistryStore:
     def vehicles_page(self, fleet: str | None, after: str | None, limit: int) -> Sequence[VehicleRecord]:
         """Return at most ``limit`` vehicles with a code behind ``after`` that are not voided."""
         statement = _in_fleet(select(VEHICLES), VEHICLES.c.fleet, fleet)
-        statement = statement.where(~is_voided(RecordKind.VEHICLE, VEHICLES.c.code))
-        if after is not None:
-            statement = statement.where(VEHICLES.c.code > after)
-        return self._vehicles(statement.limit(limit))
+        in_force = ~is_voided(RecordKind.VEHICLE, VEHICLES.c.code)
+        return self._vehicles(statement.where(in_force, *given(after, VEHICLES.c.code.__gt__)).limit(limit))
 
     def vehicles(self) -> Sequence[VehicleRecord]:
         """Return all vehicles, those that are voided too, by code."""

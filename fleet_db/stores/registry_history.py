@@ -12,7 +12,7 @@ from estimation.errors import DamagedError, ParameterError
 from estimation.values.fields import JsonValue
 from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass, class_digest, class_document, class_of_document
 from fleet_db.records import Decision, RecordAction, RecordKind, RegistryEvent
-from fleet_db.rows import columns_of, table_of, value_of_row
+from fleet_db.rows import columns_of, equal, given, table_of, value_of_row
 from fleet_db.subjects import Subjects
 from fleet_db.tables.registry import RegistryEventRow, VehicleClassRow, VehicleRow
 
@@ -66,10 +66,8 @@ class RegistryHistoryStore:
 
     def latest(self, key: RecordKey, action: RecordAction | None = None) -> RegistryEvent | None:
         """Return the last decision on a record, or the last of one action; None where there is none."""
-        chosen = [EVENTS.c.kind == key.kind.value, EVENTS.c.subject == key.subject]
+        chosen = equal(EVENTS, kind=key.kind, subject=key.subject, action=action)
         chosen.append(EVENTS.c.at_ns.is_(None) if key.at_ns is None else EVENTS.c.at_ns == key.at_ns)
-        if action is not None:
-            chosen.append(EVENTS.c.action == action.value)
         row = self.connection.execute(select(EVENTS).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1)).first()
         return None if row is None else value_of_row(RegistryEvent, row)
 
@@ -103,13 +101,8 @@ class RegistryHistoryStore:
         kind: RecordKind | None = None,
     ) -> Sequence[RegistryEvent]:
         """Return at most ``limit`` decisions, on one wheelset, vehicle, class or section or on all, oldest first."""
-        statement = select(EVENTS).order_by(EVENTS.c.id).limit(limit)
-        if kind is not None:
-            statement = statement.where(EVENTS.c.kind == kind.value)
-        if subject is not None:
-            statement = statement.where(EVENTS.c.subject == subject)
-        if after is not None:
-            statement = statement.where(EVENTS.c.id > after)
+        chosen = [*equal(EVENTS, kind=kind, subject=subject), *given(after, EVENTS.c.id.__gt__)]
+        statement = select(EVENTS).where(*chosen).order_by(EVENTS.c.id).limit(limit)
         return [value_of_row(RegistryEvent, row) for row in self.connection.execute(statement)]
 
 
@@ -146,9 +139,7 @@ def no_class(_code: str) -> VehicleClass | None:
 
 def find_class(connection: Connection, code: str, version: int | None) -> ClassOnFile | None:
     """Return a version of a registered class, None for the newest; None where there is none. Raises DamagedError."""
-    statement = select(CLASSES).where(CLASSES.c.code == code)
-    if version is not None:
-        statement = statement.where(CLASSES.c.version == version)
+    statement = select(CLASSES).where(*equal(CLASSES, code=code, version=version))
     row = connection.execute(statement.order_by(CLASSES.c.version.desc()).limit(1)).first()
     return None if row is None else _on_file(row)
 

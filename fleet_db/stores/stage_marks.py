@@ -33,7 +33,7 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.results import EVERYTHING, Due, Look, Mark, StageInputs
 from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
-from fleet_db.rows import columns_of, row_of, table_of, upsert, value_of_row
+from fleet_db.rows import columns_of, equal, given, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.assembled import SPANS, StaleSpanStore
 from fleet_db.subjects import VERSIONS, Subjects
 from fleet_db.tables.operation import StageMarkRow
@@ -215,10 +215,7 @@ class QuarantineStore:
 
     def held(self, stage: str | None = None) -> Sequence[Quarantined]:
         """Return what is held, of one stage or of all, by last failure."""
-        statement = select(ITEMS).where(ITEMS.c.state == QuarantineState.HELD.value)
-        if stage is not None:
-            statement = statement.where(ITEMS.c.stage == stage)
-        return self._items(statement)
+        return self._items(select(ITEMS).where(*equal(ITEMS, state=QuarantineState.HELD, stage=stage)))
 
     def due(self, stage: str, now_ns: int, limit: int) -> Sequence[Quarantined]:
         """Return what is held of a stage and due for another attempt, at most ``limit``, by last failure."""
@@ -240,14 +237,8 @@ class QuarantineStore:
         limit: int,
     ) -> Sequence[Quarantined]:
         """Return items behind a place, by kind, key and stage; of a vehicle with its recordings and windows."""
-        chosen = [
-            column == value.value
-            for column, value in ((ITEMS.c.kind, kind), (ITEMS.c.state, state), (ITEMS.c.code, code))
-            if value is not None
-        ]
         place = (ITEMS.c.kind, ITEMS.c.key, ITEMS.c.stage)
-        if vehicle is not None:
-            chosen.append(_of_vehicle(vehicle))
+        chosen = [*equal(ITEMS, kind=kind, state=state, code=code), *given(vehicle, _of_vehicle)]
         if after is not None:
             chosen.append(tuple_(*place) > tuple_(*after))
         statement = select(ITEMS).where(*chosen).order_by(*place).limit(limit)
@@ -265,9 +256,7 @@ class QuarantineStore:
 
     def retry(self, kind: SubjectKind | None = None, key: str | None = None) -> Sequence[Quarantined]:
         """Let what is held be tried at the next run: all, one kind, or one thing; return what that is."""
-        chosen = [ITEMS.c.state == QuarantineState.HELD.value]
-        chosen += [] if kind is None else [ITEMS.c.kind == kind.value]
-        chosen += [] if key is None else [ITEMS.c.key == key]
+        chosen = equal(ITEMS, state=QuarantineState.HELD, kind=kind, key=key)
         found = self._items(select(ITEMS).where(*chosen))
         self.connection.execute(update(ITEMS).where(*chosen).values(due_ns=ITEMS.c.last_ns))
         return found

@@ -18,7 +18,7 @@ from estimation.values.registry import Mounting, Reprofiling, SensorChange, Sens
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
 from fleet_db.records import Decision, RecordKind
-from fleet_db.rows import by_wheelset, columns_of, row_of, table_of, upsert, value_of_row
+from fleet_db.rows import by_wheelset, columns_of, given, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.subjects import Subjects
 from fleet_db.tables.recordings import StaleSpanRow
@@ -87,9 +87,8 @@ def _overlapping(connection: Connection, record: Mounting) -> Mounting | None:
         ~same_key,
         or_(table.wheelset == record.wheelset, same_axle),
         or_(table.to_ns.is_(None), table.to_ns > record.from_ns),
+        *given(record.to_ns, table.from_ns.__lt__),
     )
-    if record.to_ns is not None:
-        statement = statement.where(table.from_ns < record.to_ns)
     row = connection.execute(statement.order_by(table.from_ns)).first()
     return None if row is None else value_of_row(Mounting, row)
 
@@ -104,13 +103,9 @@ def newest_measurements(
     connection: Connection, fleet: str | None, from_ns: int | None, to_ns: int | None, limit: int
 ) -> tuple[int, list[tuple[str, int]]]:
     """Return how many measurements there are in ``[from_ns, to_ns)``, and wheelset and time of the newest ``limit``."""
-    wanted: list[ColumnElement[bool]] = []
+    wanted = [*given(from_ns, MEASURED.c.at_ns.__ge__), *given(to_ns, MEASURED.c.at_ns.__lt__)]
     if fleet is not None:
         wanted.append(MEASURED.c.wheelset.in_(select(WHEELSETS.c.serial).where(WHEELSETS.c.fleet == fleet)))
-    if from_ns is not None:
-        wanted.append(MEASURED.c.at_ns >= from_ns)
-    if to_ns is not None:
-        wanted.append(MEASURED.c.at_ns < to_ns)
     total = connection.scalar(select(func.count()).select_from(MEASURED).where(*wanted)) or 0
     newest = select(MEASURED.c.wheelset, MEASURED.c.at_ns).where(*wanted)
     newest = newest.order_by(MEASURED.c.at_ns.desc(), MEASURED.c.wheelset).limit(limit)

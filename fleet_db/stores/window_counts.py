@@ -40,7 +40,7 @@ from estimation.values.windows import (
 )
 from fleet_db.due import BATCH, IS_PENDING, PLACED, is_due, list_due
 from fleet_db.records import ChunkState
-from fleet_db.rows import by_wheelset, replace_all, stored_reason, table_of, value_of_row
+from fleet_db.rows import by_wheelset, equal, given, replace_all, stored_reason, table_of, value_of_row
 from fleet_db.stores.window_rows import implausible_reason, keys_given
 from fleet_db.stores.windows import WindowStore
 from fleet_db.tables.operation import WorklistEntryRow
@@ -128,11 +128,7 @@ def pending_by_place(
     connection: Connection, *, vehicles: Sequence[str] | None = None, wheelset: str | None = None
 ) -> Sequence[CountedWindows]:
     """Return the windows that wait, however many, by vehicle, section, and whether their place is found."""
-    chosen = [IS_PENDING]
-    if vehicles is not None:
-        chosen.append(WINDOWS.c.vehicle.in_(vehicles))
-    if wheelset is not None:
-        chosen.append(WINDOWS.c.wheelset == wheelset)
+    chosen = [IS_PENDING, *given(vehicles, WINDOWS.c.vehicle.in_), *equal(WINDOWS, wheelset=wheelset)]
     placed = case((PLACED, true()), else_=false()).label("placed")
     names = ("vehicle", "track_section", "start_ns")
     end = (WINDOWS.c.start_ns + WINDOWS.c.length_ns).label("end_ns")
