@@ -79,7 +79,7 @@ class SqlUnitOfWork:
         once = ReadOnce(not writing, self.together)
         on_file = once
         if kept is not None:
-            on_file = OnFile(not writing, self.together, connection=connection, kept=kept)
+            on_file = OnFile(not writing, self.together, subjects=self.subjects, kept=kept)
         # a transaction that changes records reads them as they are in it
         self.registry = RegistryStore(connection, self.subjects, shipped, once=once if writing else on_file)
         self.tracks = TrackStore(connection, self.subjects, once)
@@ -93,7 +93,7 @@ class SqlUnitOfWork:
         self.assembled = AssembledWindowStore(connection, self.subjects, files)
         self.tables = BinTableStore(connection, self.subjects, once)
         self.due = WindowDueStore(connection, once)
-        self.marks = StageMarkStore(connection, self.subjects, self.due)
+        self.marks = StageMarkStore(connection, self.subjects, self.due, once)
         self.results = ResultStore(connection, self.subjects, once)
         self.geometries = GeometryStore(connection, self.results, once)
         self.trends = TrendStore(self.results, self.geometries)

@@ -6,13 +6,13 @@ versions of the facets that it declares with the sum that it has seen (``fleet_d
 
 from __future__ import annotations
 
-from collections import ChainMap, Counter
-from collections.abc import Callable, Collection, Hashable, Mapping, MutableMapping
+from collections import Counter
+from collections.abc import Callable, Collection, Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Insert, bindparam, exists, func, select
+from sqlalchemy import ColumnElement, Connection, Insert, bindparam, exists, func, select, tuple_
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.opinions import GEAR_DAMPERS
@@ -86,6 +86,13 @@ class Subjects:
         return sum(
             count for (kind, name, facet), count in grown.items() if facet in facets and subject in {None, (kind, name)}
         )
+
+    def versions(self, subjects: Collection[tuple[SubjectKind, str]], facets: Collection[str]) -> int:
+        """Return the sum of the versions of some facets of some subjects: it is another where one of them is."""
+        self.flush()
+        own = tuple_(VERSIONS.c.kind, VERSIONS.c.subject).in_(sorted(subjects))
+        summed = select(func.sum(VERSIONS.c.version)).where(own, VERSIONS.c.facet.in_(facets))
+        return int(self.connection.scalar(summed) or 0)
 
     def wheelset_on_file(self, serial: str) -> None:
         """Something on file of a wheelset has changed: sections with its windows follow."""
@@ -178,13 +185,18 @@ class ReadOnce:
     def renew(self) -> None:
         """Let what others have changed meanwhile be seen; a transaction that writes remembers nothing."""
 
-    def _of_kind(self, kind: str) -> MutableMapping[Any, Any]:
+    def _of_kind(self, kind: str) -> dict[Any, Any]:
         """Return the records of a kind that need not be read; what is read is added to it."""
         return self._records.setdefault(kind, {}) if self.snapshot else {}
 
     def known(self, kind: str, key: Hashable) -> Any:  # noqa: ANN401 - a record of this kind
         """Return a record that :meth:`of` has read; None where it has not, or there is none."""
         return self._records.get(kind, {}).get(key)
+
+    def is_absent(self, kind: str, key: Hashable) -> bool:
+        """Return whether :meth:`of` has looked for a record and found none."""
+        records = self._records.get(kind, {})
+        return key in records and records[key] is None
 
     def of_wheelset(
         self, kind: str, wheelset: str, read: Callable[[Collection[str]], Mapping[str, Record]]
@@ -235,10 +247,10 @@ class KeptRecords:
 class OnFile(ReadOnce):
     """Records of the registry: while it does not change, no transaction reads again what another one has read.
 
-    A transaction that writes may see what is not committed, and adds nothing to what others see.
+    A transaction that has changed it sees what is not committed: it neither uses nor adds to what others see.
     """
 
-    connection: Connection
+    subjects: Subjects
     kept: KeptRecords
     _read: dict[str, Records] = field(default_factory=dict)
 
@@ -246,13 +258,14 @@ class OnFile(ReadOnce):
         """Look at the version of the registry again."""
         self._read.clear()
 
-    def _of_kind(self, kind: str) -> MutableMapping[Any, Any]:
+    def _of_kind(self, kind: str) -> dict[Any, Any]:
         if kind in LARGE:
             return ReadOnce._of_kind(self, kind)  # noqa: SLF001 - of the class that this one extends
+        if self.subjects.growth([Facet.REGISTRY]):
+            return {}
         if not self._read:
-            self._read["now"] = self.kept.of(_version(self.connection))
-        records: dict[Any, Any] = self._read["now"].setdefault(kind, {})
-        return records if self.snapshot else ChainMap({}, records)
+            self._read["now"] = self.kept.of(_version(self.subjects.connection))
+        return self._read["now"].setdefault(kind, {})
 
 
 def _version(connection: Connection) -> Hashable:

@@ -46,9 +46,9 @@ from fleet_db.rows import (
     columns_of,
     equal,
     given,
-    insert_all_new,
     key_given,
     key_of,
+    put_rows,
     replace_all,
     table_of,
     upsert,
@@ -91,9 +91,7 @@ class AdhesionStore:
 
     def put_all(self, found: Sequence[WindowAdhesion]) -> None:
         """Store the creep of windows; earlier ones are replaced. Their sections pool them then."""
-        rows = [_values(one) for one in found]
-        if insert_all_new(self.connection, OF_WINDOWS, rows) < len(rows):
-            replace_all(self.connection, OF_WINDOWS, rows)
+        put_rows(self.connection, OF_WINDOWS, [_values(one) for one in found])
         keys = [(one.wheelset, one.start_ns) for one in found]
         if keys:
             list_due(self.connection, FRICTION, tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys))
@@ -158,6 +156,7 @@ class AdhesionStore:
         )
         first = select(func.min(OF_SECTIONS.c.to_ns)).where(*within).scalar_subquery()
         self.connection.execute(delete(OF_SECTIONS).where(*within, OF_SECTIONS.c.to_ns > first))
+        self.subjects.raised(SubjectKind.SECTION, found.track_section, FRICTION)
         return upsert(self.connection, OF_SECTIONS, values)
 
     def made_with(self, sections: Sequence[str]) -> Mapping[str, tuple[int, str]]:
@@ -228,7 +227,7 @@ class SuspensionStore:
     def put(self, finding: SuspensionFinding, epoch: int | None = None) -> None:
         """Store a finding of an epoch; one of the same vehicle, section and time is replaced."""
         values = columns_of(finding, "assumed") | {"assumed_m": finding.assumed, "epoch": epoch}
-        upsert(self.connection, FINDINGS, values)
+        put_rows(self.connection, FINDINGS, [values])
         self.subjects.raised(SubjectKind.VEHICLE, finding.vehicle, Facet.STIFFNESS)
 
     def forget(self, section: str, epoch: int, *, behind: bool) -> None:
@@ -271,9 +270,7 @@ class DamperStore:
 
     def put_all(self, found: Sequence[WindowDamper]) -> None:
         """Store what windows say of dampers; what they said before is replaced."""
-        rows = [_damper_values(one) for one in found]
-        if insert_all_new(self.connection, DAMPERS, rows) < len(rows):
-            replace_all(self.connection, DAMPERS, rows)
+        put_rows(self.connection, DAMPERS, [_damper_values(one) for one in found])
 
     def gears(self, vehicles: Sequence[str]) -> Sequence[GEAR]:
         """Return the running gears of some vehicles of which windows say something."""
@@ -331,9 +328,7 @@ class RailsStore:
 
     def put_cells(self, cells: Sequence[StoredCell]) -> None:
         """Store cells, in the place of earlier ones of the same keys."""
-        rows = [{**_key_values(one.wheel, one.rail), **_cell_values(one)} for one in cells]
-        if insert_all_new(self.connection, CELLS, rows) < len(rows):
-            replace_all(self.connection, CELLS, rows)
+        put_rows(self.connection, CELLS, [_key_values(one.wheel, one.rail) | _cell_values(one) for one in cells])
         self._raise({one.wheel.wheelset for one in cells})
 
     def drop_cells(self, keys: Sequence[tuple[WheelKey, RailKey]]) -> None:

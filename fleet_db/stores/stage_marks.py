@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -35,7 +35,7 @@ from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.rows import columns_of, equal, given, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.assembled import SPANS, StaleSpanStore
-from fleet_db.subjects import VERSIONS, Subjects
+from fleet_db.subjects import VERSIONS, ReadOnce, Subjects
 from fleet_db.tables.operation import StageMarkRow
 from fleet_db.tables.recordings import ChunkRow, QuarantineRow
 from fleet_db.tables.windows import WindowRow
@@ -56,6 +56,7 @@ class StageMarkStore:
     connection: Connection
     subjects: Subjects
     windows: WindowDueStore
+    once: ReadOnce = field(default_factory=ReadOnce)
 
     def due(self, inputs: StageInputs, now_ns: int, subjects: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return what a stage has not seen as it is now, by subject, in their order; one statement.
@@ -72,16 +73,20 @@ class StageMarkStore:
             if inputs.kind is SubjectKind.VEHICLE:
                 return StaleSpanStore(self.connection).due(subjects)
             return self.windows.wheelsets(inputs, subjects)
-        rows = self.connection.execute(_due(inputs, now_ns, subjects))
-        return {
-            row.subject: Due(
-                seen=int(row.now),
-                made_from=None if row.come else row.made_from,
-                marked=row.made_from is not None,
-                again_ns=row.again_ns,
-            )
-            for row in rows
-        }
+
+        def read(some: Collection[str] | None) -> Mapping[str, Due]:
+            rows = self.connection.execute(_due(inputs, now_ns, some))
+            return {
+                row.subject: Due(
+                    seen=int(row.now),
+                    made_from=None if row.come else row.made_from,
+                    marked=row.made_from is not None,
+                    again_ns=row.again_ns,
+                )
+                for row in rows
+            }
+
+        return read(None) if subjects is None else self.once.of(f"mark of {inputs.stage}", subjects, read)
 
     def look(self, stages: Sequence[StageInputs], now_ns: int, counted: Collection[str], job: str) -> Look:
         """Return of which stages something is due; one statement for all.

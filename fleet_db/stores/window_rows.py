@@ -41,9 +41,9 @@ from estimation.values.windows import (
 from fleet_db.due import BATCH, estimated, list_due, list_to_estimate, list_waiting
 from fleet_db.rows import (
     columns_of,
-    insert_all_new,
     nan_if_null,
     null_if_nan,
+    put_rows,
     reason_columns,
     replace_all,
     stored_reason,
@@ -72,20 +72,20 @@ def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table wit
     return tuple_(table.c.wheelset, table.c.start_ns).in_(bindparam("keys", expanding=True))
 
 
-def mark_all(connection: Connection, subjects: Subjects, marks: Sequence[WindowMark]) -> list[WindowMark]:
+def mark_all(
+    connection: Connection, subjects: Subjects, marks: Sequence[WindowMark], standing: Mapping[WindowKey, WindowRecord]
+) -> list[WindowMark]:
     """Set states of windows; those that are refused lose their bin tables. Return those that have their states now.
 
     A window whose samples have been purged stays as it is; that it was to change is noted. NotFoundError: one is gone.
     """
-    standing = _standing(connection, [mark.key for mark in marks])
     held, changed, gone = [], [], []
     for mark in marks:
         before = standing.get(mark.key)
         if before is None:
             raise NotFoundError("window", f"{mark.wheelset}@{mark.start_ns}")
-        after = {"state": mark.state.value, **reason_columns(mark.reason)}
-        same = all(getattr(before, name) == value for name, value in after.items())
-        if not same and before.samples_purged_ns is not None:
+        same = before.state is mark.state and before.reason == mark.reason
+        if not same and before.samples_purged:
             this = and_(WINDOWS.c.wheelset == mark.wheelset, WINDOWS.c.start_ns == mark.start_ns)
             if pass_over(connection, this, PassedOver.SUPERSEDED):
                 subjects.tables(mark.wheelset)
@@ -93,12 +93,13 @@ def mark_all(connection: Connection, subjects: Subjects, marks: Sequence[WindowM
         held.append(mark)
         if not same:
             subjects.places(before.track_section)
+            after = {"state": mark.state.value, **reason_columns(mark.reason)}
             changed.append({"wheelset": mark.wheelset, "start_ns": mark.start_ns, **after})
             if mark.state is WindowState.REFUSED:
                 gone.append(mark.key)
-            if before.state != mark.state.value:
+            if before.state is not mark.state:
                 subjects.tables(mark.wheelset)
-            if WindowState.REFUSED.value in {before.state, mark.state.value}:  # else the newest usable one stays
+            if WindowState.REFUSED in {before.state, mark.state}:  # else the newest usable one stays
                 subjects.windows(mark.wheelset)
     replace_all(connection, WINDOWS, changed)
     list_waiting(connection, [mark.key for mark in held if mark.state is WindowState.PENDING])
@@ -147,20 +148,6 @@ def pass_over(connection: Connection, chosen: ColumnElement[bool], what: PassedO
     open_ = or_(WINDOWS.c.passed_over.is_(None), WINDOWS.c.passed_over.in_(weaker))
     noted = update(WINDOWS).where(chosen, open_).values(passed_over=what.value)
     return connection.execute(noted.execution_options(preserve_rowcount=True)).rowcount
-
-
-def _standing(connection: Connection, keys: Sequence[WindowKey]) -> dict[WindowKey, Row[Any]]:
-    found: dict[WindowKey, Row[Any]] = {}
-    for first in range(0, len(keys), BATCH):
-        for row in connection.execute(_states(), {"keys": keys[first : first + BATCH]}):
-            found[row.wheelset, row.start_ns] = row
-    return found
-
-
-@cache
-def _states() -> Select[Any]:
-    names = ("wheelset", "start_ns", "state", "reason", "reason_code", "samples_purged_ns", "track_section")
-    return select(*(WINDOWS.c[name] for name in names)).where(keys_given(WINDOWS))
 
 
 @cache
@@ -244,18 +231,16 @@ def positions_of(connection: Connection, keys: Sequence[WindowKey]) -> Mapping[W
     return found
 
 
-def put_positions(connection: Connection, positions: Sequence[WindowPosition]) -> frozenset[WindowKey]:
-    """Store where windows were, in the place of what was known; return those of which that has changed."""
+def put_positions(
+    connection: Connection, positions: Sequence[WindowPosition]
+) -> Mapping[WindowKey, WindowPosition | None]:
+    """Store where windows were, in the place of what was known; return that of those of which it has changed."""
     before = positions_of(connection, [(one.wheelset, one.start_ns) for one in positions])
     changed = {
-        (one.wheelset, one.start_ns): columns_of(one)
-        for one in positions
-        if before.get((one.wheelset, one.start_ns)) != one
+        (one.wheelset, one.start_ns): one for one in positions if before.get((one.wheelset, one.start_ns)) != one
     }
-    rows = [changed[key] for key in sorted(changed)]
-    if insert_all_new(connection, POSITIONS, rows) < len(rows):
-        replace_all(connection, POSITIONS, rows)
-    return frozenset(changed)
+    put_rows(connection, POSITIONS, [columns_of(changed[key]) for key in sorted(changed)])
+    return {key: before.get(key) for key in changed}
 
 
 def forget_positions(connection: Connection, keys: Sequence[WindowKey]) -> set[str | None]:
