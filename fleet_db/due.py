@@ -45,7 +45,7 @@ from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
 from fleet_db.rows import by_wheelset, reason_columns, table_of
-from fleet_db.subjects import ReadOnce, Subjects
+from fleet_db.subjects import REGISTRY_VERSION, ReadOnce, Subjects
 from fleet_db.tables.track import (
     TrackAlignmentRow,
     TrackEpochRow,
@@ -113,7 +113,7 @@ class WindowDueStore:
 
     def due(self, inputs: StageInputs, keys: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return the windows, some or all, that are due by key as text, in the order of vehicle, time and wheelset."""
-        statement = select(DUE).where(DUE.c.stage == inputs.stage)
+        statement = select(DUE, REGISTRY_VERSION.label("registry")).where(DUE.c.stage == inputs.stage)
         if inputs.stage == DueStage.TABLES:
             is_same = and_(WINDOWS.c.wheelset == DUE.c.wheelset, WINDOWS.c.start_ns == DUE.c.start_ns)
             ready = or_(DUE.c.section.not_in(_aligned_by_fleet()), PLACED, WINDOWS.c.state.is_(None))
@@ -122,7 +122,7 @@ class WindowDueStore:
             own = tuple_(DUE.c.wheelset, DUE.c.start_ns)
             statement = statement.where(own.in_([key_of_text(key) for key in keys]))
         rows = self.connection.execute(statement.order_by(DUE.c.vehicle, DUE.c.start_ns, DUE.c.wheelset))
-        return {text_of_key(row.wheelset, row.start_ns): Due(row.version) for row in rows}
+        return {text_of_key(row.wheelset, row.start_ns): Due(row.version, registry=row.registry) for row in rows}
 
     def wheelsets(self, inputs: StageInputs, serials: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return the wheelsets, some or all, with windows that are due, by serial."""
@@ -132,9 +132,10 @@ class WindowDueStore:
             for (wheelset, _), version in windows.items():
                 seen[wheelset] += version
             return {wheelset: Due(version) for wheelset, version in sorted(seen.items())}
-        statement = select(DUE.c.wheelset, func.sum(DUE.c.version).label("seen")).where(DUE.c.stage == inputs.stage)
+        columns = (DUE.c.wheelset, func.sum(DUE.c.version).label("seen"), REGISTRY_VERSION.label("registry"))
+        statement = select(*columns).where(DUE.c.stage == inputs.stage)
         rows = self.connection.execute(statement.group_by(DUE.c.wheelset).order_by(DUE.c.wheelset))
-        return {row.wheelset: Due(int(row.seen)) for row in rows}
+        return {row.wheelset: Due(int(row.seen), registry=row.registry) for row in rows}
 
     def of_wheelsets(self, stage: str, serials: Collection[str]) -> Mapping[WindowKey, int]:
         """Return the due windows of some wheelsets with their versions, by wheelset and start."""

@@ -93,7 +93,7 @@ class SqlUnitOfWork:
         self.assembled = AssembledWindowStore(connection, self.subjects, files)
         self.tables = BinTableStore(connection, self.subjects, once)
         self.due = WindowDueStore(connection, once)
-        self.marks = StageMarkStore(connection, self.subjects, self.due, once)
+        self.marks = StageMarkStore(connection, self.subjects, self.due, once, on_file)
         self.results = ResultStore(connection, self.subjects, once)
         self.geometries = GeometryStore(connection, self.results, once)
         self.trends = TrendStore(self.results, self.geometries)

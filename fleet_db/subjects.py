@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Insert, bindparam, exists, func, select, tuple_
+from sqlalchemy import ColumnElement, Connection, Insert, String, bindparam, cast, exists, func, select, tuple_
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.opinions import GEAR_DAMPERS
@@ -182,12 +182,16 @@ class ReadOnce:
             known.update((key, found.get(key)) for key in missing)
         return {key: known[key] for key in keys if known[key] is not None}
 
-    def renew(self) -> None:
+    def renew(self, version: str | None) -> None:
         """Let what others have changed meanwhile be seen; a transaction that writes remembers nothing."""
 
     def _of_kind(self, kind: str) -> dict[Any, Any]:
         """Return the records of a kind that need not be read; what is read is added to it."""
         return self._records.setdefault(kind, {}) if self.snapshot else {}
+
+    def remember(self, kind: str, records: Mapping[Any, Any]) -> None:
+        """Let records be those that this transaction has read."""
+        self._records.setdefault(kind, {}).update(records)
 
     def known(self, kind: str, key: Hashable) -> Any:  # noqa: ANN401 - a record of this kind
         """Return a record that :meth:`of` has read; None where it has not, or there is none."""
@@ -222,6 +226,11 @@ class ReadOnce:
 
 
 BRANCHES = table_of(FeedBranchRow)
+_OF_REGISTRY = (VERSIONS.c.kind == SubjectKind.FLEET.value, VERSIONS.c.subject == "")
+_CHANGES = select(cast(VERSIONS.c.version, String)).where(*_OF_REGISTRY, VERSIONS.c.facet == Facet.REGISTRY.value)
+_BRANCH = select(BRANCHES.c.identity).order_by(BRANCHES.c.branch_id.desc()).limit(1)
+REGISTRY_VERSION = func.coalesce(_CHANGES.scalar_subquery(), "") + " " + func.coalesce(_BRANCH.scalar_subquery(), "")
+"""What is another one with each change of the registry, and after a restore."""
 MOST = 20_000
 """Records of a kind that are kept."""
 LARGE = ("measured profiles",)
@@ -254,9 +263,10 @@ class OnFile(ReadOnce):
     kept: KeptRecords
     _read: dict[str, Records] = field(default_factory=dict)
 
-    def renew(self) -> None:
-        """Look at the version of the registry again."""
-        self._read.clear()
+    def renew(self, version: str | None) -> None:
+        """Go on with a version of the registry that was read just now."""
+        if version is not None:
+            self._read["now"] = self.kept.of(version)
 
     def _of_kind(self, kind: str) -> dict[Any, Any]:
         if kind in LARGE:
@@ -264,13 +274,5 @@ class OnFile(ReadOnce):
         if self.subjects.growth([Facet.REGISTRY]):
             return {}
         if not self._read:
-            self._read["now"] = self.kept.of(_version(self.subjects.connection))
+            self._read["now"] = self.kept.of(self.subjects.connection.scalar(select(REGISTRY_VERSION)))
         return self._read["now"].setdefault(kind, {})
-
-
-def _version(connection: Connection) -> Hashable:
-    """Return what is another one with each change of the registry, and after a restore."""
-    of_registry = (VERSIONS.c.kind == SubjectKind.FLEET.value, VERSIONS.c.subject == "")
-    changes = select(VERSIONS.c.version).where(*of_registry, VERSIONS.c.facet == Facet.REGISTRY.value)
-    branch = select(BRANCHES.c.identity).order_by(BRANCHES.c.branch_id.desc()).limit(1)
-    return tuple(connection.execute(select(changes.scalar_subquery(), branch.scalar_subquery())).one())

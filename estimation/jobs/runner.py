@@ -197,7 +197,9 @@ class _Working:
         due: Mapping[str, Due] = {subject: self.due.pop(subject) for subject in subjects if subject in self.due}
         try:
             with self.context.storage.read() as unit:
-                if len(due) < len(subjects):
+                if len(due) == len(subjects):
+                    unit.marks.take_over(self.inputs, due)
+                else:
                     due = unit.marks.due(self.inputs, self.context.clock.now_ns(), subjects)
                 self.isolation.read(unit)
                 if self.stage.kind is SubjectKind.WHEELSET:

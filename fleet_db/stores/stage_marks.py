@@ -35,7 +35,7 @@ from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.rows import columns_of, equal, given, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.assembled import SPANS, StaleSpanStore
-from fleet_db.subjects import VERSIONS, ReadOnce, Subjects
+from fleet_db.subjects import REGISTRY_VERSION, VERSIONS, ReadOnce, Subjects
 from fleet_db.tables.operation import StageMarkRow
 from fleet_db.tables.recordings import ChunkRow, QuarantineRow
 from fleet_db.tables.windows import WindowRow
@@ -57,6 +57,7 @@ class StageMarkStore:
     subjects: Subjects
     windows: WindowDueStore
     once: ReadOnce = field(default_factory=ReadOnce)
+    on_file: ReadOnce = field(default_factory=ReadOnce)
 
     def due(self, inputs: StageInputs, now_ns: int, subjects: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return what a stage has not seen as it is now, by subject, in their order; one statement.
@@ -82,11 +83,20 @@ class StageMarkStore:
                     made_from=None if row.come else row.made_from,
                     marked=row.made_from is not None,
                     again_ns=row.again_ns,
+                    registry=row.registry,
                 )
                 for row in rows
             }
 
         return read(None) if subjects is None else self.once.of(f"mark of {inputs.stage}", subjects, read)
+
+    def take_over(self, inputs: StageInputs, due: Mapping[str, Due]) -> None:
+        """Go on with what a transaction before this one has read of subjects that are due.
+
+        What has changed since then lets them be due again.
+        """
+        self.once.remember(f"mark of {inputs.stage}", due)
+        self.on_file.renew(next((one.registry for one in due.values()), None))
 
     def look(self, stages: Sequence[StageInputs], now_ns: int, counted: Collection[str], job: str) -> Look:
         """Return of which stages something is due; one statement for all.
@@ -176,7 +186,13 @@ def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> 
     of_stage = and_(MARKS.c.stage == inputs.stage, MARKS.c.subject == subject)
     come = and_(MARKS.c.again_ns.is_not(None), MARKS.c.again_ns <= now_ns)
     marked = (MARKS.c.seen, MARKS.c.common, MARKS.c.made_from, MARKS.c.again_ns)
-    columns = (subject.label("subject"), SUM.label("now"), MARKS.c.made_from, MARKS.c.again_ns)
+    columns = (
+        subject.label("subject"),
+        SUM.label("now"),
+        MARKS.c.made_from,
+        MARKS.c.again_ns,
+        REGISTRY_VERSION.label("registry"),
+    )
     statement = select(*columns, func.coalesce(come, false()).label("come")).select_from(
         VERSIONS.outerjoin(MARKS, of_stage)
     )
