@@ -45,8 +45,7 @@ from fleet_db.stores.webhooks import WebhookStore
 from fleet_db.stores.wheelset_events import SensorChangeStore
 from fleet_db.stores.window_counts import PlausibilityStore
 from fleet_db.stores.windows import WindowStore
-from fleet_db.stores.worklist import WorklistStore
-from fleet_db.stores.worklist_inputs import WorklistReader
+from fleet_db.stores.worklist import WorklistReader, WorklistStore
 from fleet_db.subjects import KeptRecords, OnFile, ReadOnce, Subjects
 from fleet_db.telemetry import WindowFiles
 from fleet_db.visibility import bind

@@ -37,15 +37,7 @@ from estimation.values.windows import (
     WindowState,
 )
 from fleet_db.due import BATCH, list_due, list_for_alignment, positions_forgotten, windows_changed, windows_left
-from fleet_db.rows import (
-    by_wheelset,
-    insert_new,
-    key_given,
-    key_of,
-    on_sections,
-    replace,
-    table_of,
-)
+from fleet_db.rows import by_wheelset, insert_new, key_given, key_of, on_sections, replace, table_of
 from fleet_db.stores.window_rows import (
     keys_given,
     list_for_sums,
