@@ -180,7 +180,6 @@ class S3RawStore(RawStore):
 
 
 def _digest_in(name: str) -> str | None:
-    """Return the digest in the name of a recording; None where it is the name of something else."""
     found = _NAME.fullmatch(name)
     return None if found is None or found[1] != found[2][:2] else found[2]
 

@@ -68,14 +68,12 @@ _OF_VEHICLES = ("vehicle", "sensor_change")
 
 
 def _of_subject(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    """Return the decisions on records of wheelsets and vehicles of the fleets; sections and classes are of none."""
     of_wheelset = and_(columns.kind.in_(_OF_WHEELSETS), _in(columns.subject, _WHEELSETS, "serial", fleets))
     of_vehicle = and_(columns.kind.in_(_OF_VEHICLES), _in(columns.subject, _VEHICLES, "code", fleets))
     return or_(of_wheelset, of_vehicle)
 
 
 def _of_result(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    """Return the results of wheelsets and vehicles of the fleets; sections are of none."""
     return or_(
         and_(columns.kind == "wheelset", _in(columns.subject, _WHEELSETS, "serial", fleets)),
         and_(columns.kind == "vehicle", _in(columns.subject, _VEHICLES, "code", fleets)),

@@ -256,7 +256,6 @@ def _copied(engine: Engine, target: Path) -> None:
 
 
 def _contents(database: Path, *, windows: bool) -> tuple[dict[str, int], list[KeptRecording], list[KeptFile]]:
-    """Return the rows by table, and the recordings and files that a database file refers to."""
     engine = read_only_engine(database)
     try:
         with translate_errors(), engine.connect() as connection:

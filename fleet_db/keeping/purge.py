@@ -254,7 +254,6 @@ class _Purge:
         unlink_old(WindowFiles(self.storage.data_dir / SAMPLES).path(window.content_digest), LEAST_AGE_S)
 
     def _tables(self) -> Purged:
-        """Delete the bin tables of roll-ups that are whole and old, one roll-up a transaction."""
         items = 0
         with self.storage.read() as unit:
             found = expired_tables(unit.connection, self.before_ns)
@@ -311,7 +310,6 @@ def _delete(key: Column[Any], expired: ColumnElement[bool], unit: SqlUnitOfWork)
 
 
 def _expired(kind: Kept, before_ns: int) -> tuple[Column[Any], ColumnElement[bool]]:
-    """Return the key of the table of a kind, and which of its rows have expired."""
     if kind is Kept.IDEMPOTENCY_KEYS:
         return KEYS.c.key, KEYS.c.recorded_ns < before_ns
     if kind is Kept.AUDIT:

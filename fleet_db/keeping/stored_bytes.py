@@ -302,7 +302,6 @@ def _running(connection: Connection, windows: int, hours_per_day: float | None) 
 
 
 def _raw_bytes_per_hour(connection: Connection, running: Running) -> float:
-    """Return the bytes of raw recordings of an hour of one wheelset, by the newest recordings."""
     newest = (
         select(CHUNKS.c.size_bytes, (CHUNKS.c.last_ns - CHUNKS.c.first_ns).label("length_ns"))
         .where(CHUNKS.c.first_ns.is_not(None))

@@ -82,7 +82,6 @@ class EventOutline(NamedTuple):
 
 @cache
 def _outlines() -> Select[Any]:
-    """Return what all lists of outlines begin with."""
     at_opening = (
         MOUNTINGS.c.wheelset == ALERTS.c.wheelset,
         MOUNTINGS.c.from_ns <= ALERTS.c.opened_ns,
@@ -99,7 +98,6 @@ def _outlines() -> Select[Any]:
 def _page_of(
     statement: Select[Any], choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool
 ) -> Select[Any]:
-    """Return a statement narrowed to the alerts behind a number."""
     number = ALERTS.c.alert_id
     if choice.open_only:
         statement = statement.where(_OPEN)
@@ -123,7 +121,6 @@ def _feed_of(
     kinds: Collection[str] = (),
     severities: Collection[str] = (),
 ) -> Select[Any]:
-    """Return a statement narrowed to what the feed lists behind a number."""
     statement = statement.where(EVENTS.c.sequence > after_sequence, EVENTS.c.in_feed)
     for column, wanted in ((ALERTS.c.fleet, fleets), (ALERTS.c.kind, kinds)):
         if wanted:

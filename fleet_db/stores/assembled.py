@@ -120,7 +120,6 @@ class AssembledWindowStore:
             self.subjects.windows(wheelset, hunting_in)
 
     def _row(self, each: AssembledWindow, recorded_ns: int) -> dict[str, object]:
-        """Return the row of a window whose file is written here."""
         hunts = each.window.quality.hunting.sustained
         self.subjects.windows(each.window.wheelset, each.window.vehicle if hunts else None)
         self.subjects.places(each.window.track_section)

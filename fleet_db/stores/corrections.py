@@ -147,7 +147,6 @@ class CorrectionStore:
         return self._taken(key, stored_measurement(self.connection, key.subject, key.at_ns or 0))
 
     def _taken(self, key: RecordKey, row: _Values | None) -> _Values:
-        """Return a dated row of a wheelset that is no mounting, and delete it."""
         if row is None:
             raise NotFoundError(key.kind.value, _name(key))
         delete_row(self.connection, _DATED[key.kind], key.subject, key.at_ns)

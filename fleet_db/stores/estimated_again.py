@@ -115,7 +115,6 @@ class Again:
 
 
 def _unknown(alignment: TrackAlignment) -> TrackAlignment:
-    """Return the alignment of the same section before anything is known of it."""
     nothing = np.full(len(alignment.s), np.nan)
     zero = np.zeros(len(alignment.s))
     return replace(

@@ -284,7 +284,6 @@ def _conicities(result: Result[WheelsetGeometry]) -> IntervalConicities:
 
 
 def _bin_rows(result: Result[WheelsetGeometry], geometry: WheelsetGeometry) -> list[dict[str, Any]]:
-    """Return the bins of a geometry as plain rows."""
     return [
         {
             "wheelset": result.subject,

@@ -35,10 +35,10 @@ from estimation.values.windows import WindowKey
 from fleet_db.due import NOT_LOOKED_AT, list_due
 from fleet_db.fields import fields_of, from_json, to_json, value_of
 from fleet_db.packed_values import (
-    pack_section_adhesion,
+    pack_value,
     pack_window_adhesion,
     pack_window_damper,
-    unpack_section_adhesion,
+    unpack_value,
     unpack_window_adhesion,
     unpack_window_damper,
 )
@@ -141,7 +141,7 @@ class AdhesionStore:
             "from_ns": found.from_ns,
             "code_version": code_version,
             "made_with": made_with,
-            "packed": pack_section_adhesion(found),
+            "packed": pack_value(found),
         }
         key = (OF_SECTIONS.c.track_section == found.track_section, OF_SECTIONS.c.to_ns == found.to_ns)
         before = self.connection.execute(select(OF_SECTIONS).where(*key)).mappings().first()
@@ -173,7 +173,7 @@ class AdhesionStore:
             statement = statement.where(OF_SECTIONS.c.from_ns <= at_ns, OF_SECTIONS.c.to_ns >= at_ns)
         row = self.connection.execute(statement.order_by(OF_SECTIONS.c.to_ns.desc()).limit(1)).first()
         where = f"friction of section {section}"
-        return None if row is None else unpack_section_adhesion(row.packed, where=where)
+        return None if row is None else unpack_value(SectionAdhesion, row.packed, where=where)
 
     def during(self, section: str, from_ns: int, to_ns: int) -> Sequence[SectionAdhesion]:
         """Return the friction of a section of all hours that hold a time of a span, newest first."""
@@ -183,7 +183,8 @@ class AdhesionStore:
             OF_SECTIONS.c.to_ns >= from_ns,
         )
         rows = self.connection.execute(select(OF_SECTIONS).where(*chosen).order_by(OF_SECTIONS.c.to_ns.desc()))
-        return [unpack_section_adhesion(row.packed, where=f"friction of section {section}") for row in rows]
+        where = f"friction of section {section}"
+        return [unpack_value(SectionAdhesion, row.packed, where=where) for row in rows]
 
     def _windows(self, statement: Select[Any]) -> Sequence[WindowAdhesion]:
         ordered = statement.order_by(OF_WINDOWS.c.start_ns, OF_WINDOWS.c.wheelset)

@@ -167,7 +167,6 @@ def _look(what: str, stage: str, seen: ColumnElement[int] | None = None) -> Sele
 
 
 def _is_due(inputs: StageInputs, now_ns: int) -> ColumnElement[bool]:
-    """Return whether something is due of a stage."""
     if inputs.facets and inputs.kind is not SubjectKind.WINDOW:
         return _due(inputs, now_ns, None).exists()
     if inputs.kind is SubjectKind.VEHICLE:

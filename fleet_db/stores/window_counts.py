@@ -179,7 +179,6 @@ def _grouped() -> Select[Any]:
 
 
 def _sums(one: Subquery) -> tuple[ColumnElement[Any], ...]:
-    """Return what is counted of the windows of a group."""
     return (
         func.count().label("windows"),
         func.min(one.c.start_ns).label("first_ns"),

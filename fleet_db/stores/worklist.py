@@ -128,10 +128,7 @@ class WorklistReader:
     def _windows_and_alerts(
         self, serials: Sequence[str]
     ) -> tuple[Mapping[str, tuple[int | None, MileageNow | None]], Mapping[str, Sequence[OpenAlert]]]:
-        """Return the end of the newest usable window and the newest mileage that is believed, and open alerts.
-
-        With the same statement it is asked whether the registry has changed.
-        """
+        """Return end of the newest usable window, newest mileage believed, open alerts; renew the registry."""
         rows = self.connection.execute(_WINDOWS_AND_ALERTS.where(WHEELSETS.c.serial.in_(serials))).all()
         self.registry.once.renew(rows[0].registry if rows else None)
         windows: dict[str, tuple[int | None, MileageNow | None]] = {}
@@ -160,7 +157,6 @@ def _readable(
 
 
 def _newest(column: Column[int] | Column[float], chosen: ColumnElement[bool]) -> ScalarSelect[float]:
-    """Return a column of the newest window of a wheelset that is chosen."""
     statement = select(column).where(WINDOWS.c.wheelset == WHEELSETS.c.serial, chosen)
     return statement.order_by(WINDOWS.c.start_ns.desc()).limit(1).correlate(WHEELSETS).scalar_subquery()
 
