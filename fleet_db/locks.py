@@ -168,19 +168,12 @@ class Claims:
 
 @dataclass(frozen=True, slots=True)
 class UnendedLease:
-    """Claims under a lease that nobody works on any more.
+    """Claims under a lease that nobody works on any more."""
 
-    Attributes:
-        number: Of the lease.
-        stage: Of the work.
-        begun_ns: When work on each key was begun under it, ns by the clock of the claims.
-        alone: Whether it is the lease of these claims alone, and ends with them.
-    """
-
-    number: int
-    stage: str
-    begun_ns: Mapping[str, int]
-    alone: bool = True
+    number: int  # of the lease
+    stage: str  # of the work
+    begun_ns: Mapping[str, int]  # when work on each key was begun under it, by the clock of the claims
+    alone: bool = True  # whether it is the lease of these claims alone, and ends with them
 
 
 @dataclass(slots=True)

@@ -33,17 +33,11 @@ from estimation.errors import ConflictError, ParameterError, StorageError
 
 @dataclass(frozen=True, slots=True)
 class ServerLimits:
-    """How long a database server may take.
+    """How long a database server may take."""
 
-    Attributes:
-        connect_s: To accept a connection; the driver takes at least 2 s.
-        silence_s: To say anything about a statement, before it is asked whether it is there.
-        statement_s: For one statement; None without a limit.
-    """
-
-    connect_s: int = 5
-    silence_s: float = 10.0
-    statement_s: float | None = None
+    connect_s: int = 5  # to accept a connection; the driver takes at least 2 s
+    silence_s: float = 10.0  # to say anything about a statement, before it is asked whether it is there
+    statement_s: float | None = None  # for one statement; None without a limit
 
     def options(self) -> dict[str, int]:
         """Return the driver's options: also for a peer whose kernel has gone without a word."""

@@ -131,33 +131,20 @@ class SqlUnitOfWork:
 
 @dataclass(frozen=True, slots=True)
 class SqlStorage:
-    """Transactions: `write` commits on a clean exit and rolls back on an exception; `read` sees one snapshot.
+    """Transactions: `write` commits on a clean exit and rolls back on an exception; `read` sees one snapshot."""
 
-    Args:
-        engine: From ``fleet_db.session.database_engine``; migrated (``fleet_db.migrate.check_head``).
-        data_dir: Where the samples of windows are, under ``windows``.
-        shipped: The classes of the package, for vehicles whose class is not registered.
-        patience_s: How long a writing transaction on SQLite waits for that of another process.
-        visible_fleets: Codes of the fleets that reading transactions see; None for all.
-        lease: Without which nothing is committed; None where none is needed.
-        claims: What is claimed under it and worked on; None where it is not for claims.
-        owner: Lease of the process that runs jobs, with which those of its work end; None where there is none.
-        unended: Leases of this process that could not be ended yet.
-        kept: What this process has read of the registry.
-        reading: Of reading transactions; None is made from ``engine``.
-    """
-
-    engine: Engine
-    data_dir: Path
-    shipped: Shipped = no_class
-    patience_s: float = BUSY_TIMEOUT_MS / 1000
-    visible_fleets: frozenset[str] | None = None
-    lease: Lease | None = None
-    claims: Claims | None = None
-    owner: int | None = None
+    engine: Engine  # of ``fleet_db.session.database_engine``, of a database at the head of the migrations
+    data_dir: Path  # where the samples of windows are, under ``windows``
+    shipped: Shipped = no_class  # the classes of the package, for vehicles whose class is not registered
+    patience_s: float = BUSY_TIMEOUT_MS / 1000  # so long a writing transaction on SQLite waits for another process
+    visible_fleets: frozenset[str] | None = None  # codes of those that reading transactions see; None for all
+    lease: Lease | None = None  # without which nothing is committed; None where none is needed
+    claims: Claims | None = None  # what is claimed under it and worked on; None where it is not for claims
+    owner: int | None = None  # lease of the process that runs jobs, with which those of its work end; None for none
+    # leases of this process that could not be ended yet, and what it has read of the registry
     unended: UnendedLeases = field(default_factory=UnendedLeases, compare=False, repr=False)
     kept: KeptRecords = field(default_factory=KeptRecords, compare=False, repr=False)
-    reading: Engine | None = field(default=None, compare=False, repr=False)
+    reading: Engine | None = field(default=None, compare=False, repr=False)  # of reading transactions
 
     def __post_init__(self) -> None:
         if self.reading is None:
