@@ -65,16 +65,11 @@ class SqlUnitOfWork:
         owner: int | None = None,  # lease of the process that runs jobs
     ) -> None:
         self.connection = connection
+        self._add_stores_of_operation(connection)
         self.done: set[str] = set()  # of what is claimed: it is free once this is committed
         self.together: set[str] = set()  # wheelsets of which a reading transaction reads all together
         self.subjects = Subjects(connection)
         self.chunks = ChunkStore(connection, self.subjects)
-        self.settings = StoredSettingStore(connection)
-        self.stale_spans = StaleSpanStore(connection)
-        self.quarantine = QuarantineStore(connection)
-        self.raw_marks = RawMarkStore(connection)
-        self.raw_scrubs = RawScrubStore(connection)
-        self.recording_changes = RecordingChangeStore(connection)
         once = ReadOnce(not writing, self.together)
         on_file = once
         if kept is not None:
@@ -102,17 +97,25 @@ class SqlUnitOfWork:
         self.signatures = SignatureStore(connection, self.subjects)
         self.alerts = AlertStore(connection, writing, self.subjects, once)
         self.plausibility = PlausibilityStore(connection, self.windows)
-        self.recorded_times = RecordedTimeStore(connection)
-        self.feed_branches = FeedBranchStore(connection)
         self.jobs = JobRunStore(connection, owner)
-        self.idempotency = IdempotencyStore(connection)
         shown = replace(self.registry, once=on_file)
         reader = WorklistReader(connection, shown, self.geometries, self.trends)
         self.worklist = WorklistStore(connection, self.subjects, reader)
-        self.api_keys = ApiKeyStore(connection)
-        self.audit = AuditStore(connection)
         self.rails = RailsStore(connection, self.subjects)
         self.roll_ups = RollUpStore(connection, once)
+
+    def _add_stores_of_operation(self, connection: Connection) -> None:
+        self.settings = StoredSettingStore(connection)
+        self.stale_spans = StaleSpanStore(connection)
+        self.quarantine = QuarantineStore(connection)
+        self.raw_marks = RawMarkStore(connection)
+        self.raw_scrubs = RawScrubStore(connection)
+        self.recording_changes = RecordingChangeStore(connection)
+        self.recorded_times = RecordedTimeStore(connection)
+        self.feed_branches = FeedBranchStore(connection)
+        self.idempotency = IdempotencyStore(connection)
+        self.api_keys = ApiKeyStore(connection)
+        self.audit = AuditStore(connection)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)
 
