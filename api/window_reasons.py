@@ -22,7 +22,7 @@ from estimation.worklist.waiting import (
     tried_again,
     waits_for,
 )
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.window_counts import COUNTED, CountedWindows, newest_by_reason, pending_by_place
 

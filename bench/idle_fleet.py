@@ -30,9 +30,9 @@ from estimation.values.track import AlignmentSource, FoldState, TrackEpoch
 from fleet_db.due import DUE
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.tables.operation import ResultRow
 from fleet_db.tables.recordings import ChunkRow
 from fleet_db.tables.registry import MountingRow
-from fleet_db.tables.results import ResultRow
 from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, WindowPositionRow
 from fleet_db.tables.windows import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 

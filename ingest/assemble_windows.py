@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run as run_stage
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.held import ASSEMBLY, HeldRecordings, missing
 from ingest.intake.backlog import decode_received

@@ -11,7 +11,7 @@ import numpy as np
 from estimation.errors import ConflictError, LogFileError, StorageError
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.clock import CONTEXT_NS, AlignedFrames, merge_aligned, values_near
 from ingest.align.windows import (
@@ -288,7 +288,8 @@ def _receipt_after(record: ChunkRecord, recording: Recording, span: Span | None)
     if span is None and recording.frames:
         return replace(record, reason=WAITING)
     first_ns, last_ns = span or (None, None)
-    verdict = None if span is None else clock_verdict(*span, record.our_ns)
+    our_ns = record.received_ns if record.clock_checked_ns is None else record.clock_checked_ns
+    verdict = None if span is None else clock_verdict(*span, our_ns)
     if verdict is not None:
         return replace(record, state=ChunkState.REJECTED, reason=verdict)
     return replace(record, state=ChunkState.DECODED, reason=None, first_ns=first_ns, last_ns=last_ns)

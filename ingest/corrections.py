@@ -15,11 +15,11 @@ from estimation.errors import ConflictError, NotFoundError, PassingFaultError
 from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import SubjectKind, resolved
-from fleet_db.process_locks import keeping_alone
+from fleet_db.locks import keeping_alone
 from fleet_db.raw import RawStore
-from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
+from fleet_db.records import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.decoded_again import STAGE
+from fleet_db.stores.estimated_again import STAGE
 from ingest.assembly import OWN_TIME, WAITING, add_stale
 from ingest.recordings import ALWAYS, RECORDER_FIRST, RECORDER_LAST, is_beside
 

@@ -17,9 +17,9 @@ from estimation.storage import Clock
 from estimation.values.reasons import Reason
 from estimation.values.runs import Quarantined, SubjectKind, after_failure, resolved
 from fleet_db.raw import RawStore
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.decoded_again import STAGE
+from fleet_db.stores.estimated_again import STAGE
 from ingest.assembly import add_stale
 
 ASSEMBLY = "assemble_windows"

@@ -21,8 +21,8 @@ from estimation.jobs.stage import Counted, Outcome, Stage
 from estimation.storage import Clock
 from estimation.values.runs import SubjectKind, first_line
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.decoded_again import decode_again
-from fleet_db.stores.stale_spans import EARLIEST_NS, StaleSpan
+from fleet_db.stores.assembled import EARLIEST_NS, StaleSpan
+from fleet_db.stores.estimated_again import decode_again
 from ingest.align.clock import CONTEXT_NS
 from ingest.assembly import Assembler, SpanAssembly, extent
 from ingest.held import ASSEMBLY, LostRecordings

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from estimation.errors import ConflictError
 from estimation.values.reasons import Reason, ReasonCode
-from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
+from fleet_db.records import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import SpanAssembly, add_stale
 from ingest.recordings import Recording

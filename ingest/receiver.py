@@ -19,9 +19,8 @@ from opentelemetry import trace
 from estimation.errors import ConflictError, LogFileError, NotFoundError, TreadwatchError
 from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
-from fleet_db.raw import RawStore
-from fleet_db.raw_files import check_raw_store
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.raw import RawStore, check_raw_store
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import Assembler
 from ingest.catalogue import Catalogue

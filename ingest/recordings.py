@@ -12,7 +12,7 @@ import numpy as np
 from estimation.errors import LogFileError, PassingFaultError, StorageError
 from fleet_db.atomic_files import passing_faults
 from fleet_db.raw import RawStore
-from fleet_db.receipts import ChunkRecord
+from fleet_db.records import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.clock import TIME_REACH_NS, AlignedFrames, align_to_clock, check_sync_rate, frames_near
 from ingest.catalogue import Catalogue

@@ -33,7 +33,7 @@ from estimation.values.registry import (
 )
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
 from estimation.vehicle.vehicle_class import VehicleClass, class_of_document
-from fleet_db.registry_events import Decision
+from fleet_db.records import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.file_value import Inline, read_value, table_of
 from ingest.input_file import InputFile, InputTable, Location, NotNegative, Positive, Text, field_error, read_json

@@ -7,7 +7,7 @@ from dataclasses import astuple, dataclass
 
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import Window, WindowKey, WindowRecord
-from fleet_db.receipts import ChunkRecord
+from fleet_db.records import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.assembled import AssembledWindow, StoredWindow
 from fleet_db.telemetry import window_digest

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 
 from estimation.errors import ParameterError
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.decoded_again import decode_undecoded
+from fleet_db.stores.estimated_again import decode_undecoded
 from ingest.catalogue import Catalogue
 from ingest.own_bus.bus import BusChoice, OwnBus
 

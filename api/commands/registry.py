@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from estimation.errors import ParameterError
-from fleet_db.registry_events import RecordAction, RecordKind
+from fleet_db.records import RecordAction, RecordKind
 from ingest.registry_entry.contents import CONFIRMABLE, Rule
 
 _DOUBTS = ", ".join(sorted(CONFIRMABLE))

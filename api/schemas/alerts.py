@@ -15,7 +15,7 @@ from api.times import Moment
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.values.alerts import Alert as AlertValue
 from estimation.values.alerts import AlertEvent, AlertScope, Condition
-from fleet_db.stores.alert_queries import AlertOutline
+from fleet_db.stores.alerts import AlertOutline
 
 _WORDS = r"^[^\x00]*$"
 LIMIT_UNITS = {rule.kind: rule.limit_unit for rule in ALERT_RULES}

@@ -41,7 +41,6 @@ from estimation.values.windows import WindowRecord, WindowState
 
 DAY_NS = 86_400_000_000_000
 NOT_REPLAYED = (IDENTITY, SuspensionChangeRule.kind, WeakDamperRule.kind)
-_ALL = 1000
 _Trends = Callable[[Sequence[IntervalConicities], float], WearTrend]
 
 
@@ -69,17 +68,6 @@ def history_of(unit: UnitOfWork, serial: str) -> History:
     windows = sorted(unit.windows.list(serial), key=lambda one: one.start_ns)
     stored = (record for record in unit.geometries.intervals(serial) if record.geometry.windows)
     intervals = sorted(stored, key=lambda one: (one.to_ns, one.baseline))
-    raised: list[Alert] = []
-    while page := unit.alerts.page(
-        fleet=None,
-        wheelset=serial,
-        kind=None,
-        condition=None,
-        open_only=False,
-        after_id=raised[-1].alert_id if raised else None,
-        limit=_ALL,
-    ):
-        raised += page
     return History(
         wheelset=unit.registry.wheelset(serial),
         mountings=mountings,
@@ -88,7 +76,7 @@ def history_of(unit: UnitOfWork, serial: str) -> History:
         intervals=intervals,
         current=unit.geometries.current(serial),
         change=identity_change(unit, serial),
-        raised=raised,
+        raised=unit.alerts.of_wheelset(serial),
         window_ends=[one.start_ns + one.length_ns for one in windows],
         interval_ends=[one.to_ns for one in intervals],
         conicities=[interval_conicities(one) for one in intervals],

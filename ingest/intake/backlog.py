@@ -12,8 +12,8 @@ from pathlib import Path
 
 from estimation.values.reasons import ReasonCode, code_of
 from fleet_db.atomic_files import passing_faults
-from fleet_db.process_locks import TryVehicle, decoding_locks
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.locks import TryVehicle, decoding_locks
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.receiver import ChunkReceipt, Receiver
 
@@ -123,7 +123,7 @@ def decode_received(
         checkpoint: Called between two chunks with (done, of how many as far as known); it may raise to end the work.
     """
     counts, after = DecodedChunks(), (-1, "")
-    with decoding_locks(storage, holder) as try_vehicle:
+    with decoding_locks(storage.engine, holder) as try_vehicle:
         while True:
             with storage.read() as unit:
                 batch = unit.chunks.undecoded(AT_ONCE, after, vehicle)

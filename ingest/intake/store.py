@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 from estimation.errors import BusyError, ConflictError
 from estimation.storage import Clock
-from fleet_db.raw import IncomingFile, RawStore
-from fleet_db.raw_files import check_raw_store
-from fleet_db.receipts import ChunkRecord
+from fleet_db.raw import IncomingFile, RawStore, check_raw_store
+from fleet_db.records import ChunkRecord
 from fleet_db.storage import SqlStorage
 from ingest.receipts import Announce, Chunk, DeletedRecordings, enter_receipt, of_another_vehicle, to_nobody
 

@@ -24,7 +24,7 @@ from estimation.errors import (
 )
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.runs import first_line
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 from ingest.frames import DEFAULT_CHANNEL, concatenate, dropped_marker, from_owned_arrays, sort_by_time
 from ingest.live.backoff import Backoff
 from ingest.live.records import FRAME, decode

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from estimation.errors import InputError
 from estimation.values.reasons import utc_text
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
-from fleet_db.receipts import EstimatedAgain
-from fleet_db.registry_events import Decision
+from fleet_db.records import Decision, EstimatedAgain
 from ingest.input_file import Location
 
 if TYPE_CHECKING:  # the help of a command that names rules does not wait for the numerics

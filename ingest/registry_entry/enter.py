@@ -12,8 +12,7 @@ from estimation.errors import ConflictError, InputError, NotFoundError, Paramete
 from estimation.values.registry import Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
-from fleet_db.receipts import EstimatedAgain
-from fleet_db.registry_events import RecordKind
+from fleet_db.records import EstimatedAgain, RecordKind
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey

@@ -17,9 +17,8 @@ from estimation.errors import ConflictError, MigrationError, PassingFaultError, 
 from estimation.storage import Clock
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.runs import Quarantined, SubjectKind, after_failure, first_line
-from fleet_db.raw import LostRecordingError, RawStore
-from fleet_db.raw_files import check_raw_store
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.raw import LostRecordingError, RawStore, check_raw_store
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.held import release
 from ingest.intake.backlog import BacklogWatch, Behind, DecodedChunks, Limit

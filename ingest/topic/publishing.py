@@ -17,7 +17,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from estimation.errors import TreadwatchError
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 from ingest.topic.client import Topic, connected, kafka, require_client
 from ingest.topic.reference import Reference, message_of, reference_of
 

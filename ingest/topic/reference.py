@@ -12,7 +12,7 @@ from typing import Annotated
 import orjson
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
-from fleet_db.receipts import ChunkRecord
+from fleet_db.records import ChunkRecord
 from ingest.logs.formats import SUFFIXES
 
 

@@ -10,6 +10,7 @@ import stored_values as make
 from due_geometries import due_geometries, see_geometries
 from sqlalchemy import text
 
+from bench.put_values import put_table
 from estimation.errors import DamagedError
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -26,7 +27,7 @@ from estimation.vehicle.vehicle_class import (
     class_document,
     class_of_document,
 )
-from fleet_db.receipts import NOTHING_AGAIN
+from fleet_db.records import NOTHING_AGAIN
 from fleet_db.storage import SqlStorage
 
 COACH = VehicleClass(
@@ -55,7 +56,7 @@ def put(unit, window) -> None:  # type: ignore[no-untyped-def] # noqa: ANN001 - 
     unit.windows.put(window, 1.0, 1)
     key = (window.wheelset, window.start_ns)
     record = unit.windows.get(*key)
-    unit.tables.put(*key, make.bin_table(), 1, record.content_digest)
+    put_table(unit, *key, make.bin_table(), 1, record.content_digest)
     unit.windows.mark(*key, WindowState.ESTIMATED)
     unit.tracks.put_positions([WindowPosition(*key, record.content_digest, 1)])
 

@@ -10,7 +10,7 @@ from vehicle_bus import VEHICLE, Run
 
 from fleet_db.keeping.checks import ScrubPlan, scrub
 from fleet_db.raw import RawStore
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
 from ingest.intake.backlog import DecodedChunks, decode_received

@@ -14,8 +14,8 @@ import pytest
 
 from api.terminal.ingest import vehicle_in_name
 from estimation.errors import ConflictError, PassingFaultError
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkState
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import BacklogLimits, BacklogWatch, Limit
 from ingest.intake.drop_folder import DropFolder, DropSettings, held_folder

@@ -32,8 +32,8 @@ from api.terminal.health_server import HealthAddress
 from api.terminal.live import serving_health
 from estimation.errors import ConflictError, MigrationError
 from fleet_db.migrate import upgrade
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus, send

@@ -21,7 +21,7 @@ from vehicle_bus import INTERVAL_NS, OFFSETS_M, SECOND_NS, SECTION, START_NS, VE
 from estimation.errors import CatalogueError, LogFileError
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window
-from fleet_db.raw_files import FileRawStore
+from fleet_db.raw import FileRawStore
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus, send
 from ingest.catalogue import default_catalogue

@@ -20,9 +20,8 @@ from estimation.jobs.settings import JobSettings
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobTrigger
-from fleet_db.raw import MARK_NAME
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.raw import MARK_NAME, FileRawStore
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.chunks import ChosenChunks

@@ -18,7 +18,7 @@ from sqlalchemy import delete
 from estimation.contact.profiles import wheel_profile
 from estimation.errors import InputError
 from estimation.values.registry import WheelsetRecord
-from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.registry_history import RecordKey
 from fleet_db.tables import Base

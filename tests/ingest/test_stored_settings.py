@@ -15,7 +15,7 @@ from api.factory import open_store
 from api.settings import Settings
 from estimation.errors import ParameterError
 from estimation.values.registry import VehicleRecord
-from fleet_db.raw_files import FileRawStore
+from fleet_db.raw import FileRawStore
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import Catalogue, default_catalogue
 from ingest.own_bus.bus import BusChoice, OwnBus, bus_choice

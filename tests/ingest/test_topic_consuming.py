@@ -20,9 +20,9 @@ from vehicle_bus import VEHICLE, register
 from estimation.errors import StorageError
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import QuarantineState, delay_s
-from fleet_db.process_locks import decoding_locks
-from fleet_db.raw_files import check_raw_store
-from fleet_db.receipts import ChunkState
+from fleet_db.locks import decoding_locks
+from fleet_db.raw import check_raw_store
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.topic import consuming, publishing, reading
 from ingest.topic.client import Topic
@@ -328,7 +328,11 @@ def test_new_receipts_wait_while_too_much_is_not_decoded_and_it_is_decoded_meanw
     hand_in(registered, waiting)
     consumer = Consumer(registered, cluster, replace(ROOM, chunks=1))
     reference = put(consumer.raw, coming)
-    with decoding_locks(registered, "another") as try_vehicle, try_vehicle(VEHICLE) as locked, consumer.running():
+    with (
+        decoding_locks(registered.engine, "another") as try_vehicle,
+        try_vehicle(VEHICLE) as locked,
+        consumer.running(),
+    ):
         assert locked
         cluster.send(sent(reference))
         eventually(lambda: "1 chunks wait to be decoded, 1 may" in (consumer.status.behind or ""))

@@ -18,8 +18,8 @@ from test_receiver import CountingClock
 from vehicle_bus import VEHICLE, register
 
 from estimation.errors import InputError, NotFoundError, PassingFaultError, StorageError
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
 from ingest.intake.store import Arrival, ChunkStorage

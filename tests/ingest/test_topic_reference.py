@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from fleet_db.receipts import ChunkRecord
+from fleet_db.records import ChunkRecord
 from ingest.receipts import Chunk
 from ingest.topic.reference import (
     MOST_BYTES,

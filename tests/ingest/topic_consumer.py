@@ -16,9 +16,8 @@ from test_receiver import CountingClock
 from vehicle_bus import CATALOGUE, VEHICLE
 
 from estimation.values.runs import Quarantined, SubjectKind
-from fleet_db.raw import RawStore
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkRecord
+from fleet_db.raw import FileRawStore, RawStore
+from fleet_db.records import ChunkRecord
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import BacklogLimits, BacklogWatch, decode_received
 from ingest.receiver import Receiver

@@ -27,8 +27,6 @@ from estimation.values.trend import (
     latest_identity_change,
 )
 
-_ALL = 1000
-
 
 def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
     """Return the last identity change of a wheelset that is on record, from its alerts of this kind.
@@ -54,16 +52,7 @@ def identity_changes(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, I
 
 def suspected(unit: UnitOfWork) -> frozenset[str]:
     """Return the wheelsets with an identity alert, open or closed: all others have had no identity change."""
-    found: set[str] = set()
-    after = None
-    while True:
-        alerts = unit.alerts.page(
-            fleet=None, wheelset=None, kind=IDENTITY, condition=None, open_only=False, after_id=after, limit=_ALL
-        )
-        found.update(alert.wheelset for alert in alerts if alert.wheelset is not None)
-        if len(alerts) < _ALL:
-            return frozenset(found)
-        after = alerts[-1].alert_id
+    return unit.alerts.wheelsets_of_kind(IDENTITY)
 
 
 def _still_there(alert: Alert, mountings: Sequence[Mounting]) -> bool:

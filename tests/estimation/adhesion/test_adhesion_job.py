@@ -92,8 +92,7 @@ def test_every_window_has_forces_and_none_waits(deployed: Deployed) -> None:
         for record in windows:
             if record.reason is not None:  # it had no geometry to be compared with
                 continue
-            found = unit.adhesion.window(record.wheelset, record.start_ns)
-            assert found is not None
+            (found,) = unit.adhesion.of_wheelset(record.wheelset, record.start_ns - 1, 1)
             assert found.status is Status.ESTIMATED
             assert found.yaw_creep.value is not None
             assert 300.0 < found.yaw_creep.value < 8000.0
