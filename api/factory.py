@@ -19,7 +19,7 @@ from api.raw_stores import open_raw_store
 from api.rules_file import load_rules
 from api.settings import PREFIX, Settings, known_sections, load_retention
 from api.tracing import traced
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.errors import InputError, MigrationError, ParameterError, StorageError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext

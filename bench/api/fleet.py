@@ -10,7 +10,7 @@ import numpy as np
 from sqlalchemy import Insert, func, insert, literal, select
 
 from estimation.alerts.rules.rule import estimate_evidence, unknown_evidence
-from estimation.trend.trend import TrendPoint, refresh
+from estimation.trend.trend import refresh
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
 from estimation.values.geometry import (
     GEOMETRY,
@@ -23,7 +23,7 @@ from estimation.values.geometry import (
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
-from estimation.values.trend import TrendRecord, WearTrend
+from estimation.values.trend import TrendPoint, TrendRecord, WearTrend
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.results import RESULTS
 

@@ -22,13 +22,11 @@ from estimation.adhesion.stationary_filter import AXLE, StationaryFilter, statio
 from estimation.compiled import compiled
 from estimation.filters import remove_wander
 from estimation.motion.checks import moving_samples
-from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, integrate
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, SignalParameters, integrate
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import ACCELERATIONS, Window
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, GRAVITY, VehicleClass, VehicleParameters
 
 ROLL, LATERAL, YAW, MASS = (
     ACCELERATIONS.index(f"{name}_acceleration") for name in ("roll", "lateral", "yaw", "mass_lateral")

@@ -36,12 +36,11 @@ from estimation.adhesion.pass_sums import (
     creep_levels,
     pass_sums,
 )
+from estimation.motion.checks import MARGIN
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import Correction
-from estimation.values.windows import Window
 
 MOST_CREEP = 2.0  # stds of b that all vehicles have in common, from which the shape is asked
 LEAST_SUPPORT = 0.8  # of the squares that an error of linear creep would leave, to be taken for one
@@ -322,36 +321,6 @@ def certain_stretches(cells: Sequence[CellFriction], parameters: FrictionParamet
         begin = found.pop()[0] if found and found[-1][1] == one.from_m else one.from_m
         found.append((begin, one.to_m))
     return tuple(found)
-
-
-MARGIN = 25.0  # m kept from a stretch of low friction: half a place
-MOST_LEFT_OUT = 0.25  # share of the samples from which low friction is why too few are left
-TOO_LITTLE = frozenset({ReasonCode.NO_USABLE_SAMPLE, ReasonCode.INTERRUPTED, ReasonCode.TOO_FEW_USABLE})
-
-
-def away_from_low_adhesion(
-    window: Window, stretches: Sequence[tuple[float, float]], correction: Correction | None = None
-) -> Window | Reason:
-    """Return the window with its samples on low friction not valid, or that none is left."""
-    if not stretches:
-        return window
-    distance = window.distance if correction is None else correction.at(window.distance)
-    low = np.zeros(len(window.valid), np.bool_)
-    for begin, end in stretches:
-        low |= (distance >= begin - MARGIN) & (distance <= end + MARGIN)
-    left = window.valid & ~low
-    if not left.any() and window.valid.any():
-        return Reason(ReasonCode.LOW_ADHESION, "all of the window is on rails of low friction")
-    return replace(window, valid=left)
-
-
-def refused_for_low_adhesion(reason: Reason, window: Window, kept: Window) -> Reason:
-    """Return why a window is refused: low friction, where that took most of its samples and too few are left."""
-    share = 1.0 - float(kept.valid.sum()) / max(int(window.valid.sum()), 1)
-    if share < MOST_LEFT_OUT or reason.code not in TOO_LITTLE:
-        return reason
-    text = f"{share:.0%} of its samples are on rails of low friction; of the rest: {reason.text}"
-    return Reason(ReasonCode.LOW_ADHESION, text)
 
 
 def touched(one: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:

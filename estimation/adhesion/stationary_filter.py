@@ -37,8 +37,7 @@ import numpy as np
 import scipy.linalg
 
 from estimation.values.arrays import FloatArray, FrozenArrays
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass, VehicleParameters
 
 AXLE = 4  # states of a wheelset: y, y', psi, psi'
 

@@ -33,7 +33,7 @@ from estimation.contact.profiles import is_design, rail_profile, wheel_profile
 from estimation.contact.wear import HOLLOWS, TreadWear, worn
 from estimation.errors import ContactError, ProfileError
 from estimation.filters import remove_wander
-from estimation.motion.parameters import WindowParameters
+from estimation.motion.integration import WindowParameters
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array, runs
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.opinions import CELL_LENGTH, INVERSE, FrictionSums, WindowAdhesion
@@ -41,8 +41,7 @@ from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackSectionRecord
 from estimation.values.windows import Motion, Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
 
 DISPLACEMENT = np.arange(-140, 141) * 0.05e-3  # m
 DEPTHS = np.arange(9) * 0.25e-3  # m, of wear

@@ -25,8 +25,7 @@ from typing import Annotated
 import numpy as np
 
 from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass, VehicleParameters
 
 SINGLE_UNCERTAIN = {"lateral_stiffness": "suspended_mass"}
 BOGIE_UNCERTAIN = {

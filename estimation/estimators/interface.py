@@ -29,7 +29,7 @@ from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status, jackknife_std, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 
 @dataclass(frozen=True, slots=True)

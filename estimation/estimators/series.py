@@ -31,8 +31,8 @@ from estimation.tables.bin_table import group_of
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 GROUPS = 16
 SMALLEST_VARIANCE = 1e-18  # m2

@@ -46,11 +46,10 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtr
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
-from estimation.motion.rolling_radius_difference import HIDDEN_SHARE
+from estimation.motion.integration import HIDDEN_SHARE
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.quantities import NORMAL_95
-from estimation.vehicle.equations_of_motion import RAIL_HEAD_RADIUS
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import RAIL_HEAD_RADIUS, VehicleClass
 
 HELD_SLACK = 1e-12  # of the largest gradient: below, an unknown that is held at 0 stays there
 PATIENCE = 3  # exchanges of all without fewer on the wrong side, before it is one at a time

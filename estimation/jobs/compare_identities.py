@@ -19,8 +19,8 @@ from estimation.alerts.identity import (
     identity_events,
     jumps,
 )
-from estimation.alerts.rules.contradicted_registry import IdentityRule
 from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspension_change_finding
+from estimation.alerts.rules.sensor_data import IdentityRule
 from estimation.alerts.rules.standing import latest_run, raised_at
 from estimation.jobs.job import JobContext
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from

@@ -10,11 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from estimation.alerts.evaluation import findings, next_change_ns, superseded
-from estimation.alerts.fleet_alerts import in_flood, opened, refreshed
 from estimation.alerts.identity import IDENTITY_EVENT
 from estimation.alerts.life_cycle import close, transition, without_stale_acknowledgement
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook, findings, in_flood, next_change_ns, opened, refreshed, superseded
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS, SUSPENSIONS
 from estimation.jobs.isolation import Isolation

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from estimation.adhesion.friction import section_adhesion, touched
 from estimation.adhesion.parameters import FrictionParameters
 from estimation.alerts.life_cycle import close, section_transition
-from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
+from estimation.alerts.rules.running_gear import LowAdhesionRule, section_finding
 from estimation.dampers.damper import DamperParameters, gear_damper
 from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.job import Job, JobContext

@@ -13,8 +13,7 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.identities import identity_changes
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, conicity_points
-from estimation.trend.steps import behind_step, newest_step, with_step
-from estimation.trend.trend import TrendParameters, refresh
+from estimation.trend.trend import TrendParameters, behind_step, newest_step, refresh, with_step
 from estimation.values.geometry import GEOMETRY, IntervalConicities
 from estimation.values.registry import VehicleRecord
 from estimation.values.results import Facet

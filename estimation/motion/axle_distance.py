@@ -19,9 +19,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimation.motion.checks import BACKWARDS, direction, lateral_yaw_correlation, moving_samples
-from estimation.motion.integration import integrate
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.checks import direction, runs_backwards
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
@@ -176,15 +174,6 @@ def _highest(correlation: FloatArray, ahead: float, least: float) -> AxleDistanc
     ordered = bool(off < exchanged_off) if alone and min(off, exchanged_off) <= TOLERANCE else None
     stands_out = alone and off <= nearest
     return AxleDistance(float(distance[at]), float(size[at]), expected, exchanged, nearest, stands_out, ordered)
-
-
-def runs_backwards(window: Window) -> bool | None:
-    """Return whether the axes of a node point against the direction of travel; None where it does not say."""
-    signals = SignalParameters()
-    correlation = lateral_yaw_correlation(integrate(window, moving_samples(window, signals), signals))
-    if correlation is None or abs(correlation) < abs(BACKWARDS):
-        return None
-    return correlation < 0.0
 
 
 def bogie_runs_backwards(window: Window, partner: Window, ahead: float) -> bool | None:

@@ -17,13 +17,12 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from estimation.motion.hunting import in_place_of_quality
-from estimation.motion.integration import IntegratedWindow, bridged
-from estimation.motion.parameters import Gates, SignalParameters
+from estimation.motion.integration import Gates, IntegratedWindow, SignalParameters, bridged, integrate
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, runs
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import TrackLayout
+from estimation.values.track import Correction, TrackLayout
 from estimation.values.windows import Window, WindowQuality
-from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.vehicle_class import GRAVITY
 
 GRID_STEP = 1.0  # m, to which a layout is refined before it is looked at
 
@@ -346,3 +345,42 @@ def check_running(window: Window, signals: SignalParameters) -> Reason | None:
 def check_integrated(integrated: IntegratedWindow) -> IntegratedWindow | Reason:
     """Return the window, or what of it contradicts the rest."""
     return jumps_reason(position_jumps(integrated)) or check_axis_signs(integrated) or integrated
+
+
+def runs_backwards(window: Window) -> bool | None:
+    """Return whether the axes of a node point against the direction of travel; None where it does not say."""
+    signals = SignalParameters()
+    correlation = lateral_yaw_correlation(integrate(window, moving_samples(window, signals), signals))
+    if correlation is None or abs(correlation) < abs(BACKWARDS):
+        return None
+    return correlation < 0.0
+
+
+MARGIN = 25.0  # m kept from a stretch of low friction: half a place
+MOST_LEFT_OUT = 0.25  # share of the samples from which low friction is why too few are left
+TOO_LITTLE = frozenset({ReasonCode.NO_USABLE_SAMPLE, ReasonCode.INTERRUPTED, ReasonCode.TOO_FEW_USABLE})
+
+
+def away_from_low_adhesion(
+    window: Window, stretches: Sequence[tuple[float, float]], correction: Correction | None = None
+) -> Window | Reason:
+    """Return the window with its samples on low friction not valid, or that none is left."""
+    if not stretches:
+        return window
+    distance = window.distance if correction is None else correction.at(window.distance)
+    low = np.zeros(len(window.valid), np.bool_)
+    for begin, end in stretches:
+        low |= (distance >= begin - MARGIN) & (distance <= end + MARGIN)
+    left = window.valid & ~low
+    if not left.any() and window.valid.any():
+        return Reason(ReasonCode.LOW_ADHESION, "all of the window is on rails of low friction")
+    return replace(window, valid=left)
+
+
+def refused_for_low_adhesion(reason: Reason, window: Window, kept: Window) -> Reason:
+    """Return why a window is refused: low friction, where that took most of its samples and too few are left."""
+    share = 1.0 - float(kept.valid.sum()) / max(int(window.valid.sum()), 1)
+    if share < MOST_LEFT_OUT or reason.code not in TOO_LITTLE:
+        return reason
+    text = f"{share:.0%} of its samples are on rails of low friction; of the rest: {reason.text}"
+    return Reason(ReasonCode.LOW_ADHESION, text)

@@ -36,29 +36,10 @@ import numpy as np
 
 from estimation.compiled import compiled
 from estimation.filters import high_pass, local_cubic_kernel
-from estimation.motion.integration import IntegratedSegment
+from estimation.motion.integration import IntegratedSegment, observed_displacement
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import RAIL_HEAD_RADIUS, VehicleParameters
 from estimation.vehicle.regressors import angle_difference_factor
-
-HIDDEN_SHARE = 0.009  # rho phi_c over y - d + r0 phi, median of 157 pairs: 0.001 for cones at 1:40, 0.02 where worn
-
-
-def standard_displacement(displacement: FloatArray, roll: FloatArray, radius: float, *, level: bool) -> FloatArray:
-    """Return the displacement (n,), m, relative to the track, that EN 15302 means.
-
-    Args:
-        displacement: (n,) y - d, m, at the height of the axle.
-        level: Whether gravity has been taken out of the lateral signals: the track may roll.
-    """
-    seen = observed_displacement(displacement, roll, radius, level=level)
-    return seen * (1.0 + HIDDEN_SHARE) if level else seen
-
-
-def observed_displacement(displacement: FloatArray, roll: FloatArray, radius: float, *, level: bool) -> FloatArray:
-    """Return the same (n,), m, as far as it is measured; for a displacement from which no alignment is taken off."""
-    height = radius if level else radius + RAIL_HEAD_RADIUS
-    return displacement + height * roll
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 
 @compiled(nogil=True)

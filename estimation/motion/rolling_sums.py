@@ -22,16 +22,14 @@ from typing import NamedTuple
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.motion.axle_distance import runs_backwards, turned_over
-from estimation.motion.checks import moving_samples
-from estimation.motion.integration import bridged, segments
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.axle_distance import turned_over
+from estimation.motion.checks import moving_samples, runs_backwards
+from estimation.motion.integration import SignalParameters, bridged, segments
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.roll_up import RollingSums
 from estimation.values.windows import ACCELERATIONS, Window
-from estimation.vehicle.equations_of_motion import GRAVITY
 from estimation.vehicle.linear_model import ComplexArray
-from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import GRAVITY, SensorLayout, VehicleClass
 
 ROWS = 5  # spectra: y'', V psi', phi'', ym'' and psi_f'' of the bogie frame
 TERMS = 7  # the lateral acceleration, then the unknowns

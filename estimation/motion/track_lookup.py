@@ -20,13 +20,12 @@ from scipy.interpolate import CubicSpline
 from estimation.compiled import compiled
 from estimation.filters import local_cubic_kernel, remove_wander
 from estimation.motion.checks import fast_enough
-from estimation.motion.integration import IntegratedWindow, integrate
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import IntegratedWindow, SignalParameters, integrate
 from estimation.motion.rolling_radius_difference import CROSSOVER, STEP, fuse, motion_signals
 from estimation.values.arrays import FloatArray, frozen_array, runs
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 FEWEST_POINTS = 4  # of a spline
 POINTS = 512  # of the alignment in a piece

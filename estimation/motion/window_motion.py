@@ -23,9 +23,16 @@ from estimation.motion.checks import (
     moving_samples,
     usable_samples,
 )
-from estimation.motion.integration import IntegratedSegment, IntegratedWindow, bridged, integrate, mirrored
-from estimation.motion.parameters import SignalParameters, WindowParameters
-from estimation.motion.rolling_radius_difference import standard_displacement
+from estimation.motion.integration import (
+    IntegratedSegment,
+    IntegratedWindow,
+    SignalParameters,
+    WindowParameters,
+    bridged,
+    integrate,
+    mirrored,
+    standard_displacement,
+)
 from estimation.motion.track_lookup import TRACKS, alignment_at, gauge_shift
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode

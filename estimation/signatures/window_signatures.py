@@ -10,8 +10,13 @@ import numpy as np
 
 from estimation.filters import local_cubic_kernel
 from estimation.motion.checks import check_integrated, check_running, direction, gate, moving_samples, straight_part
-from estimation.motion.integration import IntegratedSegment, IntegratedWindow, integrate
-from estimation.motion.parameters import SignalParameters, WindowParameters
+from estimation.motion.integration import (
+    IntegratedSegment,
+    IntegratedWindow,
+    SignalParameters,
+    WindowParameters,
+    integrate,
+)
 from estimation.motion.rolling_radius_difference import (
     OVERSAMPLING,
     SHORTEST,

@@ -26,15 +26,14 @@ from estimation.motion.checks import (
     position_jumps,
     without_jumps,
 )
-from estimation.motion.integration import IntegratedWindow, bridged, integrate
-from estimation.motion.parameters import SignalParameters, WindowParameters
+from estimation.motion.integration import IntegratedWindow, SignalParameters, WindowParameters, bridged, integrate
 from estimation.motion.rolling_radius_difference import fuse, motion_signals
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.registry import WheelsetRecord
 from estimation.values.track import OPEN_NS
 from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality, WindowRecord
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -21,12 +21,12 @@ from functools import lru_cache
 import numpy as np
 
 from estimation.contact.wear import WornFamily, worn_family
-from estimation.trend.trend import TrendPoint
 from estimation.trend.wear_curve import NormalMixture
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import IntervalConicities, KnownConicity, WheelsetGeometry, known_conicities
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, combined
+from estimation.values.trend import TrendPoint
 
 LIMIT_AMPLITUDE = 3e-3  # m, of every conicity limit (EN 15302, TSI)
 SAME_AMPLITUDE = 1e-6  # m

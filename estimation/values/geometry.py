@@ -25,7 +25,7 @@ class BinTable(FrozenArrays):
 
     Groups are what standard deviations come from: blocks of running time are assigned to ``g`` groups, and any derived
     number is recomputed with one group left out (delete-a-group jackknife). ``lateral`` and ``yaw`` hold, per group and
-    bin, the packed moments that ``estimation.tables.least_squares`` lays out.
+    bin, the packed moments that ``estimation.tables.bin_table`` lays out.
     """
 
     parameter_key: str  # digest of every parameter that shapes the statistics

@@ -17,72 +17,13 @@ This module is the one definition of these equations; the simulator's compiled l
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
-from typing import Annotated, Any, cast
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from annotated_types import Ge
 
-from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
-
-GRAVITY = 9.81  # m/s2
-RAIL_HEAD_RADIUS = 0.08  # m, of the arc beside the crown of all usual rail heads, where most wheels touch
-
-
-def check_possible(parameters: object, may_be_zero: tuple[str, ...]) -> None:
-    """Check that parameters are finite and positive; those whose names begin so may be zero.
-
-    Raises:
-        ParameterError: A parameter is not a possible value.
-    """
-    for item in fields(cast("Any", parameters)):
-        value = getattr(parameters, item.name)
-        if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not item.name.startswith(may_be_zero)):
-            raise ParameterError(f"{value!r} is not a possible value", field=item.name)
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleParameters:
-    """Parameters of the wheelset and its suspended mass; the defaults are Table A.1 of the paper.
-
-    Creep coefficients are Kalker's linear ones for one wheel. In the equations: f11 longitudinal, f22 lateral,
-    f23 lateral/spin, f33 spin creep; fy, ky lateral damper and spring between wheelset and mass; f_psi, k_psi yaw
-    damper and spring; I yaw and Iwy pitch (spin) inertia of the wheelset; l half the distance between the contact
-    points; m wheelset mass, mm suspended mass; W load; r0 nominal rolling radius.
-
-    W acts through the contact angles and the roll. The paper's is the wheelset's own weight, m g. What stands on the
-    rails is the ``axle_load`` of wheelset and suspended mass; with it f23/r0 - W/2, the factor of dL - dR, is negative.
-
-    Raises:
-        ParameterError: A parameter is not finite, or is not positive where it must be.
-    """
-
-    longitudinal_creep_coefficient: Annotated[float, Ge(0.0)] = 7.44e6  # f11, N
-    lateral_creep_coefficient: Annotated[float, Ge(0.0)] = 6.79e6  # f22, N
-    lateral_spin_creep_coefficient: Annotated[float, Ge(0.0)] = 13.7e3  # f23, N m
-    spin_creep_coefficient: Annotated[float, Ge(0.0)] = 0.0  # f33, N m2
-    lateral_damping: Annotated[float, Ge(0.0)] = 50e3  # fy, N s/m
-    yaw_damping: Annotated[float, Ge(0.0)] = 0.0  # f_psi, N m s
-    yaw_inertia: Annotated[float, Ge(0.0)] = 700.0  # I, kg m2
-    pitch_inertia: Annotated[float, Ge(0.0)] = 200.0  # Iwy, kg m2
-    half_contact_distance: Annotated[float, Ge(0.0)] = 0.7452  # l, m
-    wheelset_mass: Annotated[float, Ge(0.0)] = 1250.0  # m, kg
-    suspended_mass: Annotated[float, Ge(0.0)] = 8000.0  # mm, kg
-    lateral_stiffness: Annotated[float, Ge(0.0)] = 0.23e6  # ky, N/m
-    yaw_stiffness: Annotated[float, Ge(0.0)] = 2.5e6  # k_psi, N m
-    load: Annotated[float, Ge(0.0)] = 12263.0  # W, N
-    nominal_radius: Annotated[float, Ge(0.0)] = 0.45  # r0, m
-
-    def __post_init__(self) -> None:
-        check_possible(self, ("spin_creep", "lateral_spin_creep", "yaw_damping", "lateral_damping"))
-
-    @property
-    def axle_load(self) -> float:
-        """Weight of the wheelset and its suspended mass, (m + mm) g, N."""
-        return (self.wheelset_mass + self.suspended_mass) * GRAVITY
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 
 @dataclass(frozen=True, slots=True)

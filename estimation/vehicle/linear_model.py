@@ -28,9 +28,7 @@ import numpy.typing as npt
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import (
-    GRAVITY,
     ContactState,
-    VehicleParameters,
     WheelsetState,
     lateral_acceleration,
     lateral_suspension_force,
@@ -38,7 +36,7 @@ from estimation.vehicle.equations_of_motion import (
     yaw_acceleration,
     yaw_suspension_moment,
 )
-from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, SensorLayout, VehicleClass, VehicleParameters
 
 ComplexArray = npt.NDArray[np.complex128]
 ANGLE_PER_DIFFERENCE = 67.0  # c, rad/m: touching at 1:20 on a tread of 300 mm

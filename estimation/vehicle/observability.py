@@ -21,7 +21,6 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.linear_model import (
     SENSORS,
     Combinations,
@@ -34,7 +33,7 @@ from estimation.vehicle.linear_model import (
     sensor_filters,
     true_signals,
 )
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
 
 CAUSES = ("noise", "dilution", "track", "creep", "stiffness", "mass", "lengths", "scale")
 LATERAL_WAVE = 3e-3  # m, of which D is reported

@@ -13,8 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 from estimation.errors import ParameterError
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
-from estimation.vehicle.vehicle_class import BogieParameters, VehicleClass
+from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, VehicleClass, VehicleParameters
 
 UNIT_FACTOR = 1000.0  # mm for m, N/mm for N/m, t for kg, kN for N
 UNIT_FACTORS = UNIT_FACTOR, UNIT_FACTOR**2  # kN/mm for N/m, MN for N

@@ -29,9 +29,8 @@ import numpy as np
 from estimation.compiled import compiled
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.windows import OF_FRAME, Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 
-LATERAL_COLUMNS = 9  # x1, x2 and the targets of Eq. 1
 YAW_TARGET_COLUMNS = 8
 
 

@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimation.values.arrays import FloatArray, IntArray
-from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.vehicle_class import GRAVITY
 from ingest.simulator.creep_laws import CreepConstants, share_of_linear
 from ingest.simulator.rates import OUTPUTS, STANDSTILL, Constants, Grid, advance, look_up, stepped, track_at
 

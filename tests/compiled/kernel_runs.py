@@ -39,9 +39,8 @@ from estimation.track.panel.basis import add_filtered_hats
 from estimation.track.screening.agreement import cross_products, own_products
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import Signals, regression
-from estimation.vehicle.vehicle_class import BogieParameters
+from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
 from ingest.catalogue import default_catalogue
 from ingest.codec import decode, encode
 from ingest.frames import batch_of, concatenate

@@ -18,7 +18,7 @@ from api.comparison.current_geometry import geometry_by
 from api.factory import create_app
 from api.settings import Settings
 from bench.standing_clock import StandingClock
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.contact.conicity import equivalent_conicity
 from estimation.jobs.catalogue import job_named

@@ -12,7 +12,6 @@ from typing import Annotated, ClassVar
 from annotated_types import Interval
 
 from estimation.alerts.identity import IdentityEvent
-from estimation.trend.steps import StepSurroundings
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, Finding
 from estimation.values.fields import JsonValue, Served
@@ -21,7 +20,7 @@ from estimation.values.opinions import GearDamper
 from estimation.values.quantities import Estimate, Forecast
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.trend import SuspensionShown, TrendRecord
+from estimation.values.trend import StepSurroundings, SuspensionShown, TrendRecord
 from estimation.values.windows import WindowRecord, WindowState
 
 SECOND_NS = 1_000_000_000

@@ -25,10 +25,10 @@ from estimation.alerts.rules.rule import (
     number_evidence,
 )
 from estimation.trend.extrapolation import conicity_points
-from estimation.trend.trend import TrendParameters, TrendPoint, refresh
+from estimation.trend.trend import TrendParameters, refresh
 from estimation.values.alerts import Finding, Severity
 from estimation.values.geometry import GeometryRecord
-from estimation.values.trend import TrendRecord, WearTrend
+from estimation.values.trend import TrendPoint, TrendRecord, WearTrend
 from estimation.values.windows import WindowRecord
 
 LOOK_BACK = 5  # times the windows that a rule looks at: what was earlier raises nothing any more

@@ -18,10 +18,10 @@ from estimation.motion.axle_distance import (
     bogie_runs_backwards,
     check_axle_distance,
     check_frame_sensors,
-    runs_backwards,
     turned_over,
     with_frame_yaw,
 )
+from estimation.motion.checks import runs_backwards
 from estimation.motion.without_blows import without_blows
 from estimation.storage import UnitOfWork
 from estimation.values.reasons import Reason, ReasonCode

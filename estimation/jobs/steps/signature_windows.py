@@ -13,7 +13,7 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup, VehicleLookup
-from estimation.motion.parameters import WindowParameters
+from estimation.motion.integration import WindowParameters
 from estimation.signatures.parameters import SignatureParameters
 from estimation.signatures.window_signatures import window_signatures
 from estimation.storage import UnitOfWork

@@ -12,7 +12,7 @@ import pytest
 from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, sample_window, wear
 
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.jobs.catalogue import ALL_STAGES
 from estimation.jobs.job import JobContext

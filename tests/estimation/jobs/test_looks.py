@@ -12,7 +12,7 @@ from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, wear
 
 from estimation.alerts.life_cycle import acknowledge
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.jobs import evaluate_alerts, refresh_trends
 from estimation.jobs.job import Job, JobContext, run_job
