@@ -25,7 +25,7 @@ from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.numerics_version import NUMERICS_VERSION
-from estimation.rails.parameters import RailsParameters
+from estimation.rails.cell import RailsParameters
 from estimation.storage import Clock
 from fleet_db.keeping.purge import purge_job
 from fleet_db.keeping.retention import Retention

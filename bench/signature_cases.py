@@ -13,8 +13,7 @@ from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_d
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.motion.integration import Gates, SignalParameters, WindowParameters
-from estimation.signatures.parameters import SignatureParameters
-from estimation.signatures.window_signatures import window_signatures
+from estimation.signatures.window_signatures import SignatureParameters, window_signatures
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason
 from estimation.values.signatures import ConicitySource, LibraryEntry, Place, Signature

@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sqlalchemy import Insert, func, insert, literal, select
 
-from estimation.alerts.rules.rule import estimate_evidence, unknown_evidence
 from estimation.trend.trend import refresh
-from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
+from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity, estimate_evidence, unknown_evidence
 from estimation.values.geometry import (
     GEOMETRY,
     BinStatus,

@@ -23,7 +23,7 @@ With (x_i) the place of an axle ahead of the middle of its bogie's frame (y_f, p
     I_f psi_f'' = -(sum of the suspensions' moments and of x_i times their forces) - k2 psi_f - c2 psi_f'
 
 Without a bogie the mass above a single wheelset hangs on its springs alone and does not yaw (Eq. 3-5 of
-``estimation.vehicle.equations_of_motion``). No speed, no creep law and no contact geometry is in these equations.
+``estimation.vehicle.regressors``). No speed, no creep law and no contact geometry is in these equations.
 """
 
 from __future__ import annotations

@@ -21,8 +21,7 @@ import numpy as np
 from estimation.trend.change_point import BESIDE, Series, StepModel, newest_change
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
-from estimation.values.results import History, ResultKind
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import History, ResultKind, SubjectKind
 
 EVEN = StepModel(
     slope=0.0,

@@ -22,7 +22,7 @@ from estimation.alerts.life_cycle import (
     without_stale_acknowledgement,
 )
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, MeasureRule
-from estimation.alerts.rules.rule import AlertDelays, AlertRule, Evidence, WheelsetFacts
+from estimation.alerts.rules.rule import AlertDelays, AlertRule, WheelsetFacts
 from estimation.alerts.rules.running_gear import HuntingRule, LowAdhesionRule, SuspensionChangeRule, WeakDamperRule
 from estimation.alerts.rules.sensor_data import (
     DataQualityRule,
@@ -35,7 +35,7 @@ from estimation.alerts.rules.sensor_data import (
 from estimation.alerts.rules.trend import LimitForecastRule, UnregisteredChangeRule
 from estimation.alerts.rules.wheels import WheelAsymmetryRule, WheelFlatRule
 from estimation.errors import InputError
-from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Transition
+from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Evidence, Finding, Transition
 from estimation.values.fields import JsonValue, Served
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode

@@ -16,15 +16,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cache
-from importlib.resources import as_file, files
 from typing import Annotated
 
 import numpy as np
 
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.errors import ParameterError, ProfileError
-from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
+from estimation.values.arrays import FloatArray
 from estimation.values.fields import in_mm
 
 DEEPEST_HOLLOW = 6e-3  # largest depth that the form is meant for, m
@@ -203,23 +201,3 @@ HOLLOWS: Mapping[str, tuple[float, float]] = {  # centre and half width of the h
     "EN15302-H": (3e-3, 40e-3),
     "EN15302-I": (3e-3, 40e-3),
 }
-TABLE = "worn_family.npy"  # written by ``python -m bench.worn_family``
-UNIT = 1e-4  # of a stored conicity
-AMPLITUDES: FloatArray = np.arange(2, 13, dtype=np.float64) * 0.25e-3  # m
-
-
-@dataclass(frozen=True, slots=True)
-class WornFamily(FrozenArrays):
-    """Conicities by amplitude of many wheelsets, new and worn: how conicity goes on with amplitude."""
-
-    amplitude: Annotated[FloatArray, "a"]  # m
-    conicity: Annotated[FloatArray, "m", "a"]
-    pair: Annotated[IntArray, "m"]  # number of the pair of design wheel and rail
-
-
-@cache
-def worn_family() -> WornFamily:
-    """Return all pairs, as they are kept beside this module."""
-    with as_file(files("estimation.contact") / TABLE) as path:
-        stored = np.load(path, allow_pickle=False)
-    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * UNIT), stored[:, 0].astype(np.int64))

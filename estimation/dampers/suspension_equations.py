@@ -7,7 +7,7 @@ frame's yaw drops out of the means. With d = y_f - mean y_i and e = y_b - y_f::
     d'' = y_f'' - u,      e'' = -(ks e + cs e')/m_b - y_f''
 
 and of a single wheelset mm ym'' = -(ky d + fy d') with d = ym - y, fy the damper looked for (Eq. 3 and 4 of
-``estimation.vehicle.equations_of_motion``). No creep force, contact geometry, track or speed is in these equations.
+``estimation.vehicle.regressors``). No creep force, contact geometry, track or speed is in these equations.
 
 The low-pass that accelerations get before the filters, and how they are thinned out.
 

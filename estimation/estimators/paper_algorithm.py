@@ -2,7 +2,7 @@
 
 Ward, Goodall, Dixon, UKACC 2010, section 4: bins of y - d, a threshold count, grey-box recursion in each bin. Two
 multiple-input single-output identifications with the regressors [psi, phi', 1], lateral (Eq. 15-16) and yaw (Eq.
-17-18), give the four combinations; signs of the known parts are those of ``estimation.vehicle.equations_of_motion``.
+17-18), give the four combinations; signs of the known parts are those of ``estimation.vehicle.regressors``.
 
 Of the estimator only the yaw identification runs, which gives rL - rR; V of the paper is the mean speed of a stretch.
 The recursion starts in a bin when the threshold count is reached. Its own covariance takes every residual for

@@ -23,8 +23,7 @@ from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Finding, Transition
 from estimation.values.geometry import GEOMETRY
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import TREND
 from estimation.worklist.row import FACETS, FORM, STAGE
 

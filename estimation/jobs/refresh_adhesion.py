@@ -44,8 +44,7 @@ from estimation.values.opinions import (
     WindowDamper,
     part_of_gear,
 )
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of_text, text_of_key
 
 Stretches = Sequence[tuple[float, float]]

@@ -19,10 +19,9 @@ from estimation.adhesion.friction import section_adhesion
 from estimation.alerts.life_cycle import close, section_transition, transition
 from estimation.alerts.rule_book import RuleBook, findings, superseded
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.rule import WheelsetFacts
+from estimation.alerts.rules.rule import WheelsetFacts, within_reach
 from estimation.alerts.rules.running_gear import LowAdhesionRule, SuspensionChangeRule, WeakDamperRule, section_finding
 from estimation.alerts.rules.sensor_data import NoDataRule
-from estimation.alerts.rules.standing import within_reach
 from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.wheelset_facts import hunted_beside, windows_wanted

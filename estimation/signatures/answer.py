@@ -10,7 +10,7 @@ from scipy.special import ndtr
 from estimation.signatures.calibration import NORMAL, Calibration, conicity_grid, outside
 from estimation.signatures.library import Library
 from estimation.signatures.mixed_model import Likelihood, Rows, level_of, likelihood
-from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.arrays import IntArray
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode

@@ -31,7 +31,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from estimation.signatures.mixed_model import Likelihood, MixedModel, Rows, fitted, level_of, levels_between, likelihood
-from estimation.signatures.parameters import FOLDS, SignatureParameters, families
+from estimation.signatures.window_signatures import FOLDS, SignatureParameters, families
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry

@@ -31,7 +31,7 @@ from estimation.signatures.mixed_model import (
     scatter_of,
     track_effects,
 )
-from estimation.signatures.parameters import SignatureParameters, folds, sharers
+from estimation.signatures.window_signatures import SignatureParameters, folds, sharers
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import NO_PAIR, AxlePosition, Basis, DesignPair, LibraryEntry, Place, Retired

@@ -16,13 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
+from importlib.resources import as_file, files
+from typing import Annotated
 
 import numpy as np
 
-from estimation.contact.wear import WornFamily, worn_family
 from estimation.trend.wear_curve import NormalMixture
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.geometry import IntervalConicities, KnownConicity, WheelsetGeometry, known_conicities
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, combined
@@ -313,3 +314,25 @@ def by_amplitude(record: IntervalConicities) -> dict[int, KnownConicity]:
 
 def _point(record: IntervalConicities, conicity: KnownConicity | Extrapolation) -> TrendPoint:
     return TrendPoint(record.mileage_km, (record.from_ns + record.to_ns) // 2, conicity.value, conicity.std)
+
+
+TABLE = "worn_family.npy"  # written by ``python -m bench.worn_family``
+UNIT = 1e-4  # of a stored conicity
+AMPLITUDES: FloatArray = np.arange(2, 13, dtype=np.float64) * 0.25e-3  # m
+
+
+@dataclass(frozen=True, slots=True)
+class WornFamily(FrozenArrays):
+    """Conicities by amplitude of many wheelsets, new and worn: how conicity goes on with amplitude."""
+
+    amplitude: Annotated[FloatArray, "a"]  # m
+    conicity: Annotated[FloatArray, "m", "a"]
+    pair: Annotated[IntArray, "m"]  # number of the pair of design wheel and rail
+
+
+@cache
+def worn_family() -> WornFamily:
+    """Return all pairs, as they are kept beside this module."""
+    with as_file(files("estimation.contact") / TABLE) as path:
+        stored = np.load(path, allow_pickle=False)
+    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * UNIT), stored[:, 0].astype(np.int64))

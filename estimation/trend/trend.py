@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import ndtr
@@ -15,7 +16,7 @@ from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.geometry import IntervalConicities, KnownConicity
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, combined
-from estimation.values.trend import TrendPoint, TrendStep, WearTrend
+from estimation.values.trend import TrendPoint, TrendRecord, TrendStep, WearTrend
 
 TOGETHER = (3, 6, 12)  # last points that are judged together
 JUDGED_SHARE = 3  # at most one in so many of the points
@@ -325,3 +326,25 @@ def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int) -> i
     keys = {key for one in covered for key in one if key <= limit}
     enough = [key for key in keys if all(sum(key in one for one in s) >= COVERING * len(s) for s in sides)]
     return max(enough, key=lambda key: (sum(key in one for one in covered[-newest:]), key), default=0)
+
+
+KEPT_TRENDS = 10_000  # of earlier intervals, which do not change: a fit costs some 10 ms
+
+
+def trend_up_to(record: TrendRecord, mileage_km: float, shared_std: float, parameters: TrendParameters) -> TrendRecord:
+    """Return the trend as it was at a mileage, had all data before been there."""
+    now = record.trend
+    until = int(np.searchsorted(now.mileage_km, mileage_km, side="right"))
+    columns = (now.mileage_km, now.measured_ns, now.value, now.std)
+    points = tuple(column[:until].tobytes() for column in columns)
+    return replace(record, trend=_refitted(points, now.limit, now.quantity, shared_std, parameters))
+
+
+@lru_cache(KEPT_TRENDS)
+def _refitted(
+    points: tuple[bytes, ...], limit: float, quantity: str, shared_std: float, parameters: TrendParameters
+) -> WearTrend:
+    kinds = (np.float64, np.int64, np.float64, np.float64)
+    columns = [np.frombuffer(column, kind).tolist() for column, kind in zip(points, kinds, strict=True)]
+    rows = [TrendPoint(*row) for row in zip(*columns, strict=True)]
+    return refresh(rows, limit, parameters, quantity=quantity, shared_std=shared_std)

@@ -14,8 +14,7 @@ from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_cen
 from estimation.values.fields import IN_MM, JsonValue, Served, in_mm
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason
-from estimation.values.results import Result, ResultKind
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Result, ResultKind, SubjectKind
 from estimation.values.windows import OfWindow
 
 

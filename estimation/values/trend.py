@@ -17,8 +17,7 @@ from estimation.values.fields import JsonValue, Served, in_mm
 from estimation.values.geometry import KnownConicity
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason
-from estimation.values.results import History, ResultKind
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import History, ResultKind, SubjectKind
 
 
 @dataclass(frozen=True, slots=True)

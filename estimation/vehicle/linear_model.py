@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import (
+from estimation.vehicle.regressors import (
     ContactState,
     WheelsetState,
     lateral_acceleration,

@@ -29,8 +29,7 @@ from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, utc_text
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.results import Facet
-from estimation.values.runs import JobOutcome, JobRun, Quarantined
+from estimation.values.runs import Facet, JobOutcome, JobRun, Quarantined
 from estimation.values.track import AlignmentRecord, AlignmentSource
 from estimation.values.trend import TREND, TrendRecord
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass

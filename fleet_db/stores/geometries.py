@@ -26,7 +26,7 @@ from estimation.values.geometry import (
 )
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import Result
+from estimation.values.runs import Result
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultStore

@@ -25,8 +25,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.values.results import EVERYTHING, Due, Look, Mark, StageInputs
-from estimation.values.runs import QuarantineState, SubjectKind
+from estimation.values.runs import EVERYTHING, Due, Look, Mark, QuarantineState, StageInputs, SubjectKind
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.rows import table_of
 from fleet_db.stores.stale_spans import SPANS, StaleSpanStore

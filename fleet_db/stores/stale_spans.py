@@ -8,7 +8,7 @@ from itertools import groupby
 
 from sqlalchemy import Connection, delete, func, insert, or_, select, update
 
-from estimation.values.results import Due
+from estimation.values.runs import Due
 from fleet_db.rows import table_of
 from fleet_db.tables.recordings import StaleSpanRow
 from fleet_db.tables.windows import WindowRow

@@ -10,8 +10,7 @@ from sqlalchemy import Connection, Select, and_, delete, func, select
 from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
 from estimation.values.opinions import GEAR, GEAR_DAMPERS, GearDamper, WindowDamper
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import SuspensionFinding
 from fleet_db.packed_values import pack_window_damper, unpack_window_damper
 from fleet_db.rows import columns_of, insert_all_new, replace_all, table_of, upsert, value_of_row

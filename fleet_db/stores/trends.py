@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from estimation.values.results import Result
+from estimation.values.runs import Result
 from estimation.values.trend import TREND, TrendRecord, WearTrend, baseline_part
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.results import ResultStore

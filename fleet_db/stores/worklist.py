@@ -19,8 +19,7 @@ from estimation.errors import NotFoundError
 from estimation.values.alerts import Severity, Urgency, WorklistRow
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
-from estimation.values.results import EVERYTHING
-from estimation.values.runs import code_of_error, first_line
+from estimation.values.runs import EVERYTHING, code_of_error, first_line
 from estimation.worklist.row import FORM, STAGE, WorklistInputs, distance_key, urgency_key, worklist_row
 from fleet_db.packed_values import to_document
 from fleet_db.rows import insert_new, replace_all, table_of

@@ -33,7 +33,7 @@ from estimation.filters import local_cubic_kernel, remove_wander
 from estimation.motion.integration import integrate_once, integrate_twice, take_out_mean
 from estimation.motion.rolling_radius_difference import sample_smoothed
 from estimation.motion.rolling_sums import ROWS, Equation, add_spectra, write_pieces
-from estimation.motion.track_lookup import evaluate
+from estimation.motion.window_motion import evaluate
 from estimation.tables.bin_table import BinParameters, fill_cells, group_of
 from estimation.track.panel.basis import add_filtered_hats
 from estimation.track.screening.agreement import cross_products, own_products

@@ -14,16 +14,13 @@ from typing import Annotated
 from annotated_types import Interval
 
 from estimation.alerts.rules.rule import (
-    DecidingEvidence,
+    IntervalsRule,
     Kilometres,
     Probability,
     WheelsetFacts,
     WindowCount,
-    number_evidence,
     too_few_windows,
-    unknown_evidence,
 )
-from estimation.alerts.rules.standing import IntervalsRule
 from estimation.trend.extrapolation import (
     LEAST_AMPLITUDE,
     LIMIT_AMPLITUDE,
@@ -35,7 +32,7 @@ from estimation.trend.extrapolation import (
     extrapolated,
 )
 from estimation.trend.trend import probability_above
-from estimation.values.alerts import Finding, Severity
+from estimation.values.alerts import DecidingEvidence, Finding, Severity, number_evidence, unknown_evidence
 from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, code_of

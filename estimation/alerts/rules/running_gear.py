@@ -12,20 +12,16 @@ from scipy.special import ndtr
 
 from estimation.alerts.rules.rule import (
     AlertRule,
-    DecidingEvidence,
-    Evidence,
     Probability,
     Share,
     WheelsetFacts,
     WindowCount,
+    WindowsRule,
     measured_until,
-    number_evidence,
-    restated,
     too_few_windows,
 )
-from estimation.alerts.rules.standing import WindowsRule
 from estimation.trend.suspension import SuspensionParameters
-from estimation.values.alerts import Finding, Severity
+from estimation.values.alerts import DecidingEvidence, Evidence, Finding, Severity, number_evidence, restated
 from estimation.values.fields import Served
 from estimation.values.opinions import GearDamper, SectionAdhesion
 from estimation.values.quantities import NORMAL_95, Estimate, with_interval

@@ -14,19 +14,24 @@ from estimation.alerts.rules.rule import (
     AlertDelays,
     AlertRule,
     Days,
-    DecidingEvidence,
-    Evidence,
     Share,
     WheelsetFacts,
     WindowCount,
+    WindowShareRule,
+    WindowsRule,
     measured_until,
+    too_few_windows,
+)
+from estimation.values.alerts import (
+    Alert,
+    DecidingEvidence,
+    Evidence,
+    Finding,
+    Severity,
     number_evidence,
     restated,
-    too_few_windows,
     unknown_evidence,
 )
-from estimation.alerts.rules.standing import WindowShareRule, WindowsRule
-from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.fields import JsonValue, Served
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting

@@ -9,18 +9,9 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from estimation.alerts.rules.rule import (
-    AlertRule,
-    DecidingEvidence,
-    Evidence,
-    Probability,
-    WheelsetFacts,
-    number_evidence,
-    restated,
-)
-from estimation.alerts.rules.standing import IntervalsRule
+from estimation.alerts.rules.rule import AlertRule, IntervalsRule, Probability, WheelsetFacts
 from estimation.trend.trend import probability_within
-from estimation.values.alerts import Finding, Severity
+from estimation.values.alerts import DecidingEvidence, Evidence, Finding, Severity, number_evidence, restated
 from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode

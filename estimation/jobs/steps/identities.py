@@ -9,7 +9,7 @@ import numpy as np
 
 from estimation.accuracy.wheel_contact import RailShare
 from estimation.alerts.rules.sensor_data import MOUNTED
-from estimation.rails.parameters import conicity_on_rails, designed_wheel
+from estimation.rails.cell import conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert
 from estimation.values.geometry import IntervalConicities

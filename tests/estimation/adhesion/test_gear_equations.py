@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimation.adhesion.stationary_filter import AXLE, gear_equations
-from estimation.vehicle.equations_of_motion import (
+from estimation.vehicle.regressors import (
     WheelsetState,
     lateral_suspension_force,
     mass_lateral_acceleration,

@@ -26,13 +26,7 @@ from windows_finding import silence_finding, windows_finding
 
 from estimation.alerts.identity import IdentityEvent, Mistake
 from estimation.alerts.rule_book import RuleBook, findings, superseded
-from estimation.alerts.rules.rule import (
-    AlertDelays,
-    WheelsetFacts,
-    estimate_evidence,
-    forecast_evidence,
-    number_evidence,
-)
+from estimation.alerts.rules.rule import AlertDelays, WheelsetFacts
 from estimation.alerts.rules.sensor_data import (
     IdentityRule,
     NoDataRule,
@@ -41,7 +35,14 @@ from estimation.alerts.rules.sensor_data import (
     identity_finding,
     mounting_corrected,
 )
-from estimation.values.alerts import CloseReason, Finding, Severity
+from estimation.values.alerts import (
+    CloseReason,
+    Finding,
+    Severity,
+    estimate_evidence,
+    forecast_evidence,
+    number_evidence,
+)
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Reprofiling

@@ -11,7 +11,7 @@ from plain_windows import DT, SPEED, plain_track, plain_window
 from estimation.filters import local_cubic_kernel, remove_wander
 from estimation.motion.integration import SignalParameters, integrate
 from estimation.motion.rolling_radius_difference import fuse, motion_signals
-from estimation.motion.track_lookup import gauge_shift
+from estimation.motion.window_motion import gauge_shift
 from estimation.values.arrays import FloatArray
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings
 from estimation.values.windows import Window

@@ -26,7 +26,7 @@ from estimation.values.geometry import GEOMETRY
 from estimation.values.opinions import CELLS, CREEP, FRICTION
 from estimation.values.quantities import with_interval
 from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
-from estimation.values.results import EVERYTHING, Facet, Mark, Result
+from estimation.values.runs import EVERYTHING, Facet, Mark, Result
 from estimation.values.signatures import ANSWERS, SIGNATURES
 from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import (

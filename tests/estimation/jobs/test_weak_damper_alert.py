@@ -23,8 +23,7 @@ from estimation.values.opinions import CREEP, GEAR_DAMPERS, GearDamper, WindowDa
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
-from estimation.values.results import Result
-from estimation.values.runs import JobTrigger, SubjectKind
+from estimation.values.runs import JobTrigger, Result, SubjectKind
 
 RULE = WeakDamperRule()
 

@@ -11,8 +11,7 @@ from smooth_wheelset import alignment, mems_windows, run, track
 
 from estimation.filters import remove_wander
 from estimation.motion.integration import SignalParameters
-from estimation.motion.track_lookup import gauge_shift
-from estimation.motion.window_motion import motion
+from estimation.motion.window_motion import gauge_shift, motion
 from estimation.values.arrays import FloatArray
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings
 from estimation.values.windows import Motion, Window

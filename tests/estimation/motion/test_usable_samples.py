@@ -13,8 +13,7 @@ from smooth_wheelset import SmoothTable, alignment, mems_windows, run, track
 from estimation.filters import high_pass, local_cubic_kernel
 from estimation.motion.checks import straight, straight_part
 from estimation.motion.integration import SignalParameters
-from estimation.motion.track_lookup import deconvolved
-from estimation.motion.window_motion import motion
+from estimation.motion.window_motion import deconvolved, motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackLayout
 from estimation.values.windows import Motion, Window

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import (
+from estimation.vehicle.regressors import (
     ContactState,
     WheelsetState,
     lateral_acceleration,

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from linear_wheelset import linear_system
 
 from estimation.errors import ParameterError
-from estimation.vehicle.equations_of_motion import (
+from estimation.vehicle.regressors import (
     ContactState,
     WheelsetState,
     creep_rate,
