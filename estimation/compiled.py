@@ -60,11 +60,7 @@ COUNTS = Compilations()
 
 
 def compiled(**options: bool | str) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """Return a decorator that compiles a function when it is called first, or loads what was compiled before.
-
-    Args:
-        **options: Of ``numba.njit``, such as ``nogil`` and ``inline``.
-    """
+    """Return a decorator that compiles a function at its first call, as ``numba.njit`` does, or loads what is kept."""
     wrapper: Any = numba.njit
 
     def decorate(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:

@@ -157,7 +157,6 @@ def compared(
 
 
 def _estimated(estimate: EstimateOfDate, amplitude: float) -> Estimate:
-    """Return the estimated conicity at an amplitude; at that of limits it may be extrapolated."""
     if estimate.record is None:
         return Estimate.unknown(estimate.reason or _NO_ESTIMATE)
     geometry = estimate.record.geometry

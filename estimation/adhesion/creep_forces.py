@@ -58,11 +58,7 @@ class GearSegments(FrozenArrays):
 def gear_segments(
     windows: Sequence[Window], vehicle_class: VehicleClass, signals: SignalParameters
 ) -> GearSegments | Reason:
-    """Return the segments of a running gear, or why there are none.
-
-    Args:
-        windows: Of one time: of a wheelset, or of front and rear wheelset of a bogie; (n,) samples each.
-    """
+    """Return the segments of windows (n,) of one time, of a wheelset or of both of a bogie, or why there are none."""
     axles = 1 if vehicle_class.bogie is None else AXLES_OF_A_BOGIE
     if len(windows) != axles or len({(one.start_ns, len(one.valid)) for one in windows}) != 1:
         raise ValueError(f"{len(windows)} windows for a running gear of {axles} wheelsets, or not of one time")

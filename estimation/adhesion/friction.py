@@ -74,11 +74,7 @@ MEDIAN_SQUARE = 0.4549  # of a standard normal variable
 def section_adhesion(
     track_section: str, passes: Sequence[WindowAdhesion], parameters: FrictionParameters, length: float = math.inf
 ) -> SectionAdhesion | None:
-    """Return the friction along a section and where it is low; None where no pass says anything.
-
-    Args:
-        length: Of the section, m; what was measured before its begin and behind its end belongs to no place of it.
-    """
+    """Return the friction on the ``length`` (m) of a section and where it is low; None where no pass says anything."""
     known = [one for one in passes if one.sums is not None and len(one.sums.cells)]
     found, left_out = pooled_friction(known, parameters)
     cells = tuple(cell for cell in found if 0.0 <= cell.from_m < length)
@@ -135,15 +131,12 @@ def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) ->
 
 @dataclass(frozen=True, slots=True)
 class _Solution(Agreed):
-    """What all passes of a section agree on, and what that leaves."""
-
     creep: FloatArray  # (v,) b
     left_creep_std: float  # that a b of all vehicles is left
     common_std: FloatArray  # (c,) of 1/mu: by what all passes of a place have wrong
 
 
 def _solved(sums: PassSums, parameters: FrictionParameters) -> _Solution:
-    """Return what all passes agree on; creep that all vehicles have in common is the rails' where its shape says so."""
     found = _in_turn(sums, parameters, None)
     if not slippery_throughout(sums, found.creep, found.slope, parameters.creep_error_std):
         return found
@@ -218,7 +211,6 @@ def _left_std(sums: PassSums, found: _Solution, parameters: FrictionParameters) 
 
 
 def _scatter(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> FloatArray:
-    """Return the std of 1/mu (c,) that the passes of a place show: each is left out in turn."""
     misfits = _misfits(sums, found.creep, found.slope, found.noise, parameters)
     left_out = _least(sums.by_place(misfits)[sums.place] - misfits)
     n = sums.counts

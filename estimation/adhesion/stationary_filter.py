@@ -154,11 +154,7 @@ class StationaryFilter(FrozenArrays):
 
 
 def stationary_filter(vehicle_class: VehicleClass, sample_interval_s: float, speed: float) -> StationaryFilter:
-    """Return the filter of a class at a speed.
-
-    Raises:
-        numpy.linalg.LinAlgError: The class has no stationary filter.
-    """
+    """Return the filter of a class at a speed; a LinAlgError where it has no stationary one."""
     rounded = max(SPEED_STEP, SPEED_STEP * round(speed / SPEED_STEP))
     gear = (vehicle_class.parameters, vehicle_class.bogie, vehicle_class.sensors)
     return _filter(*gear, sample_interval_s, rounded)

@@ -342,7 +342,6 @@ def _forces(
     vehicle_class: VehicleClass,
     force_error: float,
 ) -> tuple[Estimate, Estimate, Estimate, Estimate]:
-    """Return the rms of contact and lateral force and of the moment, and the adhesion that was used."""
     of_lateral, of_moment, of_load = force_errors(vehicle_class)
     contact, moment = (_rms(values[found.valid]) for values in (found.contact, found.moment))
     contact_force = with_interval(contact, contact * math.hypot(force_error, of_lateral))

@@ -332,14 +332,12 @@ def _mirrored(curve: _Curve) -> _Curve:
 
 
 def _even(curve: _Curve) -> _Curve:
-    """Return the even part (R(x) + R(-x)) / 2 for x > 0."""
     other, other_std = _at_other_side(curve, curve.value), _at_other_side(curve, curve.std)
     right = curve.at > 0.0
     return _Curve(curve.at[right], 0.5 * (curve.value + other)[right], 0.5 * np.hypot(curve.std, other_std)[right])
 
 
 def _at_other_side(curve: _Curve, values: FloatArray) -> FloatArray:
-    """Return ``values`` at -x, NaN where a bin beside -x is not known."""
     return np.interp(-curve.at, curve.at, values, left=np.nan, right=np.nan)
 
 

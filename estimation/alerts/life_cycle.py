@@ -56,14 +56,9 @@ def transition(
     delays: AlertDelays | None = None,
     rules_version: str | None = None,
 ) -> Transition | None:
-    """Return what a finding does to the open alert of its wheelset and kind.
+    """Return what a finding does to the open alert of its wheelset and kind; None where nothing changes, as a repeat.
 
-    Args:
-        delays: Delays of the rule, for a new alert; an open alert keeps those that it was raised with.
-
-    Returns:
-        Transition or None: None where nothing changes; a repeat with the same data is such a case. ``events`` is empty
-            where only counters or a pending alert changed.
+    A new alert keeps ``delays``. ``events`` is empty where only counters or a pending alert changed.
     """
     if open_alert is None:
         opens = finding.breached if finding.stands is None else finding.stands
@@ -114,7 +109,6 @@ def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
 
 
 def _pending(alert: Alert, finding: Finding) -> Transition | None:
-    """Count a breach towards the on-delay; without one the alert ends before it was published."""
     if finding.breached is None or not _is_news(alert, finding):
         return None
     if not (finding.breached if finding.stands is None else finding.stands):
@@ -207,7 +201,6 @@ def _changed(before: Alert, after: Alert, events: tuple[AlertEventKind, ...]) ->
 
 
 def _material(alert: Alert) -> tuple[object, ...]:
-    """Return the fields whose change is an event of the feed."""
     band = None if alert.probability is None else bisect_right(PROBABILITY_BANDS, alert.probability)
     evidence = {key: value for key, value in alert.evidence.items() if key != DELAYS}
     limits = (alert.raise_limit, alert.clear_limit)
@@ -231,7 +224,6 @@ def _counted(alert: Alert, finding: Finding, *, clear_seen: int) -> Alert:
 
 
 def _run_over(alert: Alert, finding: Finding, seen: int, which: str) -> bool:
-    """Return whether findings on end, with this one, have lasted for the on-delay or off-delay."""
     km = _number(_counters(alert).get(f"{which}_delay_km"), 0.0)
     if km <= 0.0:
         return seen >= _delay(alert, f"{which}_evaluations")

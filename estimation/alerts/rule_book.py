@@ -2,6 +2,10 @@
 
 Limits belong to the operator's maintenance plan (EN 15313 leaves them there). The shipped conicity limits are the
 combinations of speed and equivalent conicity at which EN 14363 asks for stability to be shown; confirm them.
+
+A fleet alert stands for many new alerts of one kind in one fleet and contains nothing that its members do not contain.
+It is as severe as the worst open member, unknown where all of them are, closed when the last of them closes. Its
+evidence counts them and names a few: there may be thousands, and every event carries it.
 """
 
 from __future__ import annotations

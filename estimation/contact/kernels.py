@@ -202,7 +202,6 @@ def table(displacement, deviation, rigid, half, radii, wheels, rails):  # type: 
 
 @compiled()
 def _moved(first, second):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return how far the contact that moved most, moved."""
     left = max(abs(first[1] - second[1]), abs(first[3] - second[3]))
     right = max(abs(first[2] - second[2]), abs(first[4] - second[4]))
     return max(left, right)
@@ -244,7 +243,6 @@ def jumps(displacement, deviation, values, outcomes, rigid, half, radii, wheels,
 
 @compiled()
 def _difference(found, wheels):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return left minus right height of the contacts on the wheels."""
     left, right = wheels
     z_left = _cubic(left[2], left[3], left[1], (found[1] - left[0]) / left[1])[0]
     return z_left - _cubic(right[2], right[3], right[1], (found[2] - right[0]) / right[1])[0]

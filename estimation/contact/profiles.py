@@ -53,9 +53,6 @@ def en13715_wheel(name: str) -> tuple[Segment, ...] | None:
     """Return the profile of a designation as ``EN13715-S1002/h30/e31.5/6.7%``; None if the name is no designation.
 
     ``EN13715``, the outer slope (per cent, by default 1:15) and punctuation are free.
-
-    Raises:
-        ProfileError: A dimension outside the standard's range.
     """
     found = _DESIGNATION.match(name.strip())
     if found is None:
@@ -129,7 +126,6 @@ def _s1002_tread(thinner: float) -> list[Segment]:
 
 
 def _moved(segment: Polynomial, shift: float) -> Polynomial:
-    """Return the polynomial shifted along y, expanded by Taylor's theorem."""
     if shift == 0.0:
         return segment
     degree = len(segment.coefficients)

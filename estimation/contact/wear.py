@@ -81,14 +81,12 @@ def worn(wheel: Profile, wear: TreadWear) -> Profile:
 
 
 def _hollow(y: FloatArray, wear: TreadWear | RailWear) -> tuple[FloatArray, FloatArray]:
-    """Return lost height and its slope (n,)."""
     u = np.clip((y - wear.centre) / wear.half_width, -1.0, 1.0)
     rest = 1.0 - u * u
     return wear.depth * rest**3, -6.0 * wear.depth / wear.half_width * u * rest**2
 
 
 def _blend(y: FloatArray, low: float, high: float) -> tuple[FloatArray, FloatArray]:
-    """Return a smooth step from 0 at ``low`` to 1 at ``high`` and its derivative, both (n,)."""
     t = np.clip((y - low) / (high - low), 0.0, 1.0)
     return t**3 * (10.0 - 15.0 * t + 6.0 * t * t), 30.0 * t * t * (1.0 - t) ** 2 / (high - low)
 
@@ -136,11 +134,7 @@ class WearMeasures:
 
 
 def wear_measures(wheel: Profile) -> WearMeasures:
-    """Return the wear measures of a wheel whose origin is the tread datum, 70 mm from the flange back.
-
-    Raises:
-        ProfileError: A rail, or a profile that does not reach from the flange to the datum.
-    """
+    """Return the wear measures of a whole wheel whose origin is the tread datum, 70 mm from the flange back."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear measures are a wheel's", field="kind")
     if not wheel.y[0] < _TREAD_FROM or not wheel.y[-1] > 0.0:

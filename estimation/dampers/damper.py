@@ -141,7 +141,6 @@ def _taken(
 def _judged(
     products: FloatArray, count: int, square: float, filters: DamperFilters
 ) -> tuple[DamperSums | Reason, float]:
-    """Return sums over the mean square of what the best particle does not explain, where its filter has followed."""
     whole = of_signals(filters, products)
     least = min(_least(one, count) for one in whole)
     innovation = float(least) / (float(filters.noise[:, 0, 0].max()) + MOST_UNEXPLAINED * square / count)
@@ -273,7 +272,6 @@ def _not_excited(why: str) -> Reason:
 
 
 def _newest_alike(shown: Sequence[WindowDamper]) -> Sequence[WindowDamper]:
-    """Return the newest windows that tell of one damper: halved until both halves agree."""
     while len(shown) >= 4 * FEWEST:
         halves = shown[: len(shown) // 2], shown[len(shown) // 2 :]
         (old, old_std), (new, new_std) = (_replicated(half) for half in halves)
@@ -291,7 +289,6 @@ def _sums(shown: Sequence[WindowDamper]) -> FloatArray:
 
 
 def _replicated(shown: Sequence[WindowDamper]) -> tuple[Posterior | None, float]:
-    """Return what windows say, and the std of its share from groups of them left out."""
     sums = _sums(shown)
     groups = np.array([part.sum(axis=0) for part in np.array_split(sums, min(len(sums), GROUPS))])
     total = groups.sum(axis=0)

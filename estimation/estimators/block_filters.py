@@ -143,7 +143,6 @@ def follows(found: Posterior) -> bool:
 
 
 def _inputs(motion: Motion, parameters: EstimatorParameters, keep: BoolArray) -> Inputs:
-    """Return what a filter takes of the samples that are kept, every ``STEP_S``."""
     stride = max(round(STEP_S / motion.sample_interval_s), 1)
     at = np.flatnonzero(keep)
     run = np.cumsum(np.append(0, np.diff(at) > 1))

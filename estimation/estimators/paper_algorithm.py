@@ -118,11 +118,7 @@ def yaw_output(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) 
 def recursion_in_bins(
     features: FloatArray, output: FloatArray, index: IntArray, bins: int, parameters: PaperParameters
 ) -> tuple[FloatArray, IntArray]:
-    """Run Eq. 10-14 in every bin; return theta (b, 3), NaN below the threshold, and the counts (b,).
-
-    Args:
-        index: (n,) bin of each sample, 0..bins-1.
-    """
+    """Run Eq. 10-14 in bins ``index`` (n,); return theta (b, 3), NaN below the threshold, and the counts (b,)."""
     count = np.bincount(index, minlength=bins).astype(np.int64)
     theta = np.full((bins, REGRESSORS), np.nan)
     order = np.argsort(index, kind="stable")  # a bin's samples together, in their own order
@@ -145,7 +141,6 @@ def recursion_in_bins(
 
 @compiled(nogil=True)
 def _recurse_bin(theta: FloatArray, P: FloatArray, X: FloatArray, z: FloatArray, W: float) -> FloatArray:
-    """Eq. 12-14, sample by sample."""
     for i in range(len(z)):
         x = X[i]
         Px = P @ x
@@ -350,7 +345,6 @@ def jumps_elsewhere(x: FloatArray, curve: FloatArray, std: float) -> FloatArray:
 def _recurse(
     theta: FloatArray, P: FloatArray, squares: float, X: FloatArray, z: FloatArray, W: float
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Eq. 12-14, sample by sample, and the sum of squared residuals."""
     for i in range(len(z)):
         x = X[i]
         Px = P @ x

@@ -144,7 +144,6 @@ def _nonlinearity(
 
 
 def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:
-    """Return the unbroken run of usable bins that holds the bin nearest to zero displacement."""
     usable = curve.usable & np.isfinite(curve.difference).all(axis=(0, 2))
     centre = int(np.argmin(np.abs(curve.edges[:-1] + curve.edges[1:])))
     if not usable[centre]:

@@ -13,6 +13,10 @@ sensors into k_psi e ym / wheelbase, and an angle b by which the yaw sensor is t
 k_psi b phi. Per bin they could not be parted from noise. But they are the same for all bins, and known beforehand
 within the accuracy of sensors and of their mounting. Elimination of the bins' own unknowns leaves one equation for
 each; so the sums of the bins are all that is needed.
+
+The rolling radius against the one on file: rL - rR follows in proportion to the nominal radius, and says nothing of it.
+The motion at the rails does: the radius is the coefficient of the roll in what moves the wheelset sideways there
+(``motion/rolling_sums.py``). Noise in a regressor pulls its coefficient towards zero; its sums are taken off first.
 """
 
 from __future__ import annotations
@@ -157,7 +161,6 @@ def model_fit(table: BinTable, bins: BinParameters, expected_noise: float = 0.0)
 
 
 def _displacement_error(table: BinTable, used: BoolArray, expected_noise: float) -> float:
-    """Return which share of the power of y - d its error makes up, 0 to 1."""
     weight, centre = table.weight.sum(axis=0)[used], table.centres[used]
     variance = float(np.average((centre - np.average(centre, weights=weight)) ** 2, weights=weight))
     return min(expected_noise**2 / variance, 1.0) if variance > 0.0 else 1.0
@@ -252,11 +255,7 @@ def check_radius(
     """Return that the motion contradicts the nominal radius on file, or leaves it open; None where it confirms it.
 
     A radius that nobody measured and that the motion does not tell from one off by ``MISTAKE`` stands beside the
-    number as a doubt. Few data say nothing.
-
-    Args:
-        on_file: Nominal radius, m, with which the sums were made.
-        measured: Whether that std is on file: the radius was measured, and one measurement against another is a doubt.
+    number as a doubt; one that was ``measured`` stands against another measurement, a doubt too. Few data say nothing.
     """
     if len(parts) < FEWEST_PARTS:
         return None
@@ -362,7 +361,6 @@ def _weighted(weights: FloatArray, by_band: FloatArray) -> FloatArray:
 
 
 def _solution(sums: FloatArray) -> FloatArray:
-    """Return the unknowns from sums of products (TERMS, TERMS) and what is expected of them."""
     precision = 1.0 / EXPECTED_STD**2
     return np.asarray(np.linalg.solve(sums[1:, 1:] + np.diag(precision), sums[1:, 0] + precision * EXPECTED))
 

@@ -158,7 +158,6 @@ def sharpen(
     Args:
         low, high: (b,) m, edges of adjoining bins of one width.
         nodes: (2 b + 1,) m, the curve at :func:`edges_and_centres`.
-        steps: Of the search for slopes; a blur for which they do not suffice counts as one that does not fit.
     """
     weight = 1.0 / np.hypot(std, LEAST_STD)
     least = min(0.0, 2.0 * float(np.min(np.diff(nodes[1::2]) / np.diff(low)))) if len(low) > 1 else 0.0
@@ -210,7 +209,6 @@ def _changes(cells: int) -> FloatArray:
 
 
 def _beyond(width: float, blur: float) -> int:
-    """Return how many cells there are beyond the bins at each end."""
     return max(CELLS, int(np.ceil(REACH * blur * CELLS / width)))
 
 

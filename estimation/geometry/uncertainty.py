@@ -154,7 +154,6 @@ def _scale_std(track: TrackAlignment, wheelset: str | None) -> float:
 
 
 def _gauge_taken_off(track: TrackAlignment, wheelset: str | None) -> bool:
-    """Whether what the gauge of ``track`` does to a wheelset has been found, and is subtracted."""
     shifts = {} if track.findings is None else track.findings.gauge_shifts
     return bool(shifts) if wheelset is None else wheelset in shifts
 
@@ -173,7 +172,6 @@ def _jump_position_std(track: TrackAlignment, wheelset: str | None) -> float:
 
 
 def _jump_mean_std(track: TrackAlignment) -> float:
-    """Return the std, m, of where contact jumps are on average: a wheelset runs further in wide gauge."""
     return 0.0 if track.gauge_known else JUMP_MEAN_SHARE * float(np.median(track.gauge_deviation_std))
 
 

@@ -147,7 +147,6 @@ def _band_pass(finer: int) -> FloatArray:
 
 
 def _correlation(own: FloatArray, other: FloatArray) -> FloatArray:
-    """Return sum(own[n] other[n + k]) for k steps from -``FARTHEST`` to ``FARTHEST``."""
     reach = round(FARTHEST / STEP)
     size = 1 << (len(own) + reach).bit_length()
     products = np.fft.irfft(np.conj(np.fft.rfft(own, size)) * np.fft.rfft(other, size), size)

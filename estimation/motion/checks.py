@@ -147,12 +147,7 @@ class Usable(FrozenArrays):
 def usable_samples(
     window: Window, known: BoolArray, layout: TrackLayout | None, parameters: SignalParameters
 ) -> Usable:
-    """Return the samples of ``window`` that can be used.
-
-    Args:
-        known: (n,) samples at places of known alignment.
-        layout: Curves of its section; None where none is on file: then every place counts as straight.
-    """
+    """Return the samples of ``window`` that can be used, of those (n,) of known place; no layout is straight."""
     tests = {
         "missing, clipped or invalid": window.valid,
         "off the known part of the section": known,

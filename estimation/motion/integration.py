@@ -1,6 +1,23 @@
 """Accelerations of a window integrated once and twice, segment by segment; done once and handed on.
 
 A lateral accelerometer that rolls by phi measures y'' + g phi; where it does, the roll of the wheelset is taken out.
+
+Which lateral displacement the rolling radius difference is looked up by: that of EN 15302.
+
+The wheelset of EN 15302 does not roll. One in motion rolls by phi_c where its contact moves. Turned about the centre of
+curvature of the rail head under its contact, rho below the top of the rail, a wheel keeps its contact; so the contact
+of a wheelset that rolls is that of one that does not, displaced by what it is displaced at *that* height:
+
+    y_EN = x + (r0 + rho) phi_c        x of the axle relative to the track, r0 above the rails
+
+Sensors are at the height of the axle. On a track that rolls by phi_t the axle stands r0 phi_t beside the middle of the
+rails, to the low side, and the roll sensor measures phi = phi_t + phi_c, so that
+
+    y_EN = (y - d) + r0 phi + rho phi_c
+
+The first two terms are measured. The last is too where the track does not roll. Where it may, it is hidden behind the
+roll of the track, and taken as a share of the displacement that most profiles have; ``geometry.sharpening`` puts
+what the curve says in its place. The equations of motion go on in the displacement of the axle.
 """
 
 from __future__ import annotations

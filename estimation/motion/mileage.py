@@ -91,7 +91,6 @@ def _alone(reading: MileageReading, mounting: Mounting, km_per_ns: float) -> Rea
 
 
 def _believed(readings: Sequence[MileageReading], km_per_ns: float) -> Sequence[MileageReading]:
-    """Return the readings, in order of time, that are believed of those in order of time."""
     if all(_follows(*pair, km_per_ns) for pair in pairwise(readings)):
         return readings
     chain = _longest_chain(readings, km_per_ns)
@@ -160,12 +159,9 @@ DAY_S = 86_400.0
 
 
 def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
-    """Return the mileage of each window, km; never decreasing.
+    """Return the mileage, km, never decreasing, of each window of a wheelset between two reprofilings, oldest first.
 
     Where the odometer made no impossible step it is the mileage as stored, bit for bit.
-
-    Args:
-        windows: Of one wheelset between two reprofilings, oldest first.
     """
     at, found = first_reading(windows), []
     for window in windows:
@@ -175,11 +171,7 @@ def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
 
 
 def first_reading(windows: Iterable[WindowRecord]) -> Odometer:
-    """Return where the chain of mileages begins that has no window before these.
-
-    Args:
-        windows: As in :func:`running_mileage`.
-    """
+    """Return where the chain of mileages begins that has no window before these, which are in order."""
     known = (known_mileage(window.mileage_km) for window in windows)
     first = next((value for value in known if math.isfinite(value)), 0.0)
     return Odometer(last=first, last_km=first, last_ns=0)
@@ -207,9 +199,5 @@ def read(at: Odometer, window: WindowRecord) -> Odometer:
 
 
 def most_km(seconds: float) -> float:
-    """Return how far a vehicle can have run in some time, km.
-
-    Args:
-        seconds: From 0.
-    """
+    """Return how far, km, a vehicle can have run in some seconds."""
     return FASTEST_KM_S * min(seconds, HOUR_S) + MOST_KM_DAY * seconds / DAY_S

@@ -9,23 +9,6 @@ where g R stands for the gravitational stiffness, (W/2 - f23/r0) D / (2 f22), wi
 proportion to R. The lateral sensors are integrated once for it instead of twice, and the correction is small, so its
 uncertain parameters hardly matter. g is estimated from wavelengths at which both are good. In a bogie the yaw spring
 makes g R as large as R: see :func:`long_waves_in_bogie`.
-
-Which lateral displacement the rolling radius difference is looked up by: that of EN 15302.
-
-The wheelset of EN 15302 does not roll. One in motion rolls by phi_c where its contact moves. Turned about the centre of
-curvature of the rail head under its contact, rho below the top of the rail, a wheel keeps its contact; so the contact
-of a wheelset that rolls is that of one that does not, displaced by what it is displaced at *that* height:
-
-    y_EN = x + (r0 + rho) phi_c        x of the axle relative to the track, r0 above the rails
-
-Sensors are at the height of the axle. On a track that rolls by phi_t the axle stands r0 phi_t beside the middle of the
-rails, to the low side, and the roll sensor measures phi = phi_t + phi_c, so that
-
-    y_EN = (y - d) + r0 phi + rho phi_c
-
-The first two terms are measured. The last is too where the track does not roll. Where it may, it is hidden behind the
-roll of the track, and taken as a share of the displacement that most profiles have; ``geometry.sharpening`` puts
-what the curve says in its place. The equations of motion go on in the displacement of the axle.
 """
 
 from __future__ import annotations
@@ -46,12 +29,9 @@ from estimation.vehicle.vehicle_class import VehicleParameters
 def sample_smoothed(
     signals: FloatArray, at: FloatArray, first: int, count: int, finer: int, step: float, weights: FloatArray
 ) -> FloatArray:
-    """Return signals (m, count) at every ``finer``-th point of a fine grid, smoothed on that grid.
+    """Return signals (m, count) at every ``finer``-th point, from ``first``, of a grid of ``step`` m, smoothed on it.
 
     Between samples signals are straight, beyond their ends as at these.
-
-    Args:
-        first, step: Number of the fine grid point of the first result, and spacing of that grid, m.
     """
     m, n = signals.shape
     taps = len(weights)

@@ -94,11 +94,9 @@ def _piece(curve: SampledCurve, number: int) -> FloatArray:
 
 @compiled(nogil=True)
 def evaluate(places: FloatArray, s: FloatArray, coefficients: FloatArray, found: FloatArray) -> None:
-    """Write the spline at places on the grid (m,); a place on a point of it belongs to the interval before.
+    """Write the spline at places on the grid (m,), m; a place on a point of it belongs to the interval before.
 
-    Args:
-        s, coefficients: (m,) m, uniform, and (m - 1, 4) between its points.
-        found: (n,); what is off the grid stays as it is.
+    Off the grid ``found`` (n,) stays as it is; ``coefficients`` are (m - 1, 4) between the points.
     """
     last, per_step = len(coefficients) - 1, (len(s) - 1) / (s[-1] - s[0])
     for i in range(len(places)):
@@ -148,9 +146,10 @@ REGULARISATION = 0.03  # e: where F leaves less than about this, less is undone
 
 @lru_cache(maxsize=TRACKS)
 def deconvolved(track: TrackAlignment) -> FloatArray:
-    """Return the alignment (n,), m, with F undone; as it is where the track has no cut-off. NaN stays NaN.
+    """Return the alignment (n,), m, with F undone; as it is where the track has no cut-off.
 
-    Within a cut-off of a place that is not known nothing can be undone well: NaN too.
+    A fleet finds F d, the alignment behind the filter F of ``estimation.filters``; the motion needs G (y - d), G its
+    own filter, and G (1 - F) d would be left: F is undone as far as G bears it. NaN within a cut-off of unknown places.
     """
     if not track.band_limited:
         return track.alignment
@@ -386,7 +385,6 @@ def to_wheelset_axes(
 
     Args:
         facing: 1 where the front end of the vehicle is ahead along the section, -1 where its rear end is.
-        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
     """
     if (facing < 0) != mounted_reversed:
         track = _turned(track)

@@ -55,7 +55,6 @@ def checks(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
 
 
 def _check(component: Component, held: Parted, own: IntArray, shared: float) -> Check:
-    """Return how far the wheels of one wheelset are from what the others say of them."""
     left, covariance = _left_out(component, held, own)
     variance = np.diag(covariance)
     if not ((variance > 0.0) & (variance < LARGEST_VARIANCE)).all():
@@ -169,8 +168,6 @@ def wheel_checks(table: CellTable, k: int, anchors: Anchors, parameters: RailsPa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Level:
-    """The cells that are known at an amplitude, and what holds their level there."""
-
     table: CellTable
     k: int
     anchors: Anchors

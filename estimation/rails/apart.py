@@ -45,8 +45,6 @@ HELD = (RailsReference.KNOWN_RAILS, RailsReference.MEASURED_WHEELS)
 
 
 class _Witness(NamedTuple):
-    """A section that is named as known, or a measured wheelset."""
-
     is_wheelset: bool
     name: str  # code, or serial
 
@@ -95,7 +93,6 @@ def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters:
 
 
 def _wheels_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, Check]:
-    """Return how far measured wheelsets are from what the others say, at the amplitude at which that is furthest."""
     found: dict[_Witness, Check] = {}
     for k in range(len(table.amplitude)) if anchors.known_wheels else ():
         for serial, check in wheel_checks(table, k, anchors, parameters).items():
@@ -106,7 +103,6 @@ def _wheels_apart(table: CellTable, anchors: Anchors, parameters: RailsParameter
 
 
 def _connected(worst: _Witness, witnesses: Sequence[_Witness], table: CellTable, anchors: Anchors) -> list[_Witness]:
-    """Return the witnesses that wheelsets connect with one of them, itself included."""
     nothing = np.zeros(len(table.rails), np.bool_)
     labels = islands(Runs(table.wheel, table.rail, table.serial, nothing, np.zeros(len(table.wheels), np.bool_)))
     measured = {one.wheel for one in anchors.known_wheels}
@@ -123,7 +119,6 @@ def _connected(worst: _Witness, witnesses: Sequence[_Witness], table: CellTable,
 def _reasons(
     some: Sequence[_Witness], together: Sequence[_Witness], beyond: Mapping[_Witness, Check]
 ) -> tuple[dict[str, Reason], dict[str, Reason]]:
-    """Return why some sections, and some measured wheelsets, hold no level."""
     most = max(beyond.values(), key=lambda one: one.ratio)
     sections, wheelsets = dict[str, Reason](), dict[str, Reason]()
     for of in some:

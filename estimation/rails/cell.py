@@ -43,9 +43,7 @@ def section_conicity(
 ) -> SectionConicity | Reason:
     """Return the conicity that windows of a wheelset on one section give, by the estimator of geometries; or why none.
 
-    Args:
-        scale_std: Relative, of a scale of y - d that the alignment of the section leaves open.
-        span_ns: Begin of the first and end of the last window, ns UTC.
+    ``scale_std`` is the relative scale of y - d that the alignment leaves open; ``span_ns`` are begin and end, ns UTC.
     """
     found = estimate_geometry(table, bins, parameters)
     if found.status is not Status.ESTIMATED:

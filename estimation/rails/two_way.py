@@ -120,7 +120,6 @@ def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> P
 
 
 def _widened(cells: TwoWay, parameters: RailsParameters, found: Parted) -> Parted:
-    """Return the solution with errors of the known wheels that are as large as their residuals say."""
     known = np.isfinite(cells.known_value)
     if not found.converged or not known.any():
         return found
@@ -144,8 +143,6 @@ class _Point:
 
 @dataclass(frozen=True, slots=True)
 class _Linear:
-    """The model about one point: weighted sums, the thetas eliminated."""
-
     residual: FloatArray  # (n,)
     own: FloatArray  # (w,) weight of each theta
     right_wheel: FloatArray  # (w,)
@@ -157,8 +154,6 @@ class _Linear:
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """The regression at one tau; cells in the order of their wheels."""
-
     cells: TwoWay
     parameters: RailsParameters
     tau: float
@@ -233,8 +228,6 @@ class _Problem:
 
 @dataclass(slots=True)
 class _Solved:
-    """A solution at one tau."""
-
     problem: _Problem
     point: _Point
     linear: _Linear  # about it
@@ -301,7 +294,6 @@ def _solved(cells: TwoWay, parameters: RailsParameters, tau: float, start: _Poin
 
 
 def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Return what solves a symmetric system; NaN where the matrix does not determine it."""
     try:
         return np.asarray(cho_solve(cho_factor(matrix, check_finite=False), right, check_finite=False))
     except np.linalg.LinAlgError:
@@ -309,7 +301,6 @@ def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
-    """Return the inverse of a symmetric matrix; NaN where it has none."""
     factor, bad = dpotrf(matrix, lower=1)
     inverse, worse = dpotri(factor, lower=1)
     if bad or worse:

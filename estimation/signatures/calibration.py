@@ -184,11 +184,7 @@ class _Judged:
 def calibrated(
     rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], parameters: SignatureParameters
 ) -> Mapping[Basis, Calibration | Reason]:
-    """Return the calibration of a library by basis of its answers, or why it has none.
-
-    Args:
-        groups: Of every entry the wheelsets whose data are in it: what shares one is left out together.
-    """
+    """Return the calibration of a library by basis, or why it has none; entries that share a group go together."""
     apart = _folds(rows, groups)
     judged = partial(_judged, rows, known, apart, margin=parameters.margin)
     shares = known.shares
@@ -223,7 +219,6 @@ def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
 
 
 def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
-    """Return which rows (n,) are left out together; rows that share data are."""
     found = families(groups)
     family = {name: number for number, names in enumerate(found) for name in names}
     of_row = np.array([family[min(group)] for group in groups])
@@ -267,14 +262,12 @@ def _judged(rows: Rows, on_file: OnFile, apart: Sequence[BoolArray], basis: Basi
 
 
 def _of_other_track(model: MixedModel, rows: Rows, taught: BoolArray, mine: Rows, found: Likelihood) -> bool:
-    """Return whether the track is rougher or smoother than any that those who teach ran on."""
     section = rows.section[taught][np.unique(rows.place[taught], return_index=True)[1]]
     low, high = levels_between(model, section, len(np.unique(mine.place)))
     return not low <= level_of(model, mine, found.mean) <= high
 
 
 def _spread(rows: Rows, asked: BoolArray, most: int) -> Iterator[tuple[int, IntArray]]:
-    """Yield wheelsets with the rows of one of their sections, at most so many, evenly chosen."""
     at = np.flatnonzero(asked)
     pairs, which = np.unique(np.stack([rows.wheelset[at], rows.section[at]]), axis=1, return_inverse=True)
     for number in np.unique(np.linspace(0, pairs.shape[1] - 1, most).round().astype(np.int64)) if len(at) else ():

@@ -108,13 +108,10 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
 
 
 def rows_of(entries: Sequence[LibraryEntry], own: FloatArray) -> Rows:
-    """Return entries as arrays, their conicities shrunk by what their own errors add to their spread.
+    """Return entries as arrays, their conicities shrunk by what their errors of std ``own`` (n,) add to their spread.
 
     A regressor with errors flattens a regression; what is expected of the true conicity, given the known one, does not
     (R. J. Carroll and others, "Measurement Error in Nonlinear Models", 2006, chapter 4).
-
-    Args:
-        own: (n,) std of the errors of the known conicities that are of each wheelset alone.
     """
     names = sorted({entry.wheelset for entry in entries})
     places = sorted({_place(entry) for entry in entries})
@@ -211,7 +208,6 @@ def current(entries: Sequence[LibraryEntry]) -> Current:
 
 
 def _change(entries: Sequence[LibraryEntry], tracks: FloatArray, scatter: Scatter) -> Change | None:
-    """Return the largest change of a place, by its passes in order of time; None where there are too few."""
     best: Change | None = None
     for at in range(LEAST_PASSES, len(entries) - LEAST_PASSES + 1):
         before, after = entries[at - 1].signature, entries[at].signature
@@ -346,7 +342,6 @@ def _alike(entries: Sequence[LibraryEntry], subject: Subject, most: int) -> _Ali
 
 
 def _newest(entries: Sequence[LibraryEntry], most: int) -> Sequence[LibraryEntry]:
-    """Return at most so many entries: of every place the newest, as many of each."""
     if len(entries) <= most:
         return entries
     of_place: dict[object, list[LibraryEntry]] = defaultdict(list)

@@ -147,11 +147,7 @@ class Scatter:
 
 
 def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> Scatter:
-    """Return how residuals scatter from wheelset to wheelset, and within these.
-
-    Args:
-        means: How many means, as those of places, have been taken out.
-    """
+    """Return how residuals, less ``means`` means as of places, scatter from wheelset to wheelset, and within these."""
     own = _means(residuals, wheelset)
     freedom = max(len(residuals) - means - len(own), 1)
     rest = _covariance(residuals - own[wheelset], freedom)
@@ -160,7 +156,6 @@ def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> Scatter
 
 
 def _leverage(conicity: FloatArray, wheelset: IntArray) -> FloatArray:
-    """Return the covariance (3, 3) of a fit to one value of each wheelset, over the variance of these."""
     terms_of = _bent(_means(conicity[:, None], wheelset)[:, 0])
     return np.asarray(np.linalg.pinv(terms_of.T @ terms_of))
 
@@ -171,7 +166,6 @@ def _bent(conicity: FloatArray) -> FloatArray:
 
 
 def _response(rows: Rows, place: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return the response (6, f), and what it leaves of the features (n, f)."""
     features, regressors = features_of(rows.powers), terms(rows.conicity, rows.speed)
     first = _within(regressors, features[:, [LEVEL]], place)
     level = _means(features[:, [LEVEL]] - regressors @ first, place)[place]
@@ -263,11 +257,7 @@ class Likelihood:
 
 
 def likelihood(model: MixedModel, rows: Rows, known: IntArray | None, conicity: FloatArray) -> Likelihood:
-    """Return how well conicities explain the mean of some signatures of one wheelset.
-
-    Args:
-        known: (n,) numbers of their places in the model; None where the library does not have them.
-    """
+    """Return how well conicities explain the mean of signatures at known places (n,) of the model; None: at others."""
     n = len(rows.powers)
     features = features_of(rows.powers).mean(axis=0)
     base = terms(conicity[:, None], rows.speed[None, :]).mean(axis=1)

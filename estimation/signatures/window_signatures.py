@@ -131,7 +131,6 @@ def _products(block: FloatArray) -> FloatArray:
 
 
 def _peak(power: FloatArray, wavenumber: FloatArray, ends: FloatArray) -> float:
-    """Return the wavelength, m, at which a power is largest, smoothed over three lines."""
     smooth = np.convolve(power, np.ones(3) / 3, mode="same")
     chosen = (wavenumber >= ends[0]) & (wavenumber < ends[-1])
     return float(1.0 / wavenumber[chosen][np.argmax(smooth[chosen])])
@@ -143,8 +142,6 @@ _INCREASE = 1e-9  # m from sample to sample at least
 
 @dataclass(frozen=True, slots=True)
 class _Stretch:
-    """Signals of one segment on the grid of the section, or on one of its own."""
-
     first: int  # number of the first grid point
     signals: FloatArray  # (3, n)
     speed: FloatArray  # (n,) m/s

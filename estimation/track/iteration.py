@@ -242,7 +242,6 @@ def _rounds(
     *,
     std: bool = True,
 ) -> IterationResult:
-    """Refine positions and stiffness ratios until neither moves; ``std`` of what that ends at where it is asked for."""
     p, empty = setting.parameters, init(panel)
     placed = place(setting.grouped, corrections, ratio_values(ratios), panel.grid)
     nothing = result(empty, std=False)
@@ -332,7 +331,6 @@ def _solved(setting: Setting, found: IterationResult, panel: Panel, *, std: bool
 
 
 def _repositioned(setting: Setting, found: IterationResult) -> IterationResult:
-    """Return ``found`` with better positions and stiffness ratios, and the passes moved by them."""
     ratios = refine_ratios(found.ratios, found.passes, found.solution, found.panel, _explained(setting, found))
     state = replace(found.state, panel=found.panel)
     corrections = _refined_corrections(setting, found.placed, ratios, state, found.solution)
@@ -368,7 +366,6 @@ def _register_by_gauge(
 
 
 def _ratio_change(before: Mapping[str, Ratio], after: Mapping[str, Ratio]) -> float:
-    """Return by how much a stiffness ratio has changed at most; a vehicle that is new was as assumed."""
     return max((abs(one.value - before.get(vehicle, Ratio()).value) for vehicle, one in after.items()), default=0.0)
 
 
@@ -381,7 +378,6 @@ def _mean_move(grouped: Grouped, before: Mapping[Journey, Correction], after: Ma
 
 
 def _largest_move(grouped: Grouped, before: Mapping[Journey, Correction], after: Mapping[Journey, Correction]) -> float:
-    """Return by how much corrections differ at the ends of a journey at most, m."""
     largest = 0.0
     for journey, members in grouped.items():
         ends = np.array([min(item.at[0] for item in members), max(item.at[-1] for item in members)])

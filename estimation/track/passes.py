@@ -280,7 +280,6 @@ Lasting = TypeVar("Lasting", Hunting, TurnBlows)
 
 
 def _worst(parts: Sequence[Lasting]) -> Lasting:
-    """Return the part of the largest share, with the mean of the shares."""
     return replace(max(parts, key=lambda part: part.share), share=float(np.mean([part.share for part in parts])))
 
 
@@ -322,12 +321,7 @@ class _Journey:
 def first_epoch(
     entries: Sequence[Entry], most_windows: int, most_wheelsets: int, parameters: PartitionParameters | None = None
 ) -> Group:
-    """Return the windows of the first epoch.
-
-    Args:
-        entries: Windows that no earlier epoch holds, by start and wheelset; at least one.
-        most_windows, most_wheelsets: Of an epoch; one journey may be more, by the windows of a vehicle at one time.
-    """
+    """Return the windows of the first epoch of entries by start and wheelset; one journey may be more than the most."""
     p = parameters or PartitionParameters()
     pause_ns, journey_ns = round(p.pause_h * 3600 * NANOSECONDS), round(p.journey_pause_s * NANOSECONDS)
     chosen: list[_Journey] = []
@@ -353,7 +347,6 @@ def first_epoch(
 
 
 def _journeys(entries: Sequence[Entry], pause_ns: int, most: int) -> list[_Journey]:
-    """Return the windows by vehicle and run, in order of their begin; a run of more than ``most`` windows is cut."""
     found: list[_Journey] = []
     last: dict[str, _Journey] = {}
     for record, life in entries:

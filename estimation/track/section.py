@@ -98,8 +98,6 @@ class SectionEstimate:
 
 @dataclass(frozen=True, slots=True)
 class _Accepted:
-    """Where the iteration ended without outliers, and how far every journey was off."""
-
     iterated: IterationResult
     outliers: Mapping[Journey, Reason]  # with the reason
     rms: Mapping[Journey, float]  # m, of all journeys
@@ -140,7 +138,6 @@ def estimate_section(
 
 
 def _too_few_passes(grouped: Grouped, panel: Panel) -> Reason | None:
-    """Return why the passes alone cannot be enough, before anything is solved; None where they may."""
     grid, least = panel.grid, panel.parameters.least_passes
     passed = np.zeros(grid.points, dtype=np.int64)
     lives = set()
@@ -266,7 +263,6 @@ def _slope_open(iterated: IterationResult) -> Reason | None:
 
 
 def _low_weight_reason(iterated: IterationResult) -> Reason | None:
-    """Return which wheelsets count for little, being further off than the others; None where none is."""
     weights = iterated.panel.weights
     used = sorted(weights.keys() & set(iterated.solution.lives))
     listed = [f"{life.wheelset} ({weights[life]:.2f} of a pass)" for life in used]
@@ -276,7 +272,6 @@ def _low_weight_reason(iterated: IterationResult) -> Reason | None:
 
 
 def _not_converged_reason(iterated: IterationResult, p: SectionParameters) -> Reason | None:
-    """Return what has not converged; None where all has."""
     tolerance = {
         Iterated.POSITIONS: f"{p.iteration.position_tolerance:g} m",
         Iterated.STIFFNESS_RATIOS: f"{p.iteration.ratio_tolerance:g}",

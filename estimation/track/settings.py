@@ -88,7 +88,6 @@ def requires_reestimation(old: TrackAlignment, new: TrackAlignment, settings: Al
 
 
 def _moved(old: FloatArray, new: FloatArray, std: float, settings: AlignmentSettings) -> bool:
-    """Whether two alignments differ by more than averages out."""
     difference = new - old
     stretch = abs(float(difference @ old)) / max(float(old @ old), SMALLEST)
     far = float(np.sqrt(np.mean(difference**2))) > max(settings.same_share * std, settings.same_least)

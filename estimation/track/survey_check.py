@@ -70,11 +70,9 @@ class SurveyCheck:
 
 
 def check_survey(recorded: TrackAlignment, fleet: TrackAlignment, *, place_std: float = 0.0) -> SurveyCheck:
-    """Return whether a recorded alignment may be used, by an alignment that was found without it.
+    """Return whether a recorded alignment may be used, by that of the fleet alone, high-passed, NaN where not known.
 
-    Args:
-        fleet: Found by the fleet alone, high-passed at its ``cutoff_wavelength``; NaN where not known.
-        place_std: Of the position of the fleet as a whole, m: a shift within it is not held against the survey.
+    A shift within ``place_std``, m, of the position of the fleet as a whole is not held against the survey.
     """
     p = SurveyCheckParameters()
     nan = float("nan")

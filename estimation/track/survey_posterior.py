@@ -136,8 +136,6 @@ def survey_on_grid(survey: TrackAlignment, grid: SectionGrid) -> tuple[FloatArra
 
 @dataclass(frozen=True, slots=True)
 class _Passes:
-    """What the passes show by band (b, n)."""
-
     mean: FloatArray  # y - h(R), m
     displacement: FloatArray  # y, m
     curves: FloatArray  # h(R), m
@@ -147,7 +145,6 @@ class _Passes:
 
 
 def _bands_of(signals: FloatArray, kernels: Sequence[FloatArray]) -> FloatArray:
-    """Return the bands (b, ..., n) of signals (..., n)."""
     passed = [high_pass(signals, kernel) for kernel in kernels]
     return np.stack([*(longer - shorter for longer, shorter in pairwise(passed)), passed[-1]])
 

@@ -81,8 +81,6 @@ def fit_survey(iterated: IterationResult, survey: PriorAlignment) -> SurveyFit |
 
 @dataclass(frozen=True, slots=True)
 class _Sums:
-    """Sums of y, the survey d and the basis functions, by group of blocks."""
-
     state: PanelState
     basis: FloatArray  # (g, w, k) sum of phi d
     displacement: FloatArray  # (g,) sum of y d
@@ -218,7 +216,6 @@ def is_mirrored(
 
 
 def _judged(fit: SurveyFit, witnesses: Witnesses, filed_std: float, p: VerdictLimits) -> SurveyVerdict:
-    """Return the verdict on a survey of this section: refused, doubted, or confirmed."""
     open_scale = p.stds * witnesses.slope_std + (1.0 - fit.followed)
     scaled = _scaled(fit, open_scale, p)
     displaced = _displaced(witnesses, p)
@@ -252,7 +249,6 @@ def _explains_little(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool
 
 
 def _at_fault(fit: SurveyFit, witnesses: Witnesses, p: VerdictLimits) -> str:
-    """Return in words which of the passes may be wrong in its place."""
     found = []
     if witnesses.vehicles == 1:
         found.append("the only vehicle that has passed")

@@ -166,7 +166,6 @@ class _Epoch:
         return SurveyVerdict(refused=True, reason=MIRRORED) if exchanged else judged[0]
 
     def _judged(self, weighed: Weighed, survey: TrackAlignment) -> tuple[SurveyVerdict, SurveyFit | None] | None:
-        """Return what the passes say of a survey as it is, and how well it fits them; None where there are none."""
         iterated = weighed.estimate.iterated
         if iterated is None:
             return None
@@ -263,7 +262,6 @@ def _extended(
 
 
 def _placed_on_survey(estimate: SectionEstimate) -> SectionEstimate:
-    """Return an estimate with the positions of its journeys as far as they are better known than as reported."""
     if estimate.iterated is None or not estimate.corrections:
         return estimate
     return replace(estimate, corrections=shrunk(estimate.iterated))
@@ -272,7 +270,6 @@ def _placed_on_survey(estimate: SectionEstimate) -> SectionEstimate:
 def _contradicted(
     epoch: _Epoch, estimate: SectionEstimate, survey: TrackAlignment, reason: Reason | None
 ) -> AlignmentUpdate:
-    """Return the survey kept, and every pass refused: they do not follow the equations of their vehicles on it."""
     outcomes = tuple(replace(one, status=PassStatus.REFUSED, reason=reason) for one in epoch.screened.outcomes)
     report = replace(estimate.report, status=Status.UNESTIMATED, reason=reason)
     nowhere = replace(estimate, report=report, grouped={}, corrections={})
@@ -301,7 +298,6 @@ def _without_gauge(epoch: _Epoch, survey: TrackAlignment, reason: Reason | None)
 
 
 def _confirmed(verdict: SurveyVerdict) -> bool:
-    """Whether the passes agree with the alignment: where they do not, the gauge need not be what is wrong."""
     return code_of(verdict.reason) is ReasonCode.SURVEY_CONFIRMED
 
 
@@ -352,7 +348,6 @@ def _mistake(epoch: _Epoch, survey: TrackAlignment, without: SectionEstimate) ->
 def _with_gauge_shifts(
     kept: AlignmentUpdate, survey: TrackAlignment, vehicles: Mapping[str, str], settings: AlignmentSettings
 ) -> AlignmentUpdate:
-    """Return the survey with what its gauge does to wheelsets, as a version of its own where that is new."""
     found = kept.estimate.alignment
     varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= LEAST_GAUGE
     if not varies or not kept.estimate.report.converged:

@@ -120,7 +120,6 @@ def _places(series: Series, model: StepModel) -> list[int]:
 
 
 def _median_change(series: Series, at: int, model: StepModel) -> float:
-    """Return the smaller change of the medians, of as few points as there must be and of some more, less the wear."""
     about = series.part(max(0, at - BEHIND), at + BEHIND)
     run = np.maximum(np.diff(about.x_km), SMALLEST_RUN_KM)
     usual, least = MOST_WEAR * model.slope_std, model.least_points
@@ -138,7 +137,6 @@ def _median(values: list[float]) -> float:
 
 
 def _judged(series: Series, place: int, model: StepModel) -> ChangePoint | None:
-    """Return the step about a place, if it is as probable and as large as is wanted."""
     k, least = len(series.value), model.least_points
     first = max(0, place - BEFORE)
     window = series.part(first, min(k, place + BEHIND))
@@ -262,7 +260,6 @@ class _Points:
         return self.noise + self.model.outlier_std**2 * out
 
     def _inverse(self, covariance: FloatArray, out: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Return the inverse covariances (f, n, n), and the log evidence of each share of noise with its prior."""
         n = len(self.value)
         full = covariance + self._variance(out)[:, :, None] * np.eye(n)
         factor = np.linalg.cholesky(full)
@@ -275,7 +272,6 @@ class _Points:
         return inverse, prior + self._log_prior(out) - log_size - 0.5 * (left**2).sum(axis=1)
 
     def _log_prior(self, out: BoolArray) -> float:
-        """Return the log probability of the outliers: the second on end is more often one than any other point."""
         m = self.model
         before = np.concatenate([[False, False], out[:-1]])
         chance = np.where(before[1:] & ~before[:-1], m.outlier_lasts, m.outlier_chance)

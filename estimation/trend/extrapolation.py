@@ -73,12 +73,7 @@ class Extrapolation:
 
 
 def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
-    """Return the conicity that a limit is compared with: that at 3 mm.
-
-    Returns:
-        Estimate: As the geometry has it; where the motion does not cover 3 mm extrapolated, with the reason
-            ``amplitude_extrapolated``; unknown where neither is possible.
-    """
+    """Return the conicity at 3 mm, which a limit is compared with: as the geometry has it, or extrapolated."""
     pairs = list(zip(geometry.amplitude.tolist(), geometry.conicity, strict=True))
     if np.isfinite(geometry.reported_amplitude):
         pairs.append((geometry.reported_amplitude, geometry.equivalent_conicity))
@@ -162,7 +157,6 @@ def _below(known: Sequence[KnownConicity], least: float) -> list[KnownConicity]:
 
 
 def _at(family: WornFamily, amplitude: float) -> FloatArray:
-    """Return the conicity (m,) of the members at an amplitude, straight between those that are kept."""
     upper = min(max(int(np.searchsorted(family.amplitude, amplitude)), 1), len(family.amplitude) - 1)
     low, high = family.amplitude[upper - 1], family.amplitude[upper]
     share = (amplitude - low) / (high - low)
@@ -216,7 +210,6 @@ def _local_fit(
 
 
 def _quantiles(left: FloatArray, weight: FloatArray) -> tuple[float, ...]:
-    """Return ``SHOWN`` values of equal weight in place of those of the members (m,), about 0."""
     order = np.argsort(left)
     counted = np.cumsum(weight[order]) - 0.5 * weight[order]
     shares = (np.arange(SHOWN) + 0.5) / SHOWN
@@ -284,7 +277,6 @@ def conicity_points(records: Sequence[IntervalConicities]) -> TrendPoints:
 
 
 def _extrapolated_points(having: Sequence[_Covered], chosen: int, notes: Sequence[Reason]) -> TrendPoints | None:
-    """Return the points at 3 mm, extrapolated from the chosen amplitude; None where that is not possible for most."""
     found = []
     for record, covered in having if chosen < _PREFERRED else ():
         smaller = [covered[key]._replace(amplitude=key * SAME_AMPLITUDE) for key in sorted(covered) if key <= chosen]

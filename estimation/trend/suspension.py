@@ -54,8 +54,6 @@ class SuspensionParameters:
 
 @dataclass(frozen=True, slots=True)
 class _Series:
-    """Findings of one vehicle in order of time, as logarithms of the ratio."""
-
     findings: Sequence[SuspensionFinding]
     level: FloatArray  # (k,) log of the absolute ratio
     variance: FloatArray  # (k,)

@@ -41,7 +41,6 @@ def fit_recent(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCurve:
 
 
 def _agrees(curve: WearCurve, x: FloatArray, value: FloatArray, scatter: FloatArray) -> bool:
-    """Return whether the last points lie about the curve, seen from its level and slope at the last one."""
     level, slope = float(curve.weight @ curve.level), float(curve.weight @ curve.slope)
     off = np.clip((value - level - slope * (x - x[-1])) / scatter, -MOST_OFF, MOST_OFF)
     judged = [count for count in TOGETHER if JUDGED_SHARE * count <= len(x)]
@@ -146,7 +145,6 @@ def _lacking(points: _Columns, params: TrendParameters) -> Reason | None:
 
 
 def _unestimated(points: _Columns, limit: float, quantity: str, reason: Reason | None) -> WearTrend:
-    """Return a trend of which nothing is fitted; without a reason it is to be filled in."""
     unknown = Estimate.unknown(reason or ONE_DATE, len(points.value))
     fitted, probability = unknown, None
     if len(points.value):

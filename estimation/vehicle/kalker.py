@@ -139,11 +139,7 @@ def _semi_axis_ratio(curvature_ratio: float) -> float:
 
 
 def table_coefficients(ratio: float) -> tuple[float, float, float, float]:
-    """Return Kalker's C11, C22, C23 and C33 for the semi-axis ratio a/b, interpolated in its logarithm.
-
-    Raises:
-        ParameterError: The ratio is outside the table.
-    """
+    """Return Kalker's C11, C22, C23 and C33 for the semi-axis ratio a/b, interpolated in its logarithm."""
     ratios = _ROWS[:, 0]
     if not ratios[0] <= ratio <= ratios[-1]:
         raise ParameterError(f"the contact ellipse has a/b = {ratio:.3g}, the table holds 0.1 to 10", field="ratio")
@@ -153,11 +149,7 @@ def table_coefficients(ratio: float) -> tuple[float, float, float, float]:
 
 
 def creep_coefficients(contact: ContactRadii) -> CreepCoefficients:
-    """Return the linear creep coefficients of one wheel: f11 = G a b C11, f23 = G (a b)^1.5 C23, f33 = G (a b)^2 C33.
-
-    Raises:
-        ParameterError: The contact ellipse is outside Kalker's table.
-    """
+    """Return the linear creep coefficients of a wheel: f11 = G a b C11, f23 = G (a b)^1.5 C23, f33 = G (a b)^2 C33."""
     a, b = contact_ellipse(contact)
     c11, c22, c23, c33 = table_coefficients(a / b)
     area, modulus = a * b, contact.shear_modulus

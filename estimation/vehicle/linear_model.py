@@ -1,7 +1,7 @@
 """The linear model of a vehicle class: its modes with names, and the speed above which it hunts.
 
 Small motion about the middle of a straight track at one speed. The columns of the matrices are the equations of
-``equations_of_motion`` at unit states, so that they stay one definition. The contact geometry is that of one conicity:
+``regressors`` at unit states, so that they stay one definition. The contact geometry is that of one conicity:
 
     R = rL - rR = 2 gamma x,   S = rL + rR = 2 r0,   D = dL - dR = c R,   A = dL + dR,   phi = gamma x / l
 
@@ -45,11 +45,7 @@ ANGLE_SUM = 0.1  # A, rad: twice 1:20
 
 @dataclass(frozen=True, slots=True)
 class LinearContact:
-    """Contact geometry of one conicity.
-
-    Raises:
-        ParameterError: The conicity is not positive.
-    """
+    """Contact geometry of one conicity."""
 
     conicity: float = 0.2  # gamma
     angle_per_difference: float = ANGLE_PER_DIFFERENCE  # D/R, rad/m

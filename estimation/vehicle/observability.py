@@ -252,7 +252,6 @@ def _by_cause(
 def _least_squares(
     sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], learnt: tuple[str, ...]
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Return X (f, k), what it is weighted with (f, k), and the inverse of X'X (k, k)."""
     columns = {**sensitivity.by_combination, **{name: sensitivity.by_error[name] for name in learnt}}
     X = np.stack([columns[name][:, equation] for name in theta], axis=1)
     weighted = X.conj() * sensitivity.density[:, None]
@@ -260,7 +259,6 @@ def _least_squares(
 
 
 def _dilution(sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], information: FloatArray) -> FloatArray:
-    """Return by how much noise in the regressors shifts the estimates."""
     regressors = np.stack([sensitivity.sensed[name][:, equation] for name in theta], axis=1)  # (f, k, sensors)
     weighted = regressors.conj() * sensitivity.noise_density * sensitivity.weights[:, None, None]
     noisy = np.einsum("fjs,fks->jk", weighted, regressors).real
@@ -269,7 +267,6 @@ def _dilution(sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], 
 
 
 def _bounds(sensitivity: _Sensitivity) -> dict[str, float]:
-    """Return the Cramer-Rao bound of combinations and yaw stiffness; of what is reported nothing is known before."""
     changes = {**sensitivity.by_combination, **sensitivity.by_error}
     prior = [ANGLE_SUM_STD if name == "angle_sum" else math.inf for name in sensitivity.by_combination]
     prior += sensitivity.std.values()
@@ -299,7 +296,6 @@ def _cause_of(name: str) -> str:
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
-    """Return the inverse of a positive definite matrix, scaled to a unit diagonal first."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
     return np.asarray(np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale))
 

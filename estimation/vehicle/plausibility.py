@@ -67,7 +67,6 @@ def plausible_ranges(vehicle_class: VehicleClass) -> tuple[PlausibleRange, ...]:
 
 
 def _suspect(vehicle_class: VehicleClass, failing: list[PlausibleRange]) -> tuple[str, float | None]:
-    """Return the field whose correction by a factor leaves fewest quantities outside; None where none helps."""
     best = len(failing)
     suspect: tuple[str, float | None] = failing[0].fields[0], None
     parameters = [field for item in failing for field in item.fields]

@@ -1,4 +1,18 @@
-"""The equations of motion solved for the contact geometry: physical unknowns, two per equation.
+"""The equations of motion of a wheelset, and solved for its contact geometry: physical unknowns, two per equation.
+
+Source: Ward, Goodall, Dixon, "Wheel-Rail Profile Condition Monitoring", UKACC 2010, Eq. 1-5 and Table A.1. With x
+forward, y left, z up (ISO 8855): yaw psi > 0 turns the front to the left, roll phi > 0 lifts the left wheel, and for
+a displacement to the left (y > 0) the left wheel runs on its larger radius and steeper contact angle::
+
+    m y''     = -(2 f22/V) (y' + (rL+rR)/2 phi' - V psi) - 2 f11 (1 - (rL+rR)/(2 r0)) psi
+                - (2 f23/V) (psi' - V (dL-dR)/(2 r0)) - W ((dL-dR)/2 + phi) + Fsy                            (1)
+    I psi''   = -(Iwy V/r0) phi' - (l f11/r0) (rL-rR) + (2 f23/V) (y' + (rL+rR)/2 phi' - V psi)
+                - 2 l^2 f11 psi'/V + f33 (dL-dR)/r0 + (l W/2) (dL+dR) psi - 2 f33 psi'/V + Mpsi              (2)
+    mm ym''   = -Fsy                                                                                         (3)
+    Fsy       = ky (ym - y) + fy (ym' - y')                                                                  (4)
+    Mpsi      = -k_psi psi - f_psi psi'                                                                      (5)
+
+This module is their one definition; the simulator's compiled loop is tested equal to it.
 
 With S = rL + rR, R = rL - rR, A = dL + dR, D = dL - dR (radii r, contact angles d), Eq. 1 and Eq. 2 read
 

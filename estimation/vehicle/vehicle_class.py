@@ -1,6 +1,6 @@
 """A vehicle class: what all vehicles of one type have in common, each parameter with what is not known of it.
 
-The equations of motion of ``equations_of_motion`` are those of one wheelset and what its suspension carries. In a
+The equations of motion of ``regressors`` are those of one wheelset and what its suspension carries. In a
 bogie two wheelsets share a frame; its yaw follows from what the nodes measure on it above their axles.
 """
 
@@ -32,11 +32,7 @@ class Arrangement(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class BogieParameters:
-    """A bogie frame, what it carries, and its suspension to the body.
-
-    Raises:
-        ParameterError: A parameter is not finite, is negative, or is zero where it must not be.
-    """
+    """A bogie frame, what it carries, and its suspension to the body."""
 
     wheelbase: Annotated[float, Interval(ge=0.5, le=10.0)]  # m, between its two axles
     frame_mass: Annotated[float, Gt(0.0)]  # kg
@@ -180,12 +176,7 @@ def class_document(vehicle_class: VehicleClass) -> dict[str, Any]:
 
 
 def class_of_document(document: Mapping[str, Any]) -> VehicleClass:
-    """Return the class that :func:`class_document` described.
-
-    Raises:
-        ParameterError: A value is impossible.
-        TypeError: A field is unknown, or one without default is missing.
-    """
+    """Return the class that :func:`class_document` described; a TypeError where it has other fields."""
     bogie, sensors = document["bogie"], dict(document["sensors"])
     for name in _CHANNELS:
         limit = sensors[name]["limit"]
@@ -282,11 +273,7 @@ RAIL_HEAD_RADIUS = 0.08  # m, of the arc beside the crown of all usual rail head
 
 
 def check_possible(parameters: object, may_be_zero: tuple[str, ...]) -> None:
-    """Check that parameters are finite and positive; those whose names begin so may be zero.
-
-    Raises:
-        ParameterError: A parameter is not a possible value.
-    """
+    """Check that parameters are finite and positive; those whose names begin so may be zero."""
     for item in fields(cast("Any", parameters)):
         value = getattr(parameters, item.name)
         if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not item.name.startswith(may_be_zero)):

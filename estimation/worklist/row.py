@@ -164,7 +164,6 @@ def _due(distance: Forecast) -> str:
 
 
 def _km(distance_km: float) -> str:
-    """Return a distance in words, to 100 km from 1,000 km on."""
     return f"{round(distance_km, -2) if distance_km >= 1000.0 else round(distance_km):,.0f} km"  # noqa: PLR2004
 
 
@@ -261,7 +260,6 @@ def _conicity(inputs: WorklistInputs) -> Estimate:
 
 
 def _with_refusals(reason: Reason, inputs: WorklistInputs) -> Reason:
-    """Return why there is no geometry, with what its newest windows are refused for."""
     named = list(inputs.refused.items())[:REFUSALS_NAMED]
     if not named:
         return reason
@@ -298,7 +296,6 @@ def _why_unknown(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Es
 
 
 def _each(forecast: Forecast, less: float) -> Forecast:
-    """Return the quantiles less a distance, 0 where that is run already."""
     values = (_finite(value) for value in (forecast.p10, forecast.p50, forecast.p90))
     return Forecast(*(None if value is None else max(0.0, value - less) for value in values))
 
@@ -387,7 +384,6 @@ def _again(failed: Quarantined) -> str:
 
 
 def _next_run(job: str, last: JobRun | None) -> str:
-    """Return the next run of a job in words, with the last one."""
     if last is None:
         return f"{job}, which has never run"
     began = utc_text(last.started_ns)

@@ -274,7 +274,6 @@ def conicity_limit_finding(
 
 
 def _is_clear(rule: ConicityLimitRule, state: LimitState, clear_limit: float) -> bool | None:
-    """Return whether the conicity is below the clear limit at every amplitude that is known; None where 3 mm is not."""
     at_limit, at_reached = state.at_limit(clear_limit), state.at_reached(clear_limit)
     if _probability(at_reached) >= rule.raise_probability:
         return False

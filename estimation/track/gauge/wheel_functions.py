@@ -165,7 +165,6 @@ def _misfits_by_factor(seen: Mapping[ProfileLife, ContactSamples]) -> FloatArray
 
 
 def _best_factor(misfits: FloatArray) -> float:
-    """Return the factor at the least of ``misfits`` (f,), by a parabola over its logarithm."""
     best = min(max(int(np.argmin(misfits)), 1), len(FACTORS) - 2)
     near = slice(best - 1, best + 2)
     bend, slope, _ = np.polyfit(np.log(FACTORS[near]), misfits[near], 2)
@@ -198,7 +197,6 @@ def _misfit_wheels(seen: ContactSamples, factor: float) -> float:
 
 
 def _hats(u: FloatArray, knots: FloatArray) -> sparse.csr_matrix:
-    """Return the hat functions over uniform ``knots`` (k,) at u (n,): (n, k)."""
     position = np.clip((u - knots[0]) / (knots[1] - knots[0]), 0.0, len(knots) - 1.001)
     cell = position.astype(np.int64)
     share = position - cell
@@ -288,7 +286,6 @@ def _best_candidate(
 
 
 def _cut(item: Pass, begin: float, end: float) -> Pass | None:
-    """Return a pass between two places, m, counted from the first; None where it has not been there."""
     within = (item.at >= begin) & (item.at <= end)
     if within.sum() < 2:  # noqa: PLR2004 - a pass has a length
         return None

@@ -91,8 +91,6 @@ SYSTEMATIC_SHARE = 0.15  # of 1 / r2 - 1: std of the factor that blocks of data 
 
 @dataclass(frozen=True, slots=True)
 class _Filtered:
-    """A pass through the grid's high-pass, at its grid points (m,)."""
-
     source: GriddedPass
     displacement: FloatArray  # (m,) y, m
     difference: FloatArray  # (m,) R, m, as the section has it
@@ -122,7 +120,6 @@ def with_instrument(
 
 
 def _sums(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel) -> FloatArray:
-    """Return by group (g, 4) the sums of h(z) h(R), h(z) y, h(z)^2 and h(R)^2, each less its mean over the place."""
     grid, groups = panel.grid, panel.parameters.groups
     filtered = [_filtered(item, panel) for item in passes if not item.empty]
     summed, passed = np.zeros((2, grid.points))
@@ -192,7 +189,6 @@ def _compared(one: _Filtered, curve: FloatArray, predicted: FloatArray, panel: P
 
 
 def _at(values: FloatArray | BoolArray, points: IntArray, panel: Panel) -> np.ndarray:
-    """Return ``values`` (n,) at grid points (m,), some of which are off the section."""
     return values[np.clip(points, 0, panel.grid.points - 1)]
 
 

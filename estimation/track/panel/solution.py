@@ -106,7 +106,6 @@ _Equations = tuple[FloatArray, FloatArray]
 
 
 def _normal_equations(state: PanelState, *, by_group: bool) -> list[_Equations]:
-    """Return the equations of each group of blocks along the section, or those of all."""
     group = groups_of(np.arange(state.panel.grid.points), state.panel)
     met = state.passes > 0
     if by_group:
@@ -128,7 +127,6 @@ def _sum_of(parts: Sequence[_Equations]) -> _Equations:
 
 
 def _reduced(state: PanelState, gram: FloatArray, cross: FloatArray, at: IntArray) -> _Equations:
-    """Return the equations from what is at some grid points."""
     where = as_slice(at)
     G = state.basis_sums.reshape(-1, state.panel.grid.points)[:, where]
     per_pass = 1.0 / state.passes[where]
@@ -179,7 +177,6 @@ def _curves(whole: _Equations, groups: Sequence[_Equations], state: PanelState, 
 
 
 def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the solution of normal equations: by Cholesky, and where rounding has left them indefinite by LDL."""
     try:
         factor = linalg.cho_factor(normal, lower=True, check_finite=False)
     except linalg.LinAlgError:
@@ -188,7 +185,6 @@ def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _prior(scale: float, panel: Panel) -> FloatArray:
-    """Return the normal matrix (c, c) of what is known of one wheelset's columns beforehand."""
     p, count = panel.parameters, panel.parameters.basis_count
     blocks = [scale * (_rough(count, p.roughness) + 1e-6 * np.ones((count, count)) / count)]
     if panel.gauge is not None:
@@ -198,7 +194,6 @@ def _prior(scale: float, panel: Panel) -> FloatArray:
 
 
 def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
-    """Return the curves that have been measured, by the number of their wheelset."""
     known = state.panel.measured
     return {number: known[life] for number, life in enumerate(state.lives) if life in known}
 

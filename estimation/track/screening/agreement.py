@@ -158,7 +158,6 @@ def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, 
 
 
 def _pieces(n: int, step: float) -> list[slice]:
-    """Return which parts of ``n`` shared samples are compared."""
     length = int(PIECE / step)
     if n <= 2 * length:
         return [slice(0, n)]
@@ -179,7 +178,6 @@ def _canonical(X: FloatArray, Z: FloatArray, reach: int) -> FloatArray:
 
 
 def _at_lag(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> Agreement:
-    """Return the agreement of what overlaps at a lag, with its chance over all lags."""
     n = X.shape[1] - abs(lag)
     X, Z = (X[:, :n], Z[:, lag:]) if lag >= 0 else (X[:, -lag:], Z[:, :n])
     X, Z = (signals - signals.mean(axis=1, keepdims=True) for signals in (X, Z))
@@ -200,7 +198,6 @@ def _at_lag(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> 
 
 
 def _inverse(gram: FloatArray) -> FloatArray:
-    """Return the inverse of a Gram matrix whose signals may be of any size, or nothing at all."""
     size = np.sqrt(np.diag(gram))
     size[size == 0.0] = np.inf
     return np.asarray(np.linalg.inv(gram / np.outer(size, size) + 1e-12 * np.eye(len(gram))) / np.outer(size, size))
