@@ -49,6 +49,7 @@ class WorklistReader:
         Args:
             serials: Some hundreds at most.
         """
+        self.registry.once.renew()
         records = self.registry.wheelsets_of(serials, voided=False)
         serials = [record.serial for record in records]
         if not serials:
