@@ -78,10 +78,8 @@ def gear_segments(
 def _accelerations(
     windows: Sequence[Window], parts: Sequence[IntegratedSegment], rolls: Sequence[FloatArray]
 ) -> FloatArray:
-    """Return the accelerations (3 a, m) without gravity and means: lateral and yaw of each axle, then those above.
-
-    The sensors above are on one frame, which rests on both axles and rolls with their mean.
-    """
+    """Return the accelerations (3 a, m) without gravity and means: lateral and yaw of each axle, then those above."""
+    # the sensors above are on one frame, which rests on both axles and rolls with their mean
     part, known = parts[0].part, parts[0].known
     mean_roll = np.mean(rolls, axis=0)
     rows = []
@@ -218,10 +216,8 @@ def forces_on(
 
 
 def _smoothed(gear: GearSegments, segment: GearSegment, vehicle_class: VehicleClass) -> tuple[FloatArray, float, bool]:
-    """Return the signals (a, 4, m) of a segment in the order of ``ContactForces``.
-
-    Beside them the largest mean square of a channel's innovations, and whether its axle boxes vibrate.
-    """
+    """Return the signals (a, 4, m) of a segment in the order of ``ContactForces``."""
+    # beside them the largest mean square of a channel's innovations, and whether its axle boxes vibrate
     p, parts, rolls = vehicle_class.parameters, segment.axles, segment.rolls
     first = parts[0]
     speed = float(first.speed.mean())

@@ -160,10 +160,8 @@ def _in_turn(sums: PassSums, parameters: FrictionParameters, given: tuple[FloatA
 
 
 def _noise(sums: PassSums, at: FloatArray, creep: FloatArray, slope: FloatArray) -> float:
-    """Return the variance of e that the scatter of the passes about their common 1/mu shows, m2.
-
-    The product of what is left of a pass with g has the variance of e, times its correlated samples, times g g.
-    """
+    """Return the variance of e that the scatter of the passes about their common 1/mu shows, m2."""
+    # the product of what is left of a pass with g has the variance of e, times its correlated samples, times g g
     ge, gg, gq, gx = at
     left = ge - gg - creep[sums.vehicle] * gq - slope[sums.wheelset] * gx
     there = gg > 0.0
@@ -173,10 +171,8 @@ def _noise(sums: PassSums, at: FloatArray, creep: FloatArray, slope: FloatArray)
 def _misfits(
     sums: PassSums, creep: FloatArray, slope: FloatArray, noise: float, parameters: FrictionParameters
 ) -> FloatArray:
-    """Return the sums of squares (n, k) that every friction leaves of a pass at a place, but for a constant.
-
-    What is known of the place beforehand is spread over its passes.
-    """
+    """Return the sums of squares (n, k) that every friction leaves of a pass at a place, but for a constant."""
+    # what is known of the place beforehand is spread over its passes
     known = noise * ((INVERSE - parameters.usual) / parameters.usual_std) ** 2
     return _own_misfits(sums, creep, slope) + known / sums.counts[sums.place][:, None]
 
@@ -201,10 +197,8 @@ def _least(misfits: FloatArray) -> FloatArray:
 
 
 def _left_std(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> FloatArray:
-    """Return the std of 1/mu (c,) that noise and what is known beforehand leave to the passes of a place alone.
-
-    About 1/mu g is in proportion to it.
-    """
+    """Return the std of 1/mu (c,) that noise and what is known beforehand leave to the passes of a place alone."""
+    # about 1/mu g is in proportion to it
     gg = sums.by_place(sums.at(found.inverse)[1])
     known = gg / np.maximum(found.inverse, TINY) ** 2 / max(found.noise, TINY)
     return np.asarray(1.0 / np.sqrt(known + 1.0 / parameters.usual_std**2))
@@ -275,12 +269,10 @@ def _two_sided(found: CellFriction) -> CellFriction:
 
 
 def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters) -> tuple[tuple[float, float], ...]:
-    """Return where friction is low: (begin, end) in m of adjoining places, in order of distance.
-
-    One place of a stretch, at least, is likely to be low by what vehicles agree on, or near to certain by what one
-    shows, and is no good rails; the stretch reaches as far as that is not unlikely. One other place may be between.
-    The creep of one vehicle is better known on a section where it is held against that of others.
-    """
+    """Return where friction is low: (begin, end) in m of adjoining places, in order of distance."""
+    # One place of a stretch, at least, is likely to be low by what vehicles agree on, or near to certain by what one
+    # shows, and is no good rails; the stretch reaches as far as that is not unlikely. One other place may be between.
+    # The creep of one vehicle is better known on a section where it is held against that of others.
     reached = min(parameters.at_ends, parameters.likely)
     beside = any(one.vehicles >= parameters.fewest_vehicles for one in cells)
     by_one = max(parameters.likely, parameters.beside_others if beside else parameters.certain)
@@ -300,10 +292,8 @@ def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters)
 
 
 def certain_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters) -> tuple[tuple[float, float], ...]:
-    """Return where friction is certainly low: (begin, end) in m of adjoining places, in order of distance.
-
-    A vehicle that is alone is certain of nothing: the geometries by which it judges the rails are its own.
-    """
+    """Return where friction is certainly low: (begin, end) in m of adjoining places, in order of distance."""
+    # a vehicle that is alone is certain of nothing: the geometries by which it judges the rails are its own
     certain = max(parameters.certain, parameters.likely)
     found: list[tuple[float, float]] = []
     for one in cells:

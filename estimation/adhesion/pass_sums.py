@@ -130,10 +130,8 @@ class Scales(FrozenArrays):
     misfits: Annotated[FloatArray, len(SCALES), "n"]  # sums of squares at ``SCALES`` over the noise, but for a constant
 
     def std_from(self, other: FloatArray) -> FloatArray:
-        """Return the std (g,) of the difference from other logarithms that the misfit there says; infinite for none.
-
-        The scale itself has nearly normal errors, its logarithm has not: a curvature would say too little.
-        """
+        """Return the std (g,) of the difference from other logarithms that the misfit there says; infinite for none."""
+        # the scale itself has nearly normal errors, its logarithm has not: a curvature would say too little
         there = np.array([np.interp(at, SCALES, misfit) for at, misfit in zip(other, self.misfits.T, strict=True)])
         more = there - self.misfits.min(axis=0)
         away = np.abs(np.clip(other, SCALES[0], SCALES[-1]) - self.logarithm)

@@ -95,10 +95,8 @@ def gear_equations(parameters: VehicleParameters, bogie: BogieParameters | None)
 
 
 def _suspension(p: VehicleParameters, n: int, axle: int, place: float | None) -> tuple[FloatArray, FloatArray]:
-    """Return force, N, and moment, N m, of the primary suspension on a wheelset, each (n,) by the states.
-
-    ``place`` is None where what is above does not yaw.
-    """
+    """Return force, N, and moment, N m, of the primary suspension on a wheelset, each (n,) by the states."""
+    # `place` is None where what is above does not yaw
     first, above = AXLE * axle, n - (2 if place is None else 6)
     lateral, yaw = np.zeros(n), np.zeros(n)
     lateral[[above, first]] = p.lateral_stiffness, -p.lateral_stiffness

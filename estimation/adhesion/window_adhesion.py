@@ -127,10 +127,8 @@ STEPS = 4096  # of the table of excesses
 
 @cache
 def excess_table() -> FloatArray:
-    """Return linear over true creep force of a wheel less 1 at T/(mu N) from 0 to 0.98 in equal steps, (4097,).
-
-    It is 0 without slip. Between the points it is taken as linear, which misses it by less than 1e-5.
-    """
+    """Return linear over true creep force of a wheel less 1 at T/(mu N) from 0 to 0.98 in equal steps, (4097,)."""
+    # It is 0 without slip. Between the points it is taken as linear, which misses it by less than 1e-5.
     t = np.maximum(np.linspace(0.0, MOST_UTILISATION, STEPS + 1), LEAST_UTILISATION)
     return frozen_array(3.0 * (1.0 - np.cbrt(1.0 - t)) / t - 1.0, (STEPS + 1,), name="excess")
 

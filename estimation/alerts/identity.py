@@ -62,13 +62,11 @@ class Mirrored:
 
 
 def newest_mirrored(parts: Parts) -> Mirrored | None:
-    """Return the newest change of sign since the last known event, by a whole history; None where there is none.
-
-    From one interval to the next a curve differs by no more than its standard deviations where these are large,
-    although most of what they hold is common to all intervals of a wheelset. Over a history the noise is known: the
-    even parts are one pattern of changing size, which wears slowly, and a wheelset that was turned end for end has the
-    same size with the other sign.
-    """
+    """Return the newest change of sign since the last known event, by a whole history; None where there is none."""
+    # From one interval to the next a curve differs by no more than its standard deviations where these are large,
+    # although most of what they hold is common to all intervals of a wheelset. Over a history the noise is known: the
+    # even parts are one pattern of changing size, which wears slowly, and a wheelset that was turned end for end has
+    # the same size with the other sign.
     bins = np.isfinite(parts.even).mean(axis=0) >= 1.0 - SAME_SIZE
     whole = np.flatnonzero(np.isfinite(parts.even[:, bins]).all(axis=1))
     if bins.sum() < LEAST_BINS or len(whole) < 2 * EVEN.least_points:
@@ -201,10 +199,8 @@ def identity_events(
 
 
 def jumps(seen: Sequence[Observation], parameters: IdentityParameters) -> bool:
-    """Whether the geometry of a wheelset jumps, so that it must be compared with those of the others.
-
-    Observations before the last two of which one did not jump need not be looked at again.
-    """
+    """Whether the geometry of a wheelset jumps, so that it must be compared with those of the others."""
+    # observations before the last two of which one did not jump need not be looked at again
     return _first_jump(seen, parameters) is not None or _reversed_in(seen, parameters) is not None
 
 
@@ -234,10 +230,8 @@ def _jumps(before: Observation, after: Observation, p: IdentityParameters) -> bo
 def reversed_between(
     before: Observation, after: Observation, parameters: IdentityParameters | None = None
 ) -> IdentityEvent | None:
-    """Return the event where the curve after is the mirror image of the one before; None where it is not.
-
-    Only the even part of R decides: the odd part is its own mirror image.
-    """
+    """Return the event where the curve after is the mirror image of the one before; None where it is not."""
+    # only the even part of R decides: the odd part is its own mirror image
     p = parameters or IdentityParameters()
     worn = _worn(before, after, p)
     first, second = _curve(before), _curve(after)
@@ -253,10 +247,8 @@ def reversed_between(
 
 
 def _reversed_in(seen: Sequence[Observation], p: IdentityParameters) -> IdentityEvent | None:
-    """Return the event where the even part has changed its sign, by all of a history; None where it has not.
-
-    The intervals have to be on the same bins; what is between the two sides is of neither.
-    """
+    """Return the event where the even part has changed its sign, by all of a history; None where it has not."""
+    # the intervals have to be on the same bins; what is between the two sides is of neither
     usable = [item for item in seen if item.geometry.windows >= p.least_windows]
     evens = [_even(_curve(item)) for item in usable]
     if not evens or any(len(one.at) != len(evens[0].at) or not np.allclose(one.at, evens[0].at) for one in evens):

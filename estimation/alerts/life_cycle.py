@@ -240,10 +240,8 @@ def _number(value: JsonValue, default: float) -> float:
 
 
 def close(alert: Alert, reason: CloseReason, at_ns: int) -> Transition:
-    """Close an alert for a reason outside the data, such as a reprofiling or an exchange.
-
-    The condition stays as it was: what was true then is on record. A pending alert goes without an event.
-    """
+    """Close an alert for a reason outside the data, such as a reprofiling or an exchange."""
+    # The condition stays as it was: what was true then is on record. A pending alert goes without an event.
     must_be_open(alert)
     after = replace(alert, closed_ns=at_ns, close_reason=reason)
     return Transition(after, () if alert.condition is Condition.PENDING else (AlertEventKind.CLOSED,))
@@ -315,10 +313,8 @@ def unshelve(alert: Alert, now_ns: int) -> Transition:
 
 
 def link(alert: Alert, ref: str) -> Transition | None:
-    """Note the reference of another system, such as a work order; None where it is noted already.
-
-    Closed alerts take references too: the work order often comes after.
-    """
+    """Note the reference of another system, such as a work order; None where it is noted already."""
+    # closed alerts take references too: the work order often comes after
     wanted = ref.strip()
     if not 0 < len(wanted) <= REFERENCE_LENGTH:
         raise InputError(f"a reference has 1 to {REFERENCE_LENGTH} characters", field="external_refs")

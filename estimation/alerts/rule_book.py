@@ -192,10 +192,8 @@ def _not_assessable_reason(facts: WheelsetFacts, found: list[tuple[AlertRule, Fi
 
 
 def next_change_ns(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> int | None:
-    """Return when the same facts may first say something else, ns UTC; None where time alone changes nothing.
-
-    Time counts where a wheelset is silent, and where an acknowledgement runs out.
-    """
+    """Return when the same facts may first say something else, ns UTC; None where time alone changes nothing."""
+    # time counts where a wheelset is silent, and where an acknowledgement runs out
     moments = [ends for alert in facts.open_alerts if (ends := acknowledgement_ends_ns(alert)) is not None]
     silent, since_ns = book.rule(NoDataRule), silent_since_ns(facts)
     if since_ns is not None:

@@ -235,10 +235,8 @@ def wheel_profile(name: str) -> Profile:
 
 
 def rail_profile(name: str) -> Profile:
-    """Return the rail profile of that name: one of EN 13674-1 as 60E1 or 49E1, BS113A, UIC60, EN15302-A.
-
-    Case and punctuation are free. EN15302-A is given in track axes (inclined already); all others are uninclined.
-    """
+    """Return the rail profile of that name: one of EN 13674-1 as 60E1 or 49E1, BS113A, UIC60, EN15302-A."""
+    # Case and punctuation are free. EN15302-A is given in track axes (inclined already); all others are uninclined.
     return _named("rail", name, RAIL_DEFINITIONS)
 
 
@@ -342,10 +340,8 @@ def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
 
 
 def _gauge_edge(name: str, y: FloatArray, depth: FloatArray, *, wall: bool) -> float:
-    """Return the smallest y within `GAUGE_DEPTH` below the top; the last point of the arrays is the top.
-
-    ``wall``: the rail ends in a face so steep that its last point stands for what is below.
-    """
+    """Return the smallest y within `GAUGE_DEPTH` below the top; the last point of the arrays is the top."""
+    # `wall`: the rail ends in a face so steep that its last point stands for what is below
     below = np.flatnonzero(depth > GAUGE_DEPTH)
     if len(below) == 0 and wall:
         return float(y.min())
@@ -362,10 +358,8 @@ def _gauge_edge(name: str, y: FloatArray, depth: FloatArray, *, wall: bool) -> f
 
 
 def _run(slope: FloatArray, z: FloatArray, start: int, direction: int) -> int:
-    """Return the last index from ``start`` in ``direction`` (+1, -1) up to which the surface can be touched.
-
-    It ends where the surface is too steep over more than `_NOTCH` of height; a point or two of noise do not end it.
-    """
+    """Return the last index from ``start`` in ``direction`` (+1, -1) up to which the surface can be touched."""
+    # it ends where the surface is too steep over more than `_NOTCH` of height; a point or two of noise do not end it
     steep = np.abs(slope[start::direction]) >= _STEEPEST
     height = z[start::direction]
     for first, behind in runs(steep):

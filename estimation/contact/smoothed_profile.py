@@ -16,11 +16,9 @@ MOST_POINTS = 4000  # one in 0.05 mm of a wheel's arc: the spacing at which smoo
 
 
 def thinned(points: FloatArray) -> IntArray:
-    """Return the indices of at most `MOST_POINTS` of points (n, 2), mm, evenly spaced along the arc.
-
-    Points are chosen, not averaged: each keeps the noise of the instrument, its place in the file, and whether it is
-    an outlier. The arc is that of the running mean of the points, which noise lengthens little.
-    """
+    """Return the indices of at most `MOST_POINTS` of points (n, 2), mm, evenly spaced along the arc."""
+    # Points are chosen, not averaged: each keeps the noise of the instrument, its place in the file, and whether it is
+    # an outlier. The arc is that of the running mean of the points, which noise lengthens little.
     n = len(points)
     if n <= MOST_POINTS:
         return np.arange(n)

@@ -49,11 +49,9 @@ LARGEST_STD = 0.3  # relative, of parameters beside the damper: beyond it their 
 
 
 def looked_at(first: Window) -> bool:
-    """Return whether the damper is looked at in a window: in one of ``EVERY``, whatever others there are.
-
-    Its start is mixed first, so that no recorder that runs at regular times is always left out. Both running gears of a
-    vehicle are looked at in the same windows.
-    """
+    """Return whether the damper is looked at in a window: in one of ``EVERY``, whatever others there are."""
+    # Its start is mixed first, so that no recorder that runs at regular times is always left out. Both running gears of
+    # a vehicle are looked at in the same windows.
     return zlib.crc32(f"{first.vehicle} {first.start_ns // first.length_ns}".encode()) % EVERY == 0
 
 
@@ -79,10 +77,8 @@ def window_damper(
 
 
 def _window_sums(gear: GearSegments, vehicle_class: VehicleClass) -> tuple[DamperSums | Reason, float | None]:
-    """Return the sums of a window, or why there are none.
-
-    Beside them the mean square of the innovations over the largest that is believed.
-    """
+    """Return the sums of a window, or why there are none."""
+    # beside them the mean square of the innovations over the largest that is believed
     refused = not_judged(vehicle_class)
     if refused is not None:
         return refused, None
@@ -157,10 +153,8 @@ def _judged(
 
 
 def _excitation(products: FloatArray, noise: FloatArray) -> float:
-    """Return what motion makes of the part that only the damper explains over what noise makes of it.
-
-    Least over the particles. That part is the change from one particle to the next without what others explain of it.
-    """
+    """Return what motion makes of the part that only the damper explains over what noise makes of it."""
+    # Least over the particles. That part is the change from one particle to the next without what others explain of it.
     others = products[:, 1:-1, 1:-1] + np.eye(products.shape[-1] - 2)
     explained = np.linalg.solve(others, products[:, 1:-1, -1:])[..., 0]
     direction = np.concatenate([-explained, np.ones((len(products), 1))], axis=1)
@@ -332,10 +326,8 @@ def posterior(sums: FloatArray, curved: int) -> Posterior | None:
 def _conditional(
     products: FloatArray, between: FloatArray, curved: int
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return the errors (n, k) of the other parameters that are likeliest given a share, their square and precision.
-
-    By Gauss and Newton: their effect has a first and, for the first of them, a second order.
-    """
+    """Return the errors (n, k) of the other parameters that are likeliest given a share, their square and precision."""
+    # By Gauss and Newton: their effect has a first and, for the first of them, a second order
     n, m, _ = products.shape
     k = m - 2 - curved
     errors, rows = np.zeros((n, k)), np.arange(curved)

@@ -334,12 +334,10 @@ class Stepped(NamedTuple):
 
 
 def stepped(x: FloatArray, curve: FloatArray) -> Stepped:
-    """Return a curve (n,), m, at even distances of displacement, whose contact jumps are each in one place.
-
-    A contact point jumps at one displacement. What is left of the error of y - d spreads the step over some 0.1 mm,
-    evenly to both sides; so the jump is in the mean of the rise. A rise that is spread further is left as it is: wheels
-    have steep parts without any jump.
-    """
+    """Return a curve (n,), m, at even distances of displacement, whose contact jumps are each in one place."""
+    # A contact point jumps at one displacement. What is left of the error of y - d spreads the step over some 0.1 mm,
+    # evenly to both sides; so the jump is in the mean of the rise. A rise that is spread further is left as it is:
+    # wheels have steep parts without any jump.
     width = x[1] - x[0]
     middles, rise = 0.5 * (x[1:] + x[:-1]), np.diff(curve)
     near = np.abs(middles) < JUMP_REACH

@@ -224,7 +224,7 @@ def _own_std(curve: Replicates, conicity: FloatArray, amplitude: FloatArray) -> 
 
 
 def estimate_of(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
-    """Return one number with its interval from replicates (1 + groups + p,): of all, less groups, parameters shifted."""
+    """Return one number with its interval from replicates (1 + groups + p,): all, less groups, parameters shifted."""
     if not np.isfinite(values).all():
         return Estimate.unknown(reason, count)
     systematic = float(np.sqrt(((values[groups + 1 :] - values[0]) ** 2).sum()))

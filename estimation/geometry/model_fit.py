@@ -339,11 +339,9 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
 
 
 def _std_of_bands(weights: FloatArray, by_band: FloatArray) -> float:
-    """Return the std of the radius, m, by what of the equation varies from wavelength to wavelength.
-
-    More data do not lessen it, but each band has its own share of it: the jackknife leaves out one band at a time. What
-    the bands have of sampling is in it too.
-    """
+    """Return the std of the radius, m, by what of the equation varies from wavelength to wavelength."""
+    # More data do not lessen it, but each band has its own share of it: the jackknife leaves out one band at a time.
+    # What the bands have of sampling is in it too.
     of_bands = weights[:, None, None] * by_band
     whole = of_bands.sum(axis=0)
     return float(jackknife_std(np.array([_solution(whole), *(_solution(whole - one) for one in of_bands)]))[_RADIUS])

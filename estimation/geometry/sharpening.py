@@ -265,10 +265,8 @@ FREE = (0.0,) * len(SLOPES)
 
 
 def held_shares(vehicle_class: VehicleClass) -> tuple[float, ...]:
-    """Return which share of rho is left in R on average, at each of ``SLOPES``; zero without a bogie.
-
-    Of the rms over front and rear wheelset, each with differences of diameters of its own and of its neighbour.
-    """
+    """Return which share of rho is left in R on average, at each of ``SLOPES``; zero without a bogie."""
+    # of the rms over front and rear wheelset, each with differences of diameters of its own and of its neighbour
     if vehicle_class.bogie is None:
         return FREE
     return tuple(float(np.sqrt((left_in_difference(vehicle_class, slope) ** 2).sum() / 2.0)) for slope in SLOPES)
@@ -303,20 +301,16 @@ def held_difference_std(shares: tuple[float, ...], conicity: float) -> float:
 
 
 def moved_off(x: FloatArray, curve: FloatArray, amplitude: FloatArray, std: float) -> FloatArray:
-    """Return the change of the conicity (a,) per standard deviation of the mean of R, the larger of both ways.
-
-    About the running position the curve is nearly as it is about the rolling line, so that small differences change
-    little and large ones much.
-    """
+    """Return the change of the conicity (a,) per standard deviation of the mean of R, the larger of both ways."""
+    # about the running position the curve is nearly as it is about the rolling line, so that small differences change
+    # little and large ones much
     here = equivalent_conicity(x, curve, amplitude)
     return widest(lambda share: equivalent_conicity(x, curve + share * std, amplitude), here)
 
 
 def widest(changed: Callable[[float], FloatArray], here: FloatArray) -> FloatArray:
-    """Return the largest change per std within a 95 % interval, either way: a jump may be passed far out only.
-
-    Where a change leaves the range covered, the other way counts.
-    """
+    """Return the largest change per std within a 95 % interval, either way: a jump may be passed far out only."""
+    # where a change leaves the range covered, the other way counts
     changes = [np.abs(changed(share) - here) / abs(share) for share in (-NORMAL_95, -1.0, 1.0, NORMAL_95)]
     return np.asarray(np.max(np.nan_to_num(changes, posinf=np.inf), axis=0))
 

@@ -45,11 +45,9 @@ MOST_AT_REST = 1.4  # m/s2, of a lateral accelerometer on straight track: its of
 
 
 def check_upright(window: Window, usable: BoolArray) -> Reason | None:
-    """Return that a lateral accelerometer is turned about the longitudinal axis; None where it is not.
-
-    It then measures a part of gravity at rest: of 8 degrees 1.4 m/s2. Vertical motion is in its signal too, and cannot
-    be taken out. Only sensors that measure constant accelerations show it.
-    """
+    """Return that a lateral accelerometer is turned about the longitudinal axis; None where it is not."""
+    # It then measures a part of gravity at rest: of 8 degrees 1.4 m/s2. Vertical motion is in its signal too, and
+    # cannot be taken out. Only sensors that measure constant accelerations show it.
     if not (window.measures_gravity and usable.any()):
         return None
     places = {"axle box": window.lateral_acceleration, "mass or frame": window.mass_lateral_acceleration}
@@ -231,10 +229,8 @@ def check_moving(window: Window, signals: SignalParameters) -> Reason | None:
 
 
 def position_jumps(integrated: IntegratedWindow) -> tuple[Jump, ...]:
-    """Return where the position does not go with the speed.
-
-    Over every second the distance must change by what the speed makes of it, within 0.5 m and 5 %.
-    """
+    """Return where the position does not go with the speed."""
+    # over every second the distance must change by what the speed makes of it, within 0.5 m and 5 %
     window, found = integrated.window, list[Jump]()
     for segment in integrated.segments:
         at, run = bridged(window.distance[segment.part], segment.known), segment.run
@@ -275,12 +271,10 @@ def jumps_reason(jumps: Sequence[Jump]) -> Reason | None:
 
 
 def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
-    """Return that the axes contradict the direction of running, or one another; None where they do not.
-
-    An axle that rolls forward with a yaw to the left moves to the left: y' = V psi up to small creep. Backwards, or
-    with one of the two sensors the wrong way round, the sign is the other. Where one of the two is on another axis, or
-    measures something else, they have nothing in common.
-    """
+    """Return that the axes contradict the direction of running, or one another; None where they do not."""
+    # An axle that rolls forward with a yaw to the left moves to the left: y' = V psi up to small creep. Backwards, or
+    # with one of the two sensors the wrong way round, the sign is the other. Where one of the two is on another axis,
+    # or measures something else, they have nothing in common.
     correlation = lateral_yaw_correlation(integrated)
     if correlation is None or correlation >= UNRELATED:
         return None

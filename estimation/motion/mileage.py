@@ -50,11 +50,9 @@ def implausible_mileages(
 
 
 def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_speed_m_s: float) -> bool:
-    """Whether nothing speaks against any reading.
-
-    Where that holds of all readings of a mounting it also holds of any of them. So it holds of all and new ones as soon
-    as it holds of the new ones with those beside them.
-    """
+    """Whether nothing speaks against any reading."""
+    # Where that holds of all readings of a mounting it also holds of any of them. So it holds of all and new ones as
+    # soon as it holds of the new ones with those beside them.
     km_per_ns = FASTER * max_speed_m_s / 1000.0 / NANOSECONDS
     ordered = sorted(readings, key=lambda one: one.start_ns)
     return all(_follows(*pair, km_per_ns) for pair in pairwise(ordered)) and all(
@@ -125,11 +123,9 @@ def _follows(first: MileageReading, second: MileageReading, km_per_ns: float) ->
 
 
 def _longest_chain(readings: Sequence[MileageReading], km_per_ns: float) -> list[MileageReading]:
-    """Return the most readings of which each follows the one before; of several such the one that ends first.
-
-    A follows B where neither the mileage nor what was not run of the possible distance falls: in the order of the one,
-    that is a longest non-decreasing run of the other.
-    """
+    """Return the most readings of which each follows the one before; of several such the one that ends first."""
+    # A follows B where neither the mileage nor what was not run of the possible distance falls: in the order of the
+    # one, that is a longest non-decreasing run of the other
     origin = readings[0].start_ns
     not_run = [km_per_ns * (one.start_ns - origin) - one.mileage_km for one in readings]
     order = sorted(range(len(readings)), key=lambda i: (readings[i].mileage_km, not_run[i]))
@@ -159,10 +155,8 @@ DAY_S = 86_400.0
 
 
 def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
-    """Return the mileage, km, never decreasing, of each window of a wheelset between two reprofilings, oldest first.
-
-    Where the odometer made no impossible step it is the mileage as stored, bit for bit.
-    """
+    """Return the mileage, km, never decreasing, of each window of a wheelset between two reprofilings, oldest first."""
+    # where the odometer made no impossible step it is the mileage as stored, bit for bit
     at, found = first_reading(windows), []
     for window in windows:
         at = read(at, window)
@@ -183,11 +177,9 @@ def known_mileage(stored_km: float) -> float:
 
 
 def read(at: Odometer, window: WindowRecord) -> Odometer:
-    """Return where the chain of mileages stands after a window; without a reading it says nothing.
-
-    It depends on nothing but the last window with a reading, its mileage as stored and as run: so the chain goes on
-    from any window of which both are kept.
-    """
+    """Return where the chain of mileages stands after a window; without a reading it says nothing."""
+    # it depends on nothing but the last window with a reading, its mileage as stored and as run: so the chain goes on
+    # from any window of which both are kept
     stored = known_mileage(window.mileage_km)
     if math.isnan(stored):
         return at

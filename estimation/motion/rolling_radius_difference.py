@@ -177,11 +177,9 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters) -> FusedSignals:
 
 
 def _shortest(signals: MotionSignals, run: FloatArray) -> float:
-    """Return the shortest wavelength, m, that is left in the signals of a pass.
-
-    An axle box vibrates at tens of hertz. Sampled as it is, its vibration would look like waves of some metres. Where
-    it does not vibrate the short waves of R are those of contact jumps, which the curves need.
-    """
+    """Return the shortest wavelength, m, that is left in the signals of a pass."""
+    # An axle box vibrates at tens of hertz. Sampled as it is, its vibration would look like waves of some metres. Where
+    # it does not vibrate the short waves of R are those of contact jumps, which the curves need.
     quiet, vibrating = SHORTEST
     (smooth,) = _sampled(signals.rolling_yaw[None], signals.run, run, vibrating)
     rest = np.interp(run, signals.run, signals.rolling_yaw) - smooth

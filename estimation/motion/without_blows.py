@@ -241,10 +241,8 @@ AROUND = 31  # blows, over which sizes and delays are alike but for noise
 
 
 def without_blows(window: Window) -> Window:
-    """Return the window with the blows of a flat taken out; samples that a blow has spoilt are ``bridged``.
-
-    Blows of joints and switches are single: the integrals go through them as they were measured.
-    """
+    """Return the window with the blows of a flat taken out; samples that a blow has spoilt are ``bridged``."""
+    # blows of joints and switches are single: the integrals go through them as they were measured
     dt, n = window.sample_interval_s, len(window.valid)
     lost = np.zeros(n, np.bool_)
     if window.quality.blows.share > 0.0:

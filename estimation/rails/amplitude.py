@@ -91,11 +91,9 @@ MOST = 0.5  # share of the rails
 
 
 def uneven(component: Component, parameters: RailsParameters) -> list[int]:
-    """Return the numbers of the rails that are uneven, where something holds the level and these would move it.
-
-    Uneven are rails on which conicities rise with those of the wheels otherwise than on half of all rails or more,
-    themselves counted. Of two that differ both are; what is known is not.
-    """
+    """Return the numbers of the rails that are uneven, where something holds the level and these would move it."""
+    # Uneven are rails on which conicities rise with those of the wheels otherwise than on half of all rails or more,
+    # themselves counted. Of two that differ both are; what is known is not.
     two_way = component.two_way
     if not two_way.anchored:
         return []
@@ -110,10 +108,8 @@ def uneven(component: Component, parameters: RailsParameters) -> list[int]:
 
 
 def _spread_std(component: Component, alone: Parted, parameters: RailsParameters) -> float:
-    """Return the relative std of how far conicities of wheels are spread, by known rails and nothing else.
-
-    It is that of the mean slope of the other rails, less what is known of it beforehand.
-    """
+    """Return the relative std of how far conicities of wheels are spread, by known rails and nothing else."""
+    # it is that of the mean slope of the other rails, less what is known of it beforehand
     free = ~component.two_way.known_rail
     s, count = len(free), int(free.sum())
     if count == 0:

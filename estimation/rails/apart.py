@@ -73,11 +73,9 @@ def _all_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) 
 
 
 def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters: RailsParameters) -> Check:
-    """Return the excess of a section over what the others say.
-
-    For the fleet's mean wheel where nothing follows for that as designed. Of several periods the one that is furthest;
-    at the amplitude of the limit, or the largest below that is known.
-    """
+    """Return the excess of a section over what the others say."""
+    # For the fleet's mean wheel where nothing follows for that as designed. Of several periods the one that is
+    # furthest; at the amplitude of the limit, or the largest below that is known.
     others = replace(anchors, known_rails=frozenset(key for key in anchors.known_rails if key.section != section))
     if not others.known_rails and not others.known_wheels:
         return NOTHING
@@ -171,10 +169,8 @@ def rails_apart(
 
 
 def _refuse_rises(levels: Sequence[AtAmplitude], amplitude: FloatArray, steepest: float) -> None:
-    """Take back what is said of the wheel as designed where its conicity, as found on some rails, is on a rise.
-
-    The trend of the section goes with it.
-    """
+    """Take back what is said of the wheel as designed where its conicity, as found on some rails, is on a rise."""
+    # the trend of the section goes with it
     keys = sorted({key for level in levels for key in level.rails})
     for key in keys:
         curve = np.array([level.rails[key].solved for level in levels])
@@ -218,11 +214,9 @@ def _strongest(references: Sequence[RailsReference | None]) -> RailsReference | 
 def _trends(
     levels: Sequence[AtAmplitude], amplitudes: FloatArray, most: float, anchors: Anchors
 ) -> tuple[dict[str, RailTrend], dict[str, Reason]]:
-    """Return the trend of each section at the largest amplitude up to ``most``, m, at which it is known.
-
-    Of the others why there is none, at the largest amplitude at which that is said; where the excess is not on a line
-    at one amplitude, that it is at a smaller one says nothing.
-    """
+    """Return the trend of each section at the largest amplitude up to ``most``, m, at which it is known."""
+    # of the others why there is none, at the largest amplitude at which that is said; where the excess is not on a line
+    # at one amplitude, that it is at a smaller one says nothing
     found: dict[str, RailTrend] = {}
     why: dict[str, Reason] = {}
     for amplitude, level in reversed(list(zip(amplitudes, levels, strict=True))):

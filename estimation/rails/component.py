@@ -131,11 +131,9 @@ def islands(runs: Runs) -> IntArray:
 
 
 def connected(runs: Runs, least: int) -> Connected:
-    """Return the groups of rails that enough wheelsets connect; what is refused connects nothing any more.
-
-    Rails that hang on one wheelset are refused where the others are connected with what is known. Where nothing is
-    known, both sides are groups of their own, for differences within each are known.
-    """
+    """Return the groups of rails that enough wheelsets connect; what is refused connects nothing any more."""
+    # Rails that hang on one wheelset are refused where the others are connected with what is known. Where nothing is
+    # known, both sides are groups of their own, for differences within each are known.
     refused: dict[int, Reason] = {}
     while True:
         weak = _weak(runs, least)
@@ -188,10 +186,8 @@ def _groups(runs: Runs) -> tuple[IntArray, list[int]]:
 
 
 def _needed(wheel: IntArray, node: IntArray, serial: IntArray, nodes: int) -> list[int]:
-    """Return the wheelsets without which some nodes are not connected any more.
-
-    A spanning forest shows few that may be; what the others connect is one node, and the same again with what is left.
-    """
+    """Return the wheelsets without which some nodes are not connected any more."""
+    # a spanning forest shows few that may be; what the others connect is one node, and the same again with what is left
     while len(wheel):
         may_be = _of_forest(wheel, node, serial, nodes)
         others = ~np.isin(serial[wheel], may_be)

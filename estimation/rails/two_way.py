@@ -84,10 +84,8 @@ class Parted:
 
 
 def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
-    """Return wheels and rails apart.
-
-    Where known wheels differ by more than their errors and the interaction explain, their errors count as larger.
-    """
+    """Return wheels and rails apart."""
+    # where known wheels differ by more than their errors and the interaction explain, their errors count as larger
     solved: _Solved | None = None
 
     def surplus(decades: float) -> float:
@@ -109,10 +107,8 @@ def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
 
 
 def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> Parted:
-    """Return the solution with known wheels that is next to the one without them, at the same interaction.
-
-    It is one step from there: slopes of the rails do not follow a wheel that is known wrongly.
-    """
+    """Return the solution with known wheels that is next to the one without them, at the same interaction."""
+    # it is one step from there: slopes of the rails do not follow a wheel that is known wrongly
     point = _Point(without.wheel, np.concatenate([without.rail, without.slope]), without.centre)
     problem = _Problem.of(cells, parameters, without.interaction)
     linear = problem.linearised(point)
@@ -248,10 +244,8 @@ class _Solved:
         return float(np.sum(problem.weight * self.linear.residual**2) + np.sum(problem.known * apart**2))
 
     def freedom(self) -> float:
-        """Return how many residuals, of cells and of known wheels, are left over by what is fitted.
-
-        A number that is fitted takes one, less what is known of it beforehand.
-        """
+        """Return how many residuals, of cells and of known wheels, are left over by what is fitted."""
+        # a number that is fitted takes one, less what is known of it beforehand
         cells = self.problem.cells
         residuals = len(cells.value) + int(np.isfinite(cells.known_value).sum())
         fitted = len(cells.known_value) + 2 * int((~cells.known_rail).sum())

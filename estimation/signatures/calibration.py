@@ -60,11 +60,9 @@ class OnFile(FrozenArrays):
         return np.asarray(np.hypot(self.own, np.sqrt(float(self.shares @ SHARES)) * self.claimed))
 
     def shared_std(self, conicity: float) -> FloatArray:
-        """Return the std (k,) of what is off in common about a conicity, by share.
-
-        Errors in common add up as they are, not as squares: it is a mean of standard deviations, of all entries or of
-        those near by, whichever is larger.
-        """
+        """Return the std (k,) of what is off in common about a conicity, by share."""
+        # errors in common add up as they are, not as squares: it is a mean of standard deviations, of all entries or of
+        # those near by, whichever is larger
         each = self.shared[:, None] + np.sqrt(1.0 - SHARES) * self.claimed[:, None]
         near = np.exp(-0.5 * ((self.conicity - conicity) / NEAR) ** 2) + np.finfo(np.float64).tiny
         return np.asarray(np.maximum(each.mean(axis=0), near @ each / near.sum()))
@@ -104,10 +102,8 @@ def judged_by(before: OnFile, seen: Differences) -> OnFile:
 
 
 def _posterior(seen: Differences) -> FloatArray:
-    """Return the probabilities (k,) of the shares; large ones are not likely beforehand.
-
-    A wheelset's answers on several sections have errors of their own, so that their mean is as much better.
-    """
+    """Return the probabilities (k,) of the shares; large ones are not likely beforehand."""
+    # a wheelset's answers on several sections have errors of their own, so that their mean is as much better
     of = seen.claimed > 0.0
     squared, claimed, answers = seen.difference[of] ** 2, seen.claimed[of], seen.answers[of]
     about = np.linspace(-3.0, 3.0, 31)
@@ -161,11 +157,9 @@ class Calibration(FrozenArrays):
         return float(brentq(beyond, 0.9 * NORMAL * each.min(), 1.1 * NORMAL * each.max())) / NORMAL
 
     def novelty(self, found: Likelihood) -> float:
-        """Return how far a signature is, over the largest distance that is answered: of all features, or of roll.
-
-        Roll over R is that of the contact angles, whatever the track: wheels of other profiles that move from side to
-        side like those of the library roll otherwise. Among all features it is lost.
-        """
+        """Return how far a signature is, over the largest distance that is answered: of all features, or of roll."""
+        # Roll over R is that of the contact angles, whatever the track: wheels of other profiles that move from side to
+        # side like those of the library roll otherwise. Among all features it is lost.
         return max(found.whole / self.whole.largest, found.roll / self.roll.largest)
 
 
@@ -236,10 +230,8 @@ def outside(found: Likelihood, known: tuple[float, float], margin: float) -> boo
 
 
 def _judged(rows: Rows, on_file: OnFile, apart: Sequence[BoolArray], basis: Basis, margin: float) -> Iterator[_Judged]:
-    """Yield how well wheelsets are judged, section by section, by those that share nothing with them.
-
-    Those of which nothing would be said are left out.
-    """
+    """Yield how well wheelsets are judged, section by section, by those that share nothing with them."""
+    # those of which nothing would be said are left out
     tasks = [task for left_out in apart for task in _tasks(rows, left_out, basis) if task[0].any() and task[1].any()]
     each = -(-MOST_ANSWERS // max(len(tasks), 1))
     for taught, asked in tasks:

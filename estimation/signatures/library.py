@@ -58,10 +58,8 @@ class Library:
         return len({entry.wheelset for entry in self.entries})
 
     def levels(self, places: int) -> tuple[float, float]:
-        """Return between which levels the mean of some places is where their section is like those of the library.
-
-        It may be as far outside as the outermost section is from the next: so far the calibration has gone, too.
-        """
+        """Return between which levels the mean of some places is where their section is like those of the library."""
+        # it may be as far outside as the outermost section is from the next: so far the calibration has gone, too
         section = np.array([self.sections[place.section] for place in sorted(self.places, key=self.places.__getitem__)])
         return levels_between(self.model, section, places)
 

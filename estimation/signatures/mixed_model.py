@@ -94,12 +94,10 @@ def track_effects(rows: Rows) -> FloatArray:
 
 
 def fitted(rows: Rows) -> MixedModel:
-    """Return the model of a library.
-
-    The response is that within places (their effects are fixed in it), and covariances follow from its residuals,
-    step by step: of wheelsets, of places, of sections. What the errors of the known conicities add to the covariance
-    of wheelsets is taken out again: they are none of the features.
-    """
+    """Return the model of a library."""
+    # The response is that within places (their effects are fixed in it), and covariances follow from its residuals,
+    # step by step: of wheelsets, of places, of sections. What the errors of the known conicities add to the covariance
+    # of wheelsets is taken out again: they are none of the features.
     kept, place = np.unique(rows.place, return_inverse=True)
     response, left = _response(rows, place)
     effects = _means(left, place)
@@ -216,10 +214,8 @@ def level_of(model: MixedModel, rows: Rows, conicity: float) -> float:
 
 
 def levels_between(model: MixedModel, section: IntArray, places: int) -> tuple[float, float]:
-    """Return between which levels the mean of some places is where their section is like those of a library.
-
-    It may be as far outside as the outermost section is from the next.
-    """
+    """Return between which levels the mean of some places is where their section is like those of a library."""
+    # it may be as far outside as the outermost section is from the next
     section = np.unique(section, return_inverse=True)[1]
     mean = np.bincount(section, model.levels) / np.bincount(section)
     within = float(np.std(model.levels - mean[section]))

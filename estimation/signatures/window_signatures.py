@@ -75,10 +75,8 @@ def families(groups: Iterable[frozenset[str]]) -> list[frozenset[str]]:
 
 
 def folds(entries: Sequence[LibraryEntry]) -> list[frozenset[str]]:
-    """Return wheelsets that are left out together, none of whose data are in entries of others.
-
-    In a small library each family is a fold. In a larger one there are six, each with all kinds of conicity.
-    """
+    """Return wheelsets that are left out together, none of whose data are in entries of others."""
+    # In a small library each family is a fold. In a larger one there are six, each with all kinds of conicity.
     known: dict[str, list[float]] = {}
     for entry in entries:
         known.setdefault(entry.wheelset, []).append(entry.conicity)
@@ -150,10 +148,8 @@ class _Stretch:
 def window_signatures(
     window: Window, parameters: WindowParameters, signature: SignatureParameters, layout: TrackLayout | None = None
 ) -> tuple[Signature, ...] | Reason:
-    """Return the signatures of a window, one for each cell of the section that it passed whole.
-
-    Where section or position are not known every stretch of that length has one, without a place.
-    """
+    """Return the signatures of a window, one for each cell of the section that it passed whole."""
+    # where section or position are not known every stretch of that length has one, without a place
     placed = gate(window.quality, window.track_section, parameters.gates)
     if placed is not None:
         if placed.code not in {ReasonCode.SECTION_UNKNOWN, ReasonCode.POSITION_UNKNOWN}:
@@ -190,10 +186,8 @@ def window_signatures(
 
 
 def axle_position(window: Window, parameters: WindowParameters) -> AxlePosition:
-    """Return where the wheelset of a window runs in its bogie.
-
-    The axle of the lower number is in front where the vehicle runs forwards.
-    """
+    """Return where the wheelset of a window runs in its bogie."""
+    # the axle of the lower number is in front where the vehicle runs forwards
     partner = parameters.vehicle_class.partner(window.axle)
     if partner is None:
         return AxlePosition.SINGLE

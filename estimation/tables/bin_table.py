@@ -114,10 +114,8 @@ HALF = np.uint64(32)
 
 @compiled(nogil=True)
 def group(block: int, groups: int) -> int:
-    """Return the group of a block: in turn, and each round begins at another group.
-
-    Were it in turn alone, a vehicle that passes at the same time every day would fill the same few groups for ever.
-    """
+    """Return the group of a block: in turn, and each round begins at another group."""
+    # were it in turn alone, a vehicle that passes at the same time every day would fill the same few groups for ever
     turn = np.uint64(block // groups) * GOLDEN >> HALF  # spreads any regular step evenly
     return int((block + np.int64(turn * np.uint64(groups) >> HALF)) % groups)
 
@@ -332,10 +330,8 @@ def fill_cells(motion: Motion, parameters: BinParameters) -> FilledCells:
 
 
 def fast_noise(difference: FloatArray, valid: BoolArray) -> float:
-    """Return the variance, m2, of what varies faster in rL - rR than a wheelset can: vibration and sensor noise.
-
-    The median of what a running mean over some hundredths of a second leaves, so that contact jumps do not count.
-    """
+    """Return the variance, m2, of what varies faster in rL - rR than a wheelset can: vibration and sensor noise."""
+    # the median of what a running mean over some hundredths of a second leaves, so that contact jumps do not count
     known = valid & np.isfinite(difference)
     if not known.any():
         return 0.0

@@ -175,12 +175,10 @@ def iterate(
 def first_rounds(
     setting: Setting, panel: Panel, corrections: Mapping[Journey, Correction], *, std: bool = True
 ) -> IterationResult:
-    """Return where the rounds without a gauge end; on a survey at positions by the regression of R.
-
-    That search begins where the panel ends, which is within a metre or two; stiffness ratios that go with the panel's
-    positions are another error of R, so both are found in turn. A gauge that varies is noise in that
-    regression, and not in the panel. There the panel's positions are kept, unless the noise of R has moved them all.
-    """
+    """Return where the rounds without a gauge end; on a survey at positions by the regression of R."""
+    # That search begins where the panel ends, which is within a metre or two; stiffness ratios that go with the panel's
+    # positions are another error of R, so both are found in turn. A gauge that varies is noise in that regression, and
+    # not in the panel. There the panel's positions are kept, unless the noise of R has moved them all.
     prior = setting.prior
     if prior is None or not setting.anchored or not prior.surveyed:
         return _rounds(setting, panel, corrections, {}, std=std)
@@ -203,11 +201,9 @@ def first_rounds(
 
 
 def _moved_as_a_whole(fixed: Setting, found: IterationResult, survey: PriorAlignment) -> IterationResult:
-    """Return the rounds with all journeys moved alike, between where R and where y - h(R) puts them on the survey.
-
-    The errors of a survey flatten the regression of R on y - d, and what is left of R moves all journeys alike. Those
-    of R do the same the other way round, and move them the other way: each counts by the share of the other's errors.
-    """
+    """Return the rounds with all journeys moved alike, between where R and where y - h(R) puts them on the survey."""
+    # The errors of a survey flatten the regression of R on y - d, and what is left of R moves all journeys alike. Those
+    # of R do the same the other way round, and move them the other way: each counts by the share of the other's errors.
     step = fleet_step(found.state, found.solution, survey)
     state, d = found.state, np.nan_to_num(found.solution.alignment)
     square = float(state.square.sum() - 2.0 * d @ state.displacement + d**2 @ state.passes)

@@ -32,10 +32,8 @@ from estimation.values.track import Correction
 
 
 def peak_position(score: FloatArray, k: int) -> float:
-    """Return the position, in samples, of the vertex of the parabola through a peak of a score and its neighbours.
-
-    The largest one itself is returned at an end, and where the three do not bend downwards.
-    """
+    """Return the position, in samples, of the vertex of the parabola through a peak of a score and its neighbours."""
+    # the largest one itself is returned at an end, and where the three do not bend downwards
     if not 0 < k < len(score) - 1:
         return float(k)
     before, at, after = score[k - 1 : k + 2]

@@ -152,10 +152,9 @@ def _too_few_passes(grouped: Grouped, panel: Panel) -> Reason | None:
 
 
 def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Panel, p: SectionParameters) -> _Accepted:
-    """Iterate, leave out what agrees with nothing, and iterate again until all that is left agrees.
-
-    A journey is judged by its usual wheelset. Wheelsets that are further off than others have less weight from then on.
-    """
+    """Iterate, leave out what agrees with nothing, and iterate again until all that is left agrees."""
+    # A journey is judged by its usual wheelset. Wheelsets that are further off than others have less weight from then
+    # on.
     kept = dict(grouped)
     outliers: dict[Journey, Reason] = {}
     rms: dict[Journey, float] = {}

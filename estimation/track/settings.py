@@ -143,11 +143,9 @@ def _apart(first: GaugeShift, second: GaugeShift, size: float) -> float:
 
 
 def carry_over_findings(found: TrackAlignment, before: TrackAlignment | None) -> TrackAlignment:
-    """Return an alignment that also holds what was found of vehicles and wheelsets that this epoch has not met.
-
-    Their windows are estimated again with it as those of the others. Shifts belong to the gauge that
-    makes them: it stays where the epoch has found that gauge again.
-    """
+    """Return an alignment that also holds what was found of vehicles and wheelsets that this epoch has not met."""
+    # Their windows are estimated again with it as those of the others. Shifts belong to the gauge that makes them: it
+    # stays where the epoch has found that gauge again.
     if before is None or before.findings is None or found.findings is None:
         return found
     old, new = before.findings, found.findings

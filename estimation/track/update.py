@@ -240,10 +240,8 @@ def _extended(
     *,
     decided: bool = False,
 ) -> AlignmentUpdate:
-    """Return the survey kept; as a version of its own where the passes know it better, or what its gauge does.
-
-    Until it is decided on, it is kept as it is, but for a scale that is in doubt: then that of both is.
-    """
+    """Return the survey kept; as a version of its own where the passes know it better, or what its gauge does."""
+    # until it is decided on, it is kept as it is, but for a scale that is in doubt: then that of both is
     kept = epoch.update(UpdateOutcome.SURVEY_KEPT, _placed_on_survey(weighed.estimate), survey, survey=reason)
     posterior, doubted, settings = weighed.posterior, verdict.doubted_scale, epoch.settings
     if (decided or doubted > 0.0) and posterior is not None and weighed.estimate.report.converged:
@@ -277,10 +275,8 @@ def _contradicted(
 
 
 def _without_gauge(epoch: _Epoch, survey: TrackAlignment, reason: Reason | None) -> AlignmentUpdate:
-    """Return the survey without its gauge, which is wrong: as one of the alignment alone.
-
-    What the passes disagree by says how much the true gauge varies; nothing that was found on the wrong one stays.
-    """
+    """Return the survey without its gauge, which is wrong: as one of the alignment alone."""
+    # what the passes disagree by says how much the true gauge varies; nothing that was found on the wrong one stays
     of_gauge = np.full(len(survey.s), float(np.std(survey.gauge_deviation)))
     alone = replace(
         survey,
@@ -302,10 +298,8 @@ def _confirmed(verdict: SurveyVerdict) -> bool:
 
 
 def _refused(epoch: _Epoch, weighed: Weighed, survey: TrackAlignment, verdict: SurveyVerdict) -> AlignmentUpdate:
-    """Return the fleet's own alignment in place of a survey that is wrong; where it finds none, none is known.
-
-    A survey whose zero point alone is wrong is then kept: all journeys are placed on it alike.
-    """
+    """Return the fleet's own alignment in place of a survey that is wrong; where it finds none, none is known."""
+    # a survey whose zero point alone is wrong is then kept: all journeys are placed on it alike
     without = epoch.estimate(None)
     reason = _mistake(epoch, survey, without) or verdict.reason
     assert reason is not None

@@ -196,10 +196,8 @@ def _alike(
 def _local_fit(
     error: FloatArray, covariance: FloatArray, width: FloatArray, weight: FloatArray, change: FloatArray
 ) -> tuple[float, float, FloatArray]:
-    """Return the change up to the limit's amplitude, its std from the estimate's error, and what is left (m,).
-
-    The changes (m,) are fitted as linear in level and slopes (m, n), by the weights (m,).
-    """
+    """Return the change up to the limit's amplitude, its std from the estimate's error, and what is left (m,)."""
+    # the changes (m,) are fitted as linear in level and slopes (m, n), by the weights (m,)
     design = np.column_stack([np.ones(len(error)), error / width])
     normal = (design * weight[:, np.newaxis]).T @ design + RIDGE * np.diag([0.0] + [1.0] * len(width))
     level, *slopes = np.linalg.solve(normal, design.T @ (weight * change))
@@ -242,13 +240,11 @@ class TrendPoints:
 
 
 def conicity_points(records: Sequence[IntervalConicities]) -> TrendPoints:
-    """Return the equivalent conicity of each interval, at one amplitude.
-
-    The amplitude is 3 mm where three quarters of the latest eight intervals cover it. Else every interval is
-    extrapolated to 3 mm from the largest amplitude that as many cover (else the one that most of them cover). Where
-    that is not possible the points are at that amplitude, and no limit is compared with them. Conicity depends on
-    amplitude, so values at different amplitudes are never mixed in one trend.
-    """
+    """Return the equivalent conicity of each interval, at one amplitude."""
+    # The amplitude is 3 mm where three quarters of the latest eight intervals cover it. Else every interval is
+    # extrapolated to 3 mm from the largest amplitude that as many cover (else the one that most of them cover). Where
+    # that is not possible the points are at that amplitude, and no limit is compared with them. Conicity depends on
+    # amplitude, so values at different amplitudes are never mixed in one trend.
     covered = [by_amplitude(record) for record in records]
     if not any(covered):
         given = ", ".join(sorted(map(str, {r.reason for r in records} - {None}))[:3])

@@ -201,10 +201,8 @@ def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:
 
 
 def probability_above(estimate: Estimate, limit: float) -> float | None:
-    """Return the probability that the true value is above ``limit``; None where nothing is estimated.
-
-    The value is taken as normal with its standard deviation.
-    """
+    """Return the probability that the true value is above ``limit``; None where nothing is estimated."""
+    # the value is taken as normal with its standard deviation
     if estimate.value is None or estimate.std is None:
         return None
     if estimate.std <= 0.0:
@@ -213,11 +211,9 @@ def probability_above(estimate: Estimate, limit: float) -> float | None:
 
 
 def probability_within(trend: WearTrend, distance_km: float) -> float | None:
-    """Return the probability that the limit is reached within a distance from the last point.
-
-    Interpolated between the published quantiles, so that a reader of the trend can repeat it; beyond the last known
-    quantile it stays at that quantile's probability. None where the trend is not estimated.
-    """
+    """Return the probability that the limit is reached within a distance from the last point; None where not known."""
+    # Interpolated between the published quantiles, so that a reader of the trend can repeat it; beyond the last known
+    # quantile it stays at that quantile's probability.
     if trend.status is not Status.ESTIMATED or trend.probability_over_limit is None:
         return None
     ahead = trend.distance_to_limit_km
@@ -239,11 +235,9 @@ _Covered = tuple[IntervalConicities, Mapping[int, KnownConicity]]  # with its co
 
 
 def newest_step(records: Sequence[IntervalConicities]) -> TrendStep | None:
-    """Return the newest sudden change of the conicity of a wheelset; None where there is none.
-
-    It is looked for at the largest amplitude up to 3 mm that intervals on both sides cover, never by extrapolation:
-    a profile that was turned moves further than before.
-    """
+    """Return the newest sudden change of the conicity of a wheelset; None where there is none."""
+    # it is looked for at the largest amplitude up to 3 mm that intervals on both sides cover, never by extrapolation: a
+    # profile that was turned moves further than before
     model = StepModel()
     covered = sorted(((r, by_amplitude(r)) for r in records), key=lambda one: (one[0].mileage_km, one[0].from_ns))
     amplitude = _amplitude([known for _, known in covered if known], 2 * model.least_points)
@@ -314,11 +308,9 @@ def _shown_by(series: Series, found: ChangePoint, model: StepModel) -> int:
 
 
 def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int) -> int:
-    """Return the key of an amplitude that most intervals cover, the newest and those before alike.
-
-    Of several it is the one that most of the very newest cover, then the largest: a worn wheelset moves ever less, and
-    a step that its newest intervals show must not wait until they cover what it once did.
-    """
+    """Return the key of an amplitude that most intervals cover, the newest and those before alike."""
+    # of several it is the one that most of the very newest cover, then the largest: a worn wheelset moves ever less,
+    # and a step that its newest intervals show must not wait until they cover what it once did
     limit = round(LIMIT_AMPLITUDE / SAME_AMPLITUDE)
     sides = [covered[-NEWEST:], covered[-NEWEST - BEFORE : -NEWEST]]
     keys = {key for one in covered for key in one if key <= limit}

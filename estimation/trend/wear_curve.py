@@ -104,12 +104,10 @@ class WearCurve:
         return NormalMixture(self.weight, mean, np.sqrt(variance))
 
     def reaches(self, limit: float, probability: float, horizon: float) -> float | None:
-        """Return the distance after which ``limit`` has been reached with ``probability``; None beyond the horizon.
+        """Return the distance after which ``limit`` has been reached with ``probability``; None beyond the horizon."""
 
-        The probability of having reached the limit at a distance is that of the level being above it there or at
-        any shorter distance looked at (its running maximum), as in Fieller's interval for a ratio.
-        """
-
+        # the probability of having reached the limit at a distance is that of the level being above it there or at any
+        # shorter distance looked at (its running maximum), as in Fieller's interval for a ratio
         def short(distance: float) -> float:
             return self.level_after(distance).above(limit) - probability
 

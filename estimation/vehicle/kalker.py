@@ -101,11 +101,9 @@ class CreepCoefficients:
 
 
 def contact_ellipse(contact: ContactRadii) -> tuple[float, float]:
-    """Return the semi-axes (a, b) of Hertz's contact ellipse, m: a along the rail, b across it.
-
-    The ratio of the curvatures determines the shape by the complete elliptic integrals of first and second kind
-    (K. L. Johnson, "Contact Mechanics", Cambridge 1985, Eq. 4.25 to 4.28).
-    """
+    """Return the semi-axes (a, b) of Hertz's contact ellipse, m: a along the rail, b across it."""
+    # The ratio of the curvatures determines the shape by the complete elliptic integrals of first and second kind (K.
+    # L. Johnson, "Contact Mechanics", Cambridge 1985, Eq. 4.25 to 4.28).
     along, across = 1.0 / contact.wheel_rolling_radius, contact.transverse_curvature
     ratio = max(along, across) / min(along, across)
     short_to_long = _semi_axis_ratio(ratio)

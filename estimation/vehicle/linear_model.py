@@ -212,12 +212,10 @@ def linear_model(vehicle_class: VehicleClass, speed: float, contact: LinearConta
 
 
 def modes(model: LinearModel) -> tuple[Mode, ...]:
-    """Return the modes, those that decay slowest first; a pair of conjugate eigenvalues is one mode.
-
-    The name is that of the coordinate with the largest participation (product of left and right eigenvector; I. J.
-    Perez-Arriaga et al., IEEE Trans. Power Apparatus and Systems 101, 1982). A mode of the wheelsets that hardly
-    oscillates is one of creep; one up to twice Klingel's frequency is kinematic.
-    """
+    """Return the modes, those that decay slowest first; a pair of conjugate eigenvalues is one mode."""
+    # The name is that of the coordinate with the largest participation (product of left and right eigenvector; I. J.
+    # Perez-Arriaga et al., IEEE Trans. Power Apparatus and Systems 101, 1982). A mode of the wheelsets that hardly
+    # oscillates is one of creep; one up to twice Klingel's frequency is kinematic.
     values, right = np.linalg.eig(model.matrix)
     left = np.linalg.inv(right).T  # rows of the inverse are the left eigenvectors
     n = len(model.coordinates)
@@ -332,10 +330,8 @@ def true_signals(model: LinearModel, contact: LinearContact, p: VehicleParameter
 
 
 def sensor_filters(layout: SensorLayout, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return what sensors become of signals (f, sensors, signals), and signals of sensors (f, signals, sensors).
-
-    The second integrates, and takes gravity off the lateral signal by the roll.
-    """
+    """Return what sensors become of signals (f, sensors, signals), and signals of sensors (f, signals, sensors)."""
+    # the second integrates, and takes gravity off the lateral signal by the roll
     orders = 2, 1 if layout.yaw_is_gyroscope else 2, 1 if layout.roll_is_gyroscope else 2, 2, 2
     measured = np.zeros((len(s), len(SENSORS), SIGNALS), dtype=np.complex128)
     restored = np.zeros((len(s), SIGNALS, len(SENSORS)), dtype=np.complex128)

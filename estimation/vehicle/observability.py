@@ -72,10 +72,8 @@ class Running:
 
     @property
     def alignment_density(self) -> FloatArray:
-        """(f,) one-sided spectral density of the alignment, m2/Hz, with the shape of ORE B176.
-
-        1 / ((W^2 + Wr^2) (W^2 + Wc^2)) of the wave number W, Wr = 0.0206 rad/m, Wc = 0.8246 rad/m.
-        """
+        """(f,) one-sided spectral density of the alignment, m2/Hz, with the shape of ORE B176."""
+        # 1 / ((W^2 + Wr^2) (W^2 + Wc^2)) of the wave number W, Wr = 0.0206 rad/m, Wc = 0.8246 rad/m
         f = self.frequencies_hz
         square = (2 * np.pi * f / self.speed) ** 2
         shape = 1.0 / ((square + 0.0206**2) * (square + 0.8246**2))
@@ -104,11 +102,9 @@ class Observed:
 
 
 def observability(vehicle_class: VehicleClass, running: Running) -> tuple[Observed, ...]:
-    """Return what is seen of the front wheelset: the four combinations and the primary yaw stiffness.
-
-    Conicity stands twice: with the yaw stiffness of the class, and where the data alone give the yaw stiffness; there
-    dL + dR, which turns a single wheelset exactly as the yaw spring does, is that of the contact geometry.
-    """
+    """Return what is seen of the front wheelset: the four combinations and the primary yaw stiffness."""
+    # conicity stands twice: with the yaw stiffness of the class, and where the data alone give the yaw stiffness; there
+    # dL + dR, which turns a single wheelset exactly as the yaw spring does, is that of the contact geometry
     sensitivity = _sensitivity(vehicle_class, running)
     bounds = _bounds(sensitivity)
     yaw = _by_cause(sensitivity, 1, ("conicity", "angle_sum"), ())

@@ -206,13 +206,11 @@ def class_digest(vehicle_class: VehicleClass) -> str:
 
 
 def difference_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> float:
-    """Return the variance of rL - rR by the noise of the sensors, times the cube of the speed, m2 (m/s)3.
-
-    The moment of the yaw spring takes nearly all of it: white noise of an acceleration, of density n, integrated twice
-    and without what is slower than f_c = V / L, L the cut-off, has the variance n^2 / (3 (2 pi)^4 f_c^3); that of a
-    gyroscope, integrated once, n^2 / ((2 pi)^2 f_c), which is taken at 20 m/s. In a bogie the two sensors of the frame
-    add theirs.
-    """
+    """Return the variance of rL - rR by the noise of the sensors, times the cube of the speed, m2 (m/s)3."""
+    # The moment of the yaw spring takes nearly all of it: white noise of an acceleration, of density n, integrated
+    # twice and without what is slower than f_c = V / L, L the cut-off, has the variance n^2 / (3 (2 pi)^4 f_c^3); that
+    # of a gyroscope, integrated once, n^2 / ((2 pi)^2 f_c), which is taken at 20 m/s. In a bogie the two sensors of the
+    # frame add theirs.
     p, sensors = vehicle_class.parameters, vehicle_class.sensors
     per_yaw = p.yaw_stiffness * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
     twice = cutoff_wavelength**3 / (3.0 * (2.0 * math.pi) ** 4)
@@ -244,13 +242,11 @@ USUAL_SPEED = 20.0  # m/s
 
 
 def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, speed: FloatArray) -> FloatArray:
-    """Return the variance (n,) of the lateral displacement by the noise of the sensors, m2, at speeds (n,), m/s.
-
-    Of white noise of an acceleration, integrated twice, and of the roll, which is taken off at the height of the axle.
-    Where gravity is taken out, g times the roll is integrated twice once more, which adds to the same error. A slow
-    vehicle takes longer over a wave: twice integrated, the variance grows with the third power of its period, and that
-    of g times the roll with the seventh.
-    """
+    """Return the variance (n,) of the lateral displacement by the noise of the sensors, m2, at speeds (n,), m/s."""
+    # Of white noise of an acceleration, integrated twice, and of the roll, which is taken off at the height of the
+    # axle. Where gravity is taken out, g times the roll is integrated twice once more, which adds to the same error. A
+    # slow vehicle takes longer over a wave: twice integrated, the variance grows with the third power of its period,
+    # and that of g times the roll with the seventh.
     slowest = speed / cutoff_wavelength
     sensors, height = vehicle_class.sensors, vehicle_class.parameters.nominal_radius
     gravity = GRAVITY if sensors.measures_gravity else 0.0

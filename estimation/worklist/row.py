@@ -107,10 +107,8 @@ def judged(
 
 
 def urgency_key(state: WorklistState) -> float:
-    """Return the number that orders wheelsets by urgency, the most urgent first.
-
-    Within a class the one comes first whose limit may be reached first (p10); over the limit, the most certain one.
-    """
+    """Return the number that orders wheelsets by urgency, the most urgent first."""
+    # within a class the one comes first whose limit may be reached first (p10); over the limit, the most certain one
     within = FAR_KM if state.distance_to_limit_km.p10 is None else state.distance_to_limit_km.p10
     if state.urgency is Urgency.OVER_LIMIT:
         within = 1.0 - (state.probability_over_limit or 0.0)

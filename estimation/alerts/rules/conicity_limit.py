@@ -87,11 +87,9 @@ class LimitState:
         return Against(self.reached, self.reached_amplitude, probability)
 
     def against(self, limit: float) -> Against | None:
-        """Return the conicity that decides whether the limit is exceeded; None where none does.
-
-        That is the one at 3 mm; at the amplitude reached where that one is over more probably and the one at 3 mm is
-        unknown or not rather below. One that is below at a smaller amplitude alone decides nothing.
-        """
+        """Return the conicity that decides whether the limit is exceeded; None where none does."""
+        # That is the one at 3 mm; at the amplitude reached where that one is over more probably and the one at 3 mm is
+        # unknown or not rather below. One that is below at a smaller amplitude alone decides nothing.
         at_limit, at_reached = self.at_limit(limit), self.at_reached(limit)
         if at_reached is None or at_reached.probability < NOT_BELOW:
             return at_limit
@@ -114,10 +112,8 @@ class LimitState:
 
 
 def limit_state(facts: WheelsetFacts) -> LimitState | None:
-    """Return what is known of the conicity of a wheelset; None without a geometry.
-
-    The fitted trend says what is at 3 mm, or the current geometry where none is comparable.
-    """
+    """Return what is known of the conicity of a wheelset; None without a geometry."""
+    # the fitted trend says what is at 3 mm, or the current geometry where none is comparable
     if facts.geometry is None:
         return None
     geometry, record = facts.geometry.geometry, facts.current_trend
@@ -206,10 +202,8 @@ class ConicityLimitRule(IntervalsRule):
         return sorted((b for b in self.bands if b.vehicle_class == vehicle_class), key=lambda b: b.up_to_km_h)
 
     def find_now(self, facts: WheelsetFacts) -> Finding | None:
-        """Return the finding on the limit, by the conicity at 3 mm, or at the amplitude reached where that is less.
-
-        At 3 mm it is that of the fitted trend, or of the current geometry where no trend is comparable with the limit.
-        """
+        """Return the finding on the limit, by the conicity at 3 mm, or at the amplitude reached where that is less."""
+        # at 3 mm it is that of the fitted trend, or of the current geometry where no trend is comparable with the limit
         limit, state = self.limit_of(facts), limit_state(facts)
         if facts.geometry is None or limit is None or state is None:
             return None

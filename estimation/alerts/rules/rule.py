@@ -196,11 +196,9 @@ def raised_at(found: Iterable[Finding], delays: AlertDelays) -> int | None:
 
 
 def latest_run(newest_first: Iterable[Finding], delays: AlertDelays) -> bool:
-    """Return whether the latest run of findings that was long enough raised an alert; False where none was.
-
-    That is where an alert ends that is raised by breaches on end, for its on-delay, and cleared by findings beyond the
-    clear limit, for its off-delay. Going back from the newest, most wheelsets are decided by two.
-    """
+    """Return whether the latest run of findings that was long enough raised an alert; False where none was."""
+    # That is where an alert ends that is raised by breaches on end, for its on-delay, and cleared by findings beyond
+    # the clear limit, for its off-delay. Going back from the newest, most wheelsets are decided by two.
     raising = clearing = NO_RUN
     for found in newest_first:
         raising = raising.and_one(found) if found.breached else NO_RUN

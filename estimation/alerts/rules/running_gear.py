@@ -70,10 +70,8 @@ class SuspensionChangeRule(AlertRule):
     parameters: SuspensionParameters = field(default_factory=SuspensionParameters)
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
-        """Return the finding of the vehicle; None at its other wheelsets, or where nothing is known nor open.
-
-        An open alert of which too little is known is withdrawn: what it was raised on has been corrected since.
-        """
+        """Return the finding of the vehicle; None at its other wheelsets, or where nothing is known nor open."""
+        # an open alert of which too little is known is withdrawn: what it was raised on has been corrected since
         shown = facts.suspension
         if shown is None:
             return None
@@ -191,10 +189,8 @@ def weak_damper_finding(rule: WeakDamperRule, wheelset: str, found: GearDamper) 
 
 
 def _below(found: GearDamper, limit: float) -> float | None:
-    """Return the probability that less than a share is left; None where the share is not known.
-
-    The std follows from the upper end of the interval, because the lower end is cut off at 0.
-    """
+    """Return the probability that less than a share is left; None where the share is not known."""
+    # the std follows from the upper end of the interval, because the lower end is cut off at 0
     value, high = found.share.value, found.share.high
     if value is None or high is None or not high > value:
         return None

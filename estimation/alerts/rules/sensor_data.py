@@ -151,11 +151,9 @@ class SensorFaultRule(WindowShareRule):
 
 
 def faulty(rule: SensorFaultRule, window: WindowRecord, hunted: frozenset[int] = frozenset()) -> str:
-    """Return what is wrong with the sensor in this window; empty where nothing is.
-
-    A sensor that clips because its wheelset hunts, or another one that shakes its vehicle, is sound; so is one that a
-    wheel with a flat strikes.
-    """
+    """Return what is wrong with the sensor in this window; empty where nothing is."""
+    # a sensor that clips because its wheelset hunts, or another one that shakes its vehicle, is sound; so is one that a
+    # wheel with a flat strikes
     quality = window.quality
     if quality.sensor_fault:
         return "self_test_or_emergency"

@@ -75,10 +75,8 @@ class UnregisteredChangeRule(AlertRule):
     critical_rise: Annotated[float, Interval(ge=0.0, le=2.0)] = 0.2  # from it on a rise is critical
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
-        """Return the finding of the newest step of the trend; None where there is none and no alert is open.
-
-        An open alert is withdrawn where later data, or what was registered, explain the step.
-        """
+        """Return the finding of the newest step of the trend; None where there is none and no alert is open."""
+        # an open alert is withdrawn where later data, or what was registered, explain the step
         step = None if facts.current_trend is None else facts.current_trend.trend.step
         if step is None or explained(step, facts):
             own = (alert for alert in facts.open_alerts if alert.kind == self.kind)
@@ -165,13 +163,11 @@ HALF_STEP = 0.125e-3  # m: amplitudes nearer to each other are the same
 
 
 def explanations(step: TrendStep, around: StepSurroundings) -> tuple[StepExplanation, ...]:
-    """Return the causes, the likeliest first.
-
-    A cause predicts the conicity behind the step: turned wheels have that of their design, a wheelset that was turned
-    end for end keeps its own, a sensor of another scale changes all wheelsets of its node by one factor, damage only
-    raises it, and another wheelset may have any. Causes are weighed by the density of what was found under each, and by
-    how often each happens.
-    """
+    """Return the causes, the likeliest first."""
+    # A cause predicts the conicity behind the step: turned wheels have that of their design, a wheelset that was turned
+    # end for end keeps its own, a sensor of another scale changes all wheelsets of its node by one factor, damage only
+    # raises it, and another wheelset may have any. Causes are weighed by the density of what was found under each, and
+    # by how often each happens.
     size, std = step.size.value or 0.0, step.size.std or 1.0
     found = {
         StepCause.TURNED: _turned(step, std, around),

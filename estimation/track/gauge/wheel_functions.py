@@ -174,11 +174,9 @@ def _best_factor(misfits: FloatArray) -> float:
 
 
 def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[ProfileLife, GaugeShift]) -> int:
-    """Return the sign that estimated gauge deviations are to be multiplied with.
-
-    It is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is taken from
-    what wheels are, steeper towards the flange: far from the centre a wheelset runs further out in wide gauge.
-    """
+    """Return the sign that estimated gauge deviations are to be multiplied with."""
+    # It is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is taken
+    # from what wheels are, steeper towards the flange: far from the centre a wheelset runs further out in wide gauge.
     outwards = 0.0  # per millimetre of gauge
     for name, one in seen.items():
         R = one.difference[np.abs(one.difference) >= np.quantile(np.abs(one.difference), FAR)]

@@ -274,11 +274,9 @@ def with_ratio_std(
 
 
 def error_of_difference(ratios: Mapping[str, Ratio], passes: Sequence[GriddedPass]) -> float:
-    """Return the relative std of R that the stiffness ratio leaves, of the vehicle where it is largest.
-
-    In a stiff bogie nearly all of R is its stiffness term, a small difference of two yaws, whose errors follow the
-    motion as curves do: there the passes determine neither the ratio nor the curves.
-    """
+    """Return the relative std of R that the stiffness ratio leaves, of the vehicle where it is largest."""
+    # in a stiff bogie nearly all of R is its stiffness term, a small difference of two yaws, whose errors follow the
+    # motion as curves do: there the passes determine neither the ratio nor the curves
     shares = _stiffness_shares([item for item in passes if item.source.vehicle in ratios])
     return max((float(np.sqrt(share)) * ratios[vehicle].std for vehicle, share in shares.items()), default=0.0)
 

@@ -199,10 +199,8 @@ def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
 
 
 def _prior_of_measured(state: PanelState, fixed_weight: float | None) -> tuple[FloatArray, FloatArray]:
-    """Return normal matrix (w c, w c) and right side (w c,) of h0 as measured, up to a constant.
-
-    ``fixed_weight`` is that of a knot where only the measurement determines the curve; None weights it by its std.
-    """
+    """Return normal matrix (w c, w c) and right side (w c,) of h0 as measured, up to a constant."""
+    # `fixed_weight` is that of a knot where only the measurement determines the curve; None weights it by its std
     w, p, c = len(state.lives), state.panel.parameters, state.panel.unknowns
     matrix, right = np.zeros((w * c, w * c)), np.zeros(w * c)
     for number, curve in _measured(state).items():
@@ -218,10 +216,8 @@ def _prior_of_measured(state: PanelState, fixed_weight: float | None) -> tuple[F
 
 
 def _no_common_shift(w: int, panel: Panel, strength: float) -> FloatArray:
-    """Return the normal matrix (w c, w c) of the mean of h1(0) and that of h2(0) over the wheelsets being zero.
-
-    A common shift of all wheelsets in proportion to the gauge deviation, or its square, is inseparable from the track.
-    """
+    """Return the normal matrix (w c, w c) of the mean of h1(0) and that of h2(0) over the wheelsets being zero."""
+    # a common shift of all wheelsets in proportion to the gauge deviation, or its square, is inseparable from the track
     p, c = panel.parameters, panel.unknowns
     if panel.gauge is None:
         return np.zeros((w * c, w * c))

@@ -137,11 +137,9 @@ def alignment_segment(
 
 
 def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, least_length: float) -> Agreement:
-    """Return what two have in common within ``largest_offset`` m, on at least ``least_length`` m; else ``NOTHING``.
-
-    Where they share much, odometers of other scale drift apart by more than a wavelength; a few pieces of it are then
-    compared, each by itself, and the one that agrees neither most nor least is returned.
-    """
+    """Return what two have in common within ``largest_offset`` m, on at least ``least_length`` m; else ``NOTHING``."""
+    # where they share much, odometers of other scale drift apart by more than a wavelength; a few pieces of it are then
+    # compared, each by itself, and the one that agrees neither most nor least is returned
     step = first.step
     start, stop = max(first.first, second.first), min(first.last, second.last) + 1
     if (stop - start) * step < least_length:

@@ -68,10 +68,8 @@ def misplaced(links: Sequence[Link], journey_of: IntArray, middle: FloatArray, t
 
 
 def _offsets(links: Sequence[Link], count: int) -> tuple[FloatArray, IntArray]:
-    """Return the displacement of each pass (count,) along the section, m, and its group.
-
-    Fitted by least absolute values. Groups are what links join; offsets of different groups cannot be compared.
-    """
+    """Return the displacement of each pass (count,) along the section, m, and its group."""
+    # Fitted by least absolute values. Groups are what links join; offsets of different groups cannot be compared.
     rows = np.arange(len(links))
     first, second = np.array([link.first for link in links]), np.array([link.second for link in links])
     shift = np.array([link.shift for link in links])
