@@ -7,10 +7,9 @@ from collections.abc import Hashable, MutableMapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from estimation.values.results import Facet
 from sqlalchemy import Connection, select
 
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import table_of
 from fleet_db.subjects import VERSIONS

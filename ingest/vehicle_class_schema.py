@@ -18,16 +18,16 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from estimation.errors import InputError, NotFoundError, ParameterError
 from estimation.values.fields import JsonValue
-from estimation.vehicle.kalker import (
+from estimation.vehicle.plausibility import (
     RAIL_CONDITION_STD,
     STEEL_POISSON_RATIO,
     STEEL_SHEAR_MODULUS,
     ContactRadii,
     ContactRadiiStd,
+    check_plausible,
     creep_coefficient_std,
     creep_coefficients,
 )
-from estimation.vehicle.plausibility import check_plausible
 from estimation.vehicle.vehicle_class import (
     GRAVITY,
     Arrangement,

@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from estimation.adhesion.parameters import FrictionParameters
+from estimation.adhesion.creep_forces import FrictionParameters
 from estimation.adhesion.pass_sums import (
     Agreed,
     PassSums,

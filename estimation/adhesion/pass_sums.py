@@ -35,7 +35,7 @@ from typing import Annotated
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from estimation.adhesion.parameters import FileErrors, FrictionParameters
+from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.opinions import INVERSE, LeftOut, WindowAdhesion
 from estimation.values.reasons import Reason, ReasonCode

@@ -24,8 +24,7 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.adhesion.creep_forces import ContactForces
-from estimation.adhesion.parameters import force_errors
+from estimation.adhesion.creep_forces import ContactForces, force_errors
 from estimation.compiled import compiled
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod

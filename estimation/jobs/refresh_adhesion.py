@@ -12,8 +12,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from estimation.adhesion.creep_forces import FrictionParameters
 from estimation.adhesion.friction import section_adhesion, touched
-from estimation.adhesion.parameters import FrictionParameters
 from estimation.alerts.life_cycle import close, section_transition
 from estimation.alerts.rules.running_gear import LowAdhesionRule, section_finding
 from estimation.dampers.damper import DamperParameters, gear_damper

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_friction import KNOWN, NO_ERRORS, TRUE, a_pass, section_friction
 
-from estimation.adhesion.parameters import LATERAL_AS_CREEP, YAW_AS_CREEP, FileErrors, force_errors, lateral_scale_std
+from estimation.adhesion.creep_forces import LATERAL_AS_CREEP, YAW_AS_CREEP, FileErrors, force_errors, lateral_scale_std
 from estimation.values.opinions import CellFriction
 from estimation.vehicle.vehicle_class import (
     LOAD_STD,

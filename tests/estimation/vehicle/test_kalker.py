@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from estimation.errors import ParameterError
-from estimation.vehicle.kalker import (
+from estimation.vehicle.plausibility import (
     ContactRadii,
     ContactRadiiStd,
     contact_ellipse,
