@@ -144,7 +144,6 @@ class KernelCache:
 
 
 def _depends_on(function: FunctionType, seen: set[FunctionType]) -> Iterator[str]:
-    """Yield what the machine code of a function follows from: sources, and values of its module."""
     if function in seen:
         return
     seen.add(function)
@@ -160,7 +159,6 @@ def _depends_on(function: FunctionType, seen: set[FunctionType]) -> Iterator[str
 
 
 def _names(code: CodeType) -> Iterator[str]:
-    """Yield the names that code looks up, also that of the loops inside brackets."""
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, CodeType):

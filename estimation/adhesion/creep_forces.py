@@ -289,7 +289,7 @@ def _named(
 
 
 # creep coefficient, yaw spring and load on file scale 1/mu; the scale of a sensor looks like creep that grows with the
-# force, at every friction alike: in parts of b, as measured with sensors that are 5 % off (``python -m bench adhesion``)
+# force, at every friction alike: in parts of b, as measured with sensors that are 5 % off (`bench adhesion`)
 YAW_AS_CREEP = 0.55  # b that a scale of the yaw sensors leaves, over its error
 LATERAL_AS_CREEP = 0.35  # the same of the lateral sensors
 

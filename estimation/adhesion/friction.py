@@ -59,7 +59,6 @@ def slippery_throughout(sums: PassSums, creep: FloatArray, slope: FloatArray, cr
 
 
 def _left(sums: PassSums, creep: FloatArray, slope: FloatArray) -> float:
-    """Return the squares of e that are left where each place has the friction that fits it best, but for a constant."""
     b, a = creep[sums.vehicle], slope[sums.wheelset]
     _, eq, qq, _, qx, _ = sums.squares.T
     linear = b * (b * qq - 2.0 * eq + 2.0 * a * qx)
@@ -238,7 +237,6 @@ def _everywhere(slope: FloatArray, inverse: FloatArray, parameters: FrictionPara
 def _cell(
     cell: int, n: int, left: float, inverse: float, stds: tuple[float, float, float], parameters: FrictionParameters
 ) -> CellFriction:
-    """Return the friction of a place of n passes by its 1/mu, with stds by the passes, by common b, by sensors."""
     if n < parameters.fewest_passes:
         few = Reason(ReasonCode.TOO_FEW_PASSES, f"{n} of {parameters.fewest_passes} passes that are needed")
         return CellFriction(cell, Estimate.unknown(few, float(n)), 0.0, 0.0, n)

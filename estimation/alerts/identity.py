@@ -205,7 +205,6 @@ def jumps(seen: Sequence[Observation], parameters: IdentityParameters) -> bool:
 
 
 def _first_jump(seen: Sequence[Observation], p: IdentityParameters) -> tuple[Observation, Observation] | None:
-    """Return the first two observations between which the geometry jumps, the one with both kinds in it left out."""
     usable = [item for item in seen if item.geometry.windows >= p.least_windows]
     for i in range(len(usable) - 1):
         before, next_one = usable[i], usable[i + 1]
@@ -319,7 +318,6 @@ def _curve(item: Observation) -> _Curve:
 
 
 def _mirrored(curve: _Curve) -> _Curve:
-    """Return the curve of the wheelset the other way round, -R(-x), on the same bins."""
     return _Curve(curve.at, -_at_other_side(curve, curve.value), _at_other_side(curve, curve.std))
 
 

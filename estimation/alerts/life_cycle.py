@@ -159,7 +159,6 @@ def _seen_again(alert: Alert, finding: Finding) -> Alert:
 
 
 def _refreshed(alert: Alert, finding: Finding) -> Alert:
-    """Take over the values of the finding; a rise in severity ends the acknowledgement."""
     after = replace(
         alert,
         severity=finding.severity,

@@ -153,7 +153,6 @@ def _ending(alert: Alert, facts: WheelsetFacts, book: RuleBook) -> tuple[CloseRe
 
 
 def _since(alert: Alert) -> int:
-    """Return the time after which something registered ends an alert: of a step, before the data that showed it."""
     before = alert.evidence.get(BEFORE)
     return before if alert.kind == UNREGISTERED_CHANGE and isinstance(before, int) else alert.opened_ns
 

@@ -112,7 +112,6 @@ def _equilibrium(y, difference):  # type: ignore[no-untyped-def]  # noqa: ANN001
 
 @compiled()
 def _potentials(y, difference, crossing):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return points with the crossing among them, Delta r, S there, and the running maximum of S outwards."""
     k = np.searchsorted(y, crossing)
     n = len(y) + 1
     points, values, potential = np.empty(n), np.empty(n), np.zeros(n)
@@ -137,7 +136,6 @@ def _potential_at(x, points, values, potential):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _peaks(points, values, potential, k):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return, per point, the largest S between the crossing and it, peaks between points included."""
     n = len(points)
     highest = np.zeros(n)
     for i in range(k + 1, n):
@@ -215,7 +213,6 @@ def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # no
 
 @compiled()
 def _from_travel(middle, amplitude, energy, points, values, potential):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return pi^2 / I^2 for the travel middle +- amplitude; 0 where the wheelset comes to rest on the way."""
     total, i, last = 0.0, 0, len(points) - 2
     for j in range(_ANGLES):
         x = middle + amplitude * _SINES[j]

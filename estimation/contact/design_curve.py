@@ -144,7 +144,6 @@ def _start(design: DesignCurve, points: FloatArray) -> _Movement:
 def _moved(
     kind: ProfileKind, name: str, movement: _Movement, points: FloatArray, reaches: tuple[float, ...]
 ) -> _Movement:
-    """Return the movement of the design to the points, by Gauss and Newton; far distances count little."""
     for reach in reaches:
         for _ in range(ROUNDS):
             across, at, normal = _across(kind, name, movement, points)

@@ -81,7 +81,6 @@ def _height_at_end(segment: Segment) -> float:
 
 
 def _flange(higher: float, thinner: float) -> list[Segment]:
-    """Return the flange from its back to E1; it is ``higher`` than 28 mm and ``thinner`` than 32.5 mm."""
     tip_y, tip_z = -55.0 - thinner, 16.0 + higher
     radius = 20.0 + 0.75 * higher
     face_y = _FACE_END[0] - thinner

@@ -149,7 +149,6 @@ def wear_measures(wheel: Profile) -> WearMeasures:
 
 
 def _face(y: FloatArray, z: FloatArray, level: float) -> float:
-    """Return where the flange face, from its tip outwards, first rises above ``level``."""
     above = np.flatnonzero(z < level)
     if len(above) == 0 or above[0] == 0:
         raise ProfileError(f"the flange face does not cross a depth of {level * 1e3:.2f} mm", field="z")

@@ -164,7 +164,6 @@ def _excitation(products: FloatArray, noise: FloatArray) -> float:
 
 
 def _least(products: FloatArray, count: int) -> float:
-    """Return the least mean square of a particle's innovations that parameters within two stds make."""
     size = len(products) - 1
     ridge = np.diag(np.full(size, 0.25 * products[0, 0] / count))
     best = np.linalg.solve(products[1:, 1:] + ridge, -products[1:, 0])

@@ -109,7 +109,6 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
 
 
 def _centre(row: _Row, curve: CurveReplicates, amplitude: float, conicity: float) -> Centre:
-    """Return the middle of the travel, and how far from it both wheels may roll alike."""
     middle = middle_of_travel(*row, amplitude)
     if not curve.band_limited:
         return Centre(middle, 0.0, CentreOrigin.TRACK_CENTRE)
@@ -227,7 +226,6 @@ def _systematic(
 
 
 def _estimate(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
-    """One number from its rows: all data, then each group left out, then one row a systematic uncertainty."""
     if not np.isfinite(values).all():
         return Estimate.unknown(reason, count)
     jackknife = float(jackknife_std(values[: groups + 1]))

@@ -218,8 +218,6 @@ def _displacement_noise(
 
 @dataclass(frozen=True, slots=True)
 class _BinScreening:
-    """What decides about a bin in all four combinations."""
-
     too_few: BoolArray  # (b,)
     jump: BoolArray  # (b,)
     centre: FloatArray  # (b,) m
@@ -233,7 +231,6 @@ _STATUSES = (BinStatus.ESTIMATED, BinStatus.TOO_FEW, BinStatus.CONTACT_JUMP, Bin
 def _combinations(
     replicates: _Replicates, screening: _BinScreening, bins: BinParameters, parameters: GeometryParameters
 ) -> dict[str, Any]:
-    """Return S, R, A and D over the bins, by their names in a geometry."""
     unc, radius, angle = parameters.uncertainty, parameters.prior_radius, parameters.prior_angle
     R, A, D = replicates.yaw[:, :, 1], replicates.yaw[:, :, 0], replicates.lateral[:, :, 2].copy()
     # besides the parameters' stds enter those of the scales into R

@@ -280,7 +280,6 @@ def check_radius(
 
 
 def _open(on_file: float, shown: str) -> Contradiction:
-    """Return that the number rests on a radius on file that neither the motion nor a measurement confirms."""
     text = (
         f"{shown}, which does not confirm the {1e3 * on_file:.0f} mm on file: a radius {MISTAKE:.0%} off moves the"
         f" conicity by {MISTAKE:.0%}; put its std on file, as measured or as wheels wear"
@@ -348,7 +347,6 @@ def _std_of_bands(weights: FloatArray, by_band: FloatArray) -> float:
 
 
 def _unexplained_share(sums: FloatArray, unknowns: FloatArray) -> float:
-    """Return what is left of the equation over what the roll moves, both squared and without noise."""
     equation = np.concatenate([[-1.0], unknowns])
     of_roll = unknowns[_RADIUS] ** 2 * sums[1 + _RADIUS, 1 + _RADIUS]
     return float(equation @ sums @ equation / max(of_roll, np.finfo(np.float64).tiny))

@@ -214,7 +214,6 @@ def _beyond(width: float, blur: float) -> int:
 
 @lru_cache(maxsize=_KEPT)
 def _response(bins: int, width: float, blur: float) -> FloatArray:
-    """Return what a slope of 1 in each cell makes of the nodes of the bins, blurred: (2 b + 1, cells), m."""
     beyond = _beyond(width, blur)
     edges = width / CELLS * (np.arange(CELLS * bins + 2 * beyond + 1) - beyond)
     u = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5

@@ -151,7 +151,6 @@ def _gauge_taken_off(track: TrackAlignment, wheelset: str | None) -> bool:
 
 
 def _jump_position_std(track: TrackAlignment, wheelset: str | None) -> float:
-    """Return the std, m, of where contact jumps are on the gauge of ``track``: until its effect is known, all of it."""
     share = (
         JUMP_SHARE_UNCORRECTED
         if not _gauge_taken_off(track, wheelset)

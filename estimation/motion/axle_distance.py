@@ -78,7 +78,6 @@ class AxleDistance:
 
 
 def _clearer(correlation: float, other: float) -> float:
-    """Return how many times the power that one correlation leaves unexplained another one leaves."""
     return (1.0 - other**2) / max(1.0 - correlation**2, np.finfo(np.float64).eps)
 
 

@@ -72,7 +72,6 @@ def implausible_places(readings: Sequence[MileageReading]) -> Mapping[int, Reaso
 
 
 def _alone(reading: MileageReading, mounting: Mounting, km_per_ns: float) -> Reason | None:
-    """Return what speaks against a reading by itself and beside its mounting."""
     mileage = reading.mileage_km
     text = ""
     run = mileage - mounting.wheelset_mileage_km
@@ -117,7 +116,6 @@ def _led_here(readings: Sequence[MileageReading], km_per_ns: float) -> Sequence[
 
 
 def _follows(first: MileageReading, second: MileageReading, km_per_ns: float) -> bool:
-    """Whether the vehicle can have run from one reading to a later one."""
     run = second.mileage_km - first.mileage_km
     return 0.0 <= run <= km_per_ns * (second.start_ns - first.start_ns)
 

@@ -354,7 +354,6 @@ def _fitted(
 
 
 def _shrunk(values: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return what is drawn towards that of the blows around by as much as the noise explains of what differs."""
     usual = uniform_filter1d(values, AROUND, mode="nearest")
     apart = values - usual
     true = max(float(np.median(apart**2)) / SAID_BY_MEDIAN**2 - float(np.median(variance)), 0.0)

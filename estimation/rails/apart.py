@@ -214,7 +214,6 @@ def _strongest(references: Sequence[RailsReference | None]) -> RailsReference | 
 def _trends(
     levels: Sequence[AtAmplitude], amplitudes: FloatArray, most: float, anchors: Anchors
 ) -> tuple[dict[str, RailTrend], dict[str, Reason]]:
-    """Return the trend of each section at the largest amplitude up to ``most``, m, at which it is known."""
     # of the others why there is none, at the largest amplitude at which that is said; where the excess is not on a line
     # at one amplitude, that it is at a smaller one says nothing
     found: dict[str, RailTrend] = {}

@@ -209,7 +209,6 @@ def _needed(wheel: IntArray, node: IntArray, serial: IntArray, nodes: int) -> li
 
 
 def _of_forest(wheel: IntArray, node: IntArray, serial: IntArray, nodes: int) -> IntArray:
-    """Return the wheelsets of a spanning forest, in which those that connect most come first."""
     most = np.bincount(serial[wheel], minlength=int(serial.max()) + 1)
     cost = np.empty(len(most))
     cost[np.argsort(-most, kind="stable")] = np.arange(1, len(most) + 1)

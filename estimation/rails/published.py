@@ -273,7 +273,6 @@ class _Publisher:
         return RailAt(reference, part, whole, excess, value)
 
     def _of_known(self, key: RailKey, windows: float) -> RailAt:
-        """Return what is said of rails that are as on file, at the gauge on file: nothing has been measured of them."""
         reference, none = RailsReference.KNOWN_RAILS, _exactly(0.0, windows)
         here, on_file = self.design, float(self.wheel.of(key.section)[self.component.k])
         if not np.isfinite(here) or not np.isfinite(on_file):
@@ -301,7 +300,6 @@ class _Publisher:
         return Reason(ReasonCode.REFERENCE_WHEEL_APART, f"{text} by {self.apart[place]:.3f}")
 
     def _reference(self, moved: float) -> RailsReference:
-        """Return what holds the level of what moves so far with the conicity of all known wheels."""
         if not self.component.two_way.anchored:
             return RailsReference.MEAN
         by_wheels = abs(moved) > HALF or not self.component.two_way.known_rail.any()

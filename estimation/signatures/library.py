@@ -218,7 +218,6 @@ def _change(entries: Sequence[LibraryEntry], tracks: FloatArray, scatter: Scatte
 
 
 def _from_sides(tracks: FloatArray, change: Change | None) -> FloatArray:
-    """Return tracks less the mean of their side of a change."""
     if change is None:
         return np.asarray(tracks - tracks.mean(axis=0))
     sides = (tracks[: change.passes], tracks[change.passes :])

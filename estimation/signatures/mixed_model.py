@@ -199,7 +199,6 @@ def _of_means(group: IntArray) -> float:
 
 
 def _less(whole: FloatArray, part: FloatArray) -> FloatArray:
-    """Return a covariance less that of something else in it; of no direction more than ``LARGEST_SHARE``."""
     root = np.linalg.cholesky(whole)
     half = np.linalg.solve(root, part)
     share, axes = np.linalg.eigh(np.linalg.solve(root, half.T))

@@ -220,7 +220,6 @@ def _stretch(segment: IntegratedSegment, window: Window, parameters: WindowParam
 
 
 def _cells(stretch: _Stretch, parameters: SignatureParameters) -> Iterator[tuple[int, slice]]:
-    """Yield the numbers of the cells that a stretch covers whole, and where they are in it."""
     size = round(parameters.cell / parameters.step)
     margin = round(MARGIN / parameters.step)
     first, behind = stretch.first + margin, stretch.first + stretch.signals.shape[1] - margin

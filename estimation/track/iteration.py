@@ -311,7 +311,6 @@ def _with_searched_gauge(setting: Setting, first: IterationResult, searches: int
 
 
 def _with_wheels(found: IterationResult, *, sized: bool = False) -> Panel:
-    """Return the panel with what the gauge does by the wheels that fit best, and a gauge ``sized`` by them."""
     assert found.panel.gauge is not None
     samples = contact_samples(found.passes, found.solution, found.panel)
     factor = gauge_factor(samples) if sized else 1.0
@@ -352,7 +351,6 @@ def _with_ratio_std(setting: Setting, found: IterationResult) -> IterationResult
 def _register_by_gauge(
     setting: Setting, first: IterationResult, gauge: FloatArray, positions: PositionParameters
 ) -> tuple[dict[Journey, Correction], dict[str, Ratio]]:
-    """Return corrections and ratios of the fleet moved to a surveyed gauge, by the gauge that the passes show."""
     trial = _with_searched_gauge(setting, first, 1)
     if trial.panel.gauge is None:
         return trial.corrections, trial.ratios  # the gauge hardly shows: then it hardly matters where it is

@@ -178,7 +178,6 @@ def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Pane
 def _find_outliers(
     residuals: Mapping[Journey, float], corrections: Mapping[Journey, Correction], p: SectionParameters
 ) -> dict[Journey, Reason]:
-    """Return the journeys that are not at their reported positions, or not on this section, with the reason."""
     found = {}
     for journey, value in residuals.items():
         others = [rest for other, rest in residuals.items() if other != journey and np.isfinite(rest)]

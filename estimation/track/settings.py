@@ -137,7 +137,6 @@ def gauge_shift_changed(old: TrackAlignment, new: TrackAlignment, settings: Alig
 
 
 def _apart(first: GaugeShift, second: GaugeShift, size: float) -> float:
-    """Return the rms, m, by which two shifts differ at gauge deviations of -size and size, m, where passes are."""
     R, e = OFTEN * np.linspace(-1.0, 1.0, 41), np.array([-size, size])
     return float(np.sqrt(np.mean((first.over(R, e) - second.over(R, e)) ** 2)))
 

@@ -141,7 +141,6 @@ def _unit(scale: float) -> str:
 def _on_one_grid(
     recorded: TrackAlignment, fleet: TrackAlignment
 ) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
-    """Return surveyed and measured alignment, high-passed, zero where unknown, their joint variance, the step."""
     step = float(fleet.s[1] - fleet.s[0])
     inside = _known(recorded, fleet.s)
     surveyed = np.isfinite(recorded.alignment)

@@ -234,7 +234,6 @@ def _judged(fit: SurveyFit, witnesses: Witnesses, filed_std: float, p: VerdictLi
 
 
 def _unrelated(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:
-    """Whether a survey follows the passes by less than one of this section would, be its std understated or not."""
     below = min(p.related * fit.factor_std, p.least_factor - p.stds * fit.factor_std)
     if fit.factor < below and fit.error > fit.size:  # a straight line would be nearer to it
         return True
@@ -244,7 +243,6 @@ def _unrelated(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:
 
 
 def _explains_little(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:
-    """Whether a survey is unlike what the passes show, by more than errors that its std admits."""
     return fit.explained < p.least_explained and fit.error > max(p.most_error * fit.size, p.understated * filed_std)
 
 

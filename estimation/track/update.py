@@ -197,7 +197,6 @@ class _Epoch:
 def _without_surveyed_alignment(
     epoch: _Epoch, in_force: TrackAlignment | None, *, survey_checked: bool = False
 ) -> AlignmentUpdate:
-    """Return the next version of the fleet; a survey of the gauge alone is a prior until it has been refused."""
     surveyed = in_force is not None and in_force.source == AlignmentSource.RECORDED
     cutoff = epoch.parameters.cutoff_wavelength
     known = in_force is not None and (surveyed or in_force.cutoff_wavelength == cutoff)
@@ -214,7 +213,6 @@ def _without_surveyed_alignment(
 
 
 def _with_survey(epoch: _Epoch, survey: TrackAlignment, *, survey_checked: bool) -> AlignmentUpdate:
-    """Return the survey with what the passes add to it, or the fleet's alignment where the survey is wrong."""
     weighed = epoch.weigh(survey)
     verdict = epoch.judge(weighed, survey)
     if verdict is None:

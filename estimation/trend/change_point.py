@@ -106,7 +106,6 @@ def newest_change(series: Series, model: StepModel | None = None) -> ChangePoint
 
 
 def _places(series: Series, model: StepModel) -> list[int]:
-    """Return where medians of the points on either side differ most, but for the wear about there."""
     k, least = len(series.value), model.least_points
     if k < 2 * least:
         return []
@@ -162,8 +161,6 @@ def _judged(series: Series, place: int, model: StepModel) -> ChangePoint | None:
 
 
 class _Place(NamedTuple):
-    """Of a step: the last point before it and the first behind; one between them is of both sides."""
-
     last: int
     first: int
 
@@ -191,8 +188,6 @@ class _Evidence:
 
 @dataclass(frozen=True, slots=True)
 class _Points:
-    """Points about a place, with what their values have in common but for noise and steps."""
-
     value: FloatArray  # (n,) less their median
     covariance: FloatArray  # (n, n)
     noise: FloatArray  # (f, n) variances
@@ -251,7 +246,6 @@ class _Points:
         return min(int((one | left).sum()) for one, left in zip(good, apart, strict=True)) >= self.model.least_points
 
     def _begin(self, at: int) -> BoolArray:
-        """Return which points are surely outliers of the points about them on their side of the step."""
         apart = np.concatenate([side - _running_median(side) for side in (self.value[:at], self.value[at:])])
         scale = MAD_STD * np.median(np.abs(apart)) + self.model.noise_floor
         return np.asarray(np.abs(apart) > SURELY_OUT * scale)

@@ -149,7 +149,6 @@ def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extra
 
 
 def _below(known: Sequence[KnownConicity], least: float) -> list[KnownConicity]:
-    """Return the conicities that are nearest to those wanted below the largest amplitude, falling, none twice."""
     lower = [one for one in known[:-1] if one.amplitude >= least - SAME_AMPLITUDE]
     wanted = [known[-1].amplitude - below for below in BELOW] if lower else []
     nearest = {min(lower, key=lambda one: abs(one.amplitude - amplitude)) for amplitude in wanted}

@@ -105,8 +105,6 @@ def _series(own: Sequence[SuspensionFinding], p: SuspensionParameters) -> _Serie
 
 @dataclass(frozen=True, slots=True)
 class _Section:
-    """By how much vehicles differ from their own past on a section, in order of the begin of the passes."""
-
     from_ns: IntArray  # (k,)
     to_ns: IntArray  # (k,)
     longest_ns: int

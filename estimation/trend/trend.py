@@ -298,7 +298,6 @@ def with_step(trend: WearTrend, step: TrendStep) -> WearTrend:
 
 
 def _shown_by(series: Series, found: ChangePoint, model: StepModel) -> int:
-    """Return the number of the point that showed a step first, looking back over some points."""
     k = len(series.value)
     for until in range(found.first + model.least_points, min(k, found.first + LOOKED_BACK)):
         earlier = newest_change(series.part(0, until), model)

@@ -209,7 +209,6 @@ def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
 
 
 def _shares(residual: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return lambda: the expected precision of each point under the mixture of good and wide noise, good being 1."""
     if len(residual) < POINTS_FOR_OUTLIERS:
         return np.ones(len(residual))
     square = residual**2 / variance

@@ -235,7 +235,6 @@ class WheelsetGeometry(FrozenArrays):
 
 
 def _doubted(estimate: Estimate, found: Contradiction) -> Estimate:
-    """Return a number with the std and the reason of a doubt; one that is not known stays as it is."""
     if estimate.value is None or estimate.std is None or estimate.low is None or estimate.high is None:
         return estimate
     more = found.relative * abs(estimate.value)

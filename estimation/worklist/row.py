@@ -303,7 +303,6 @@ def _finite(value: float | None) -> float | None:
 
 
 def _published(estimate: Estimate) -> Estimate:
-    """Return an estimate that is unknown where a part of it is no finite number."""
     if None not in [_finite(value) for value in (estimate.value, estimate.std, estimate.low, estimate.high)]:
         return estimate
     status = Status.INVALID if estimate.status is Status.ESTIMATED else estimate.status

@@ -100,7 +100,6 @@ class LimitState:
         return max(at_limit, at_reached, key=lambda one: one.probability)
 
     def _above(self, estimate: Estimate, limit: float) -> float | None:
-        """Return the probability above a limit; the std of a trend counts what lies beyond once more in each point."""
         if self.beyond is None or estimate.value is None:
             return probability_above(estimate, limit)
         return replace(self.beyond, value=estimate.value).mixture().above(limit)

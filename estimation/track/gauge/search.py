@@ -94,8 +94,6 @@ def _linearised(item: GriddedPass, curve: FloatArray, panel: Panel) -> _Linearis
 
 @dataclass(frozen=True, slots=True)
 class _GaugeSystem:
-    """Minimise |residual - F[dh/de K u]|^2 + ridge |u|^2 with d free: F is the filter, K u the change of the gauge."""
-
     rows: Sequence[_LinearisedPass]
     share: FloatArray  # (n,) one over the weights of the passes, zero where there are too few
     smooth: FloatArray  # kernel of K

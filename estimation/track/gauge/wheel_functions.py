@@ -186,7 +186,6 @@ def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[Profi
 
 
 def _misfit_wheels(seen: ContactSamples, factor: float) -> float:
-    """Return the mean square of x less the shift, m2, around its curve over R: straight between knots."""
     shift = gauge_shift_of(fit_wheels(seen, factor))
     x = seen.displacement - shift.at(seen.difference, factor * seen.gauge)
     B = _hats(seen.difference, CURVE_KNOTS)
@@ -228,7 +227,6 @@ def initial_gauge_effect(
 def _leading_vectors(
     passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the two leading eigenvectors, and how many samples each knot has, (w, knots of R >= 0) each."""
     knots = panel.parameters.gauge_knots[panel.parameters.gauge_basis_count // 2 :]
     k, w = len(knots), len(solution.lives)
     sums, own, count = np.zeros((panel.grid.points, w * k)), np.zeros((w * k, w * k)), np.zeros(w * k)

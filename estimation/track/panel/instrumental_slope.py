@@ -282,7 +282,6 @@ def error_of_difference(ratios: Mapping[str, Ratio], passes: Sequence[GriddedPas
 
 
 def _stiffness_shares(passes: Sequence[GriddedPass]) -> dict[str, float]:
-    """Return by vehicle the mean square of the stiffness term over that of R, at most 1."""
     sums: dict[str, np.ndarray] = {}
     for item in passes:
         E, R = item.stiffness_term[item.inside], item.difference[item.inside]

@@ -153,7 +153,6 @@ def _by_curves(curves: FloatArray, state: PanelState) -> FloatArray:
 
 
 def _curves(whole: _Equations, groups: Sequence[_Equations], state: PanelState, *, curves_fixed: bool) -> FloatArray:
-    """Solve for all data and with each of some groups left out; curves pass through zero at R = 0."""
     w, p, c = len(state.lives), state.panel.parameters, state.panel.unknowns
     if w == 0:
         return np.zeros((1 + len(groups), 0, 1))

@@ -202,7 +202,6 @@ def _inverse(gram: FloatArray) -> FloatArray:
 
 
 def _independent(X: FloatArray, Z: FloatArray, step: float) -> tuple[float, float]:
-    """Return how many independent samples a correlation of X with Z has, and over how many m one of them reaches."""
     n = X.shape[1]
     far = min(int(CORRELATION_LENGTH / step), n - 1)
     products = own_products(np.concatenate([X, Z]), far)
