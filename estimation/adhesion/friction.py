@@ -115,7 +115,8 @@ def _staying(passes: Sequence[WindowAdhesion], left_out: Sequence[LeftOut]) -> S
 def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> tuple[CellFriction, ...]:
     left, counts, vehicles = _left_std(sums, found, parameters), sums.counts, sums.vehicles_of_places
     mean, std = _along(sums, found, left, _scatter(sums, found, parameters), parameters)
-    slope = _slope(sums, mean)
+    _, gg, gq, _ = sums.by_place(sums.at(mean).T).T
+    slope = np.asarray(mean * gq / np.maximum(gg, TINY))
     by_creep = found.left_creep_std * slope
     by_scale = parameters.file.creep_std * _everywhere(slope, mean, parameters)
     smoothed = sums.by_place(sums.smoothed) > 0.0
@@ -220,12 +221,6 @@ def _along(
     smoothed = parameters.smoothed_std * sums.by_place(sums.smoothed) / sums.counts
     place_std = np.hypot(np.maximum(parameters.track_std, found.common_std), smoothed)
     return along_track(sums.cells, misfits * widened[:, None] / max(found.noise, TINY), place_std, parameters)
-
-
-def _slope(sums: PassSums, inverse: FloatArray) -> FloatArray:
-    """Return by how much 1/mu (c,) falls as b of all vehicles rises."""
-    _, gg, gq, _ = sums.by_place(sums.at(inverse).T).T
-    return np.asarray(inverse * gq / np.maximum(gg, TINY))
 
 
 def _everywhere(slope: FloatArray, inverse: FloatArray, parameters: FrictionParameters) -> FloatArray:

@@ -136,7 +136,8 @@ def superseded(facts: WheelsetFacts, book: RuleBook) -> list[tuple[Alert, CloseR
 
 def _ending(alert: Alert, facts: WheelsetFacts, book: RuleBook) -> tuple[CloseReason, int] | None:
     mounting, rules = facts.wheelset.mounting, [rule for rule in book.rules if rule.kind == alert.kind]
-    since_ns = _since(alert)
+    before = alert.evidence.get(BEFORE)
+    since_ns = before if alert.kind == UNREGISTERED_CHANGE and isinstance(before, int) else alert.opened_ns
     reprofiled = [r.at_ns for r in facts.wheelset.reprofilings if r.at_ns > since_ns]
     if reprofiled and any(rule.of_wear for rule in rules):
         return CloseReason.REPROFILED, reprofiled[0]
@@ -150,11 +151,6 @@ def _ending(alert: Alert, facts: WheelsetFacts, book: RuleBook) -> tuple[CloseRe
     if mounting_corrected(alert, mounting):
         return CloseReason.MOUNTING_CORRECTED, alert.last_seen_ns
     return None if book.enabled(alert.kind) else (CloseReason.RULE_DISABLED, alert.last_seen_ns)
-
-
-def _since(alert: Alert) -> int:
-    before = alert.evidence.get(BEFORE)
-    return before if alert.kind == UNREGISTERED_CHANGE and isinstance(before, int) else alert.opened_ns
 
 
 def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]:

@@ -81,16 +81,12 @@ def suspension_equations(
     p, bogie = vehicle_class.parameters, vehicle_class.bogie
     p = replace(p, **{name: value * getattr(p, name) for name, value in factors.items() if hasattr(p, name)})
     if bogie is None:
-        return _single(p, share)
+        above = -np.array([p.lateral_stiffness, share * p.lateral_damping]) / p.suspended_mass
+        return SuspensionEquations(np.array([[0.0, 1.0], above]), np.array([0.0, -1.0]), above)
     body = factors.get("body_mass", 1.0)
     spring = body * factors.get("secondary_lateral_stiffness", 1.0) * bogie.secondary_lateral_stiffness
     changed = replace(bogie, body_mass=body * bogie.body_mass, secondary_lateral_stiffness=spring)
     return _bogie(p, changed, share)
-
-
-def _single(p: VehicleParameters, share: float) -> SuspensionEquations:
-    above = -np.array([p.lateral_stiffness, share * p.lateral_damping]) / p.suspended_mass
-    return SuspensionEquations(np.array([[0.0, 1.0], above]), np.array([0.0, -1.0]), above)
 
 
 def _bogie(p: VehicleParameters, bogie: BogieParameters, share: float) -> SuspensionEquations:

@@ -115,7 +115,10 @@ def rows_of(entries: Sequence[LibraryEntry], own: FloatArray) -> Rows:
     places = sorted({_place(entry) for entry in entries})
     sections = sorted({place.section for place in places})
     known = np.array([entry.conicity for entry in entries])
-    expected, variance = _expected(known, own)
+    spread = max(float(np.var(known) - np.mean(own**2)), 1e-6)
+    mean = float(np.mean(known))
+    share = spread / (spread + own**2)
+    expected, variance = np.asarray(mean + (known - mean) * share), np.asarray(share * own**2)
     return Rows(
         powers=np.stack([entry.signature.powers for entry in entries]),
         conicity=expected,
@@ -126,14 +129,6 @@ def rows_of(entries: Sequence[LibraryEntry], own: FloatArray) -> Rows:
         wheelset=_numbers([entry.wheelset for entry in entries], names),
         variance=variance / expected**2,
     )
-
-
-def _expected(known: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and variance (n,) of the true conicities, given the known ones."""
-    spread = max(float(np.var(known) - np.mean(std**2)), 1e-6)
-    mean = float(np.mean(known))
-    share = spread / (spread + std**2)
-    return np.asarray(mean + (known - mean) * share), np.asarray(share * std**2)
 
 
 def _numbers(values: Sequence[Hashable], known: Sequence[Hashable]) -> IntArray:
@@ -211,7 +206,14 @@ def _change(entries: Sequence[LibraryEntry], tracks: FloatArray, scatter: Scatte
         before, after = entries[at - 1].signature, entries[at].signature
         if before.start_ns == after.start_ns:
             continue
-        distance = _distance(tracks, entries, at, scatter)
+        shares = []
+        for part in (entries[:at], entries[at:]):
+            counts = np.unique([entry.wheelset for entry in part], return_counts=True)[1] / len(part)
+            shares.append(float(np.sum(counts**2)))
+        covariance = scatter.rest * (1 / at + 1 / (len(entries) - at)) + scatter.of_wheelset * sum(shares)
+        difference = tracks[at:].mean(axis=0) - tracks[:at].mean(axis=0)
+        whitened = np.linalg.solve(np.linalg.cholesky(covariance), difference)
+        distance = float(whitened @ whitened) / len(difference)
         if before.place is not None and (best is None or distance > best.distance):
             best = Change(before.place, before.start_ns, after.start_ns, distance, at)
     return best
@@ -222,17 +224,6 @@ def _from_sides(tracks: FloatArray, change: Change | None) -> FloatArray:
         return np.asarray(tracks - tracks.mean(axis=0))
     sides = (tracks[: change.passes], tracks[change.passes :])
     return np.concatenate([side - side.mean(axis=0) for side in sides])
-
-
-def _distance(tracks: FloatArray, entries: Sequence[LibraryEntry], at: int, scatter: Scatter) -> float:
-    shares = []
-    for part in (entries[:at], entries[at:]):
-        counts = np.unique([entry.wheelset for entry in part], return_counts=True)[1] / len(part)
-        shares.append(float(np.sum(counts**2)))
-    covariance = scatter.rest * (1 / at + 1 / (len(entries) - at)) + scatter.of_wheelset * sum(shares)
-    difference = tracks[at:].mean(axis=0) - tracks[:at].mean(axis=0)
-    whitened = np.linalg.solve(np.linalg.cholesky(covariance), difference)
-    return float(whitened @ whitened) / len(difference)
 
 
 _Key = tuple[str, AxlePosition, DesignPair]

@@ -19,7 +19,7 @@ from estimation.track.gauge.wheel_functions import LEAST_GAUGE, contact_samples,
 from estimation.track.iteration import IterationResult
 from estimation.track.positions import peak_position
 from estimation.track.results import GAUGE_EFFECT
-from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.arrays import FloatArray
 from estimation.values.quantities import log10_chance
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import TrackAlignment
@@ -142,7 +142,8 @@ def _on_one_grid(
     recorded: TrackAlignment, fleet: TrackAlignment
 ) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
     step = float(fleet.s[1] - fleet.s[0])
-    inside = _known(recorded, fleet.s)
+    known = np.isfinite(recorded.alignment) & np.isfinite(recorded.alignment_std)
+    inside = np.asarray(np.interp(fleet.s, recorded.s, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9)
     surveyed = np.isfinite(recorded.alignment)
     if not inside.any():
         return None
@@ -158,11 +159,6 @@ def _on_one_grid(
     variance = std**2 + np.where(seen, np.nan_to_num(fleet.alignment_std), 0.0) ** 2
     variance = np.maximum(variance, (1e-6) ** 2)
     return np.where(inside, r, 0.0), np.where(seen, fleet.alignment, 0.0), variance, step
-
-
-def _known(track: TrackAlignment, s: FloatArray) -> BoolArray:
-    known = np.isfinite(track.alignment) & np.isfinite(track.alignment_std)
-    return np.asarray(np.interp(s, track.s, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9)
 
 
 def _by_lag(r: FloatArray, f: FloatArray, weight: FloatArray, reach: int) -> tuple[FloatArray, FloatArray]:

@@ -220,7 +220,12 @@ def _with_survey(epoch: _Epoch, survey: TrackAlignment, *, survey_checked: bool)
     if verdict.refused and not survey_checked:
         return _refused(epoch, weighed, survey, verdict)
     if verdict.contradicted:
-        return _contradicted(epoch, weighed.estimate, survey, verdict.reason)
+        outcomes = tuple(
+            replace(one, status=PassStatus.REFUSED, reason=verdict.reason) for one in epoch.screened.outcomes
+        )
+        report = replace(weighed.estimate.report, status=Status.UNESTIMATED, reason=verdict.reason)
+        nowhere = replace(weighed.estimate, report=report, grouped={}, corrections={})
+        return AlignmentUpdate(UpdateOutcome.SURVEY_KEPT, nowhere, survey, outcomes, verdict.reason)
     reason = None if survey_checked else verdict.reason
     gauge = epoch.judge_gauge(weighed.estimate, survey)
     if gauge is not None and _confirmed(verdict):
@@ -261,15 +266,6 @@ def _placed_on_survey(estimate: SectionEstimate) -> SectionEstimate:
     if estimate.iterated is None or not estimate.corrections:
         return estimate
     return replace(estimate, corrections=shrunk(estimate.iterated))
-
-
-def _contradicted(
-    epoch: _Epoch, estimate: SectionEstimate, survey: TrackAlignment, reason: Reason | None
-) -> AlignmentUpdate:
-    outcomes = tuple(replace(one, status=PassStatus.REFUSED, reason=reason) for one in epoch.screened.outcomes)
-    report = replace(estimate.report, status=Status.UNESTIMATED, reason=reason)
-    nowhere = replace(estimate, report=report, grouped={}, corrections={})
-    return AlignmentUpdate(UpdateOutcome.SURVEY_KEPT, nowhere, survey, outcomes, reason)
 
 
 def _without_gauge(epoch: _Epoch, survey: TrackAlignment, reason: Reason | None) -> AlignmentUpdate:

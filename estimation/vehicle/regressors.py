@@ -229,14 +229,7 @@ def angle_difference_derivatives(parameters: VehicleParameters) -> FloatArray:
 def regression(
     motion: Motion, parameters: VehicleParameters, difference_noise: float = 0.0, wheelbase: float = 1.0
 ) -> Regression:
-    """Return regressors and targets of Eq. 1 and Eq. 2 for every sample of ``motion``.
-
-    What is known of the vehicle's stiffness ratio is taken into account.
-
-    Args:
-        parameters: As assumed; the longitudinal creep coefficient is divided by the stiffness ratio of the motion.
-        difference_noise: Variance of R by the noise of the sensors times the cube of the speed, m2 (m/s)3.
-    """
+    """Return regressors and targets of Eq. 1 and Eq. 2 for every sample; the motion's stiffness ratio counts."""
     signals, k = signals_of(motion), coefficients(motion, parameters, difference_noise, wheelbase)
     before_c = SHARED_IN_BOGIE if k.in_bogie else 1
     lateral = np.empty((len(motion), 2 + len(LATERAL_TARGETS)))
