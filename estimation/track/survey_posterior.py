@@ -193,11 +193,7 @@ def _band(
         noise[compared] = square + of_file
     noise += systematic**2
     learnt = _learnt(square, float(np.mean(noise[compared])), systematic, of_file, independent)
-    width = max(round(LOCAL / step), 1)
-    weight = uniform_filter1d(compared.astype(np.float64), width, mode="constant")
-    local = uniform_filter1d(rest**2, width, mode="constant") / np.maximum(weight, 1e-9)
-    chance = LOCAL_STDS * np.sqrt(2.0 * length / LOCAL)
-    excess = np.where(compared & (local > (1.0 + chance) * square), local - square, 0.0)
+    excess = _local_excess(rest, compared, square, length, step)
     return Band(
         survey=survey,
         passes=np.where(compared, passes.mean[number] + fit, 0.0),
@@ -234,6 +230,15 @@ def _coherent(
     by_chance = len(design) * float(np.mean((rest - fit)[compared] ** 2)) / independent
     share = max(explained - by_chance, 0.0) / explained if explained > 0.0 else 0.0
     return np.where(compared, share * fit, 0.0), float(np.sqrt(share * explained)), share * by_chance
+
+
+def _local_excess(rest: FloatArray, compared: BoolArray, square: float, length: float, step: float) -> FloatArray:
+    """Return by how much (n,), m2, both differ more than elsewhere, where that is more than chance."""
+    width = max(round(LOCAL / step), 1)
+    weight = uniform_filter1d(compared.astype(np.float64), width, mode="constant")
+    local = uniform_filter1d(rest**2, width, mode="constant") / np.maximum(weight, 1e-9)
+    chance = LOCAL_STDS * np.sqrt(2.0 * length / LOCAL)
+    return np.where(compared & (local > (1.0 + chance) * square), local - square, 0.0)
 
 
 def total_variance(variances: Sequence[FloatArray]) -> FloatArray:
