@@ -19,13 +19,13 @@ from api.raw_stores import open_raw_store
 from api.rules_file import load_rules
 from api.settings import PREFIX, Settings, known_sections, load_retention
 from api.tracing import traced
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.errors import InputError, MigrationError, ParameterError, StorageError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.numerics_version import NUMERICS_VERSION
-from estimation.rails.parameters import RailsParameters
+from estimation.rails.cell import RailsParameters
 from estimation.storage import Clock
 from fleet_db.keeping.purge import purge_job
 from fleet_db.keeping.retention import Retention

@@ -20,7 +20,7 @@ from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.axle_motion import DerailmentError, contact_of, wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.drawn_fleet import with_wheelset

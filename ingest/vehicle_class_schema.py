@@ -18,18 +18,24 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from estimation.errors import InputError, NotFoundError, ParameterError
 from estimation.values.fields import JsonValue
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
-from estimation.vehicle.kalker import (
+from estimation.vehicle.plausibility import (
     RAIL_CONDITION_STD,
     STEEL_POISSON_RATIO,
     STEEL_SHEAR_MODULUS,
     ContactRadii,
     ContactRadiiStd,
+    check_plausible,
     creep_coefficient_std,
     creep_coefficients,
 )
-from estimation.vehicle.plausibility import check_plausible
-from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, VehicleClass, default_relative_std
+from estimation.vehicle.vehicle_class import (
+    GRAVITY,
+    Arrangement,
+    BogieParameters,
+    VehicleClass,
+    VehicleParameters,
+    default_relative_std,
+)
 from ingest.input_file import Code, InputFile, InputTable, NotNegative, Text, field_error, read_toml
 from ingest.vehicle_sensor_schema import SensorsTable
 

@@ -138,7 +138,7 @@ def show_rules() -> None:
     from api.rules_file import load_rules
     from api.settings import load_settings
     from api.terminal.rules import print_rules
-    from estimation.alerts.rules.book import RuleBook
+    from estimation.alerts.rule_book import RuleBook
 
     file = load_settings().rules_file
     print_rules(RuleBook() if file is None else load_rules(file))

@@ -12,13 +12,12 @@ import numpy as np
 
 from estimation.errors import ConflictError, InputError, NotFoundError
 from estimation.motion.checks import BACKWARDS, LOOK_S, high_pass_running_mean, lateral_yaw_correlation
-from estimation.motion.integration import IntegratedSegment, integrate
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import IntegratedSegment, SignalParameters, integrate
 from estimation.values.arrays import FloatArray
 from estimation.values.registry import VehicleRecord
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
-from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.vehicle_class import GRAVITY
 from fleet_db.storage import SqlUnitOfWork
 from ingest.exchange.description import AxesTable, ExchangeFile, read_description
 from ingest.exchange.run import COUNT, INTERVAL_NS, SUFFIX, ExchangeRun, RegistryFacts, read_run

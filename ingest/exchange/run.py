@@ -25,7 +25,7 @@ from estimation.errors import ExchangeError
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.registry import MAX_AXLES
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.vehicle_class import GRAVITY
 from ingest.align.clock import AlignCounts, AlignedFrames, TickedValues, TimeFrames
 from ingest.catalogue import ACCELERATION, MOTION, POSITION, SYNC, VEHICLE_NODE, Catalogue, MessagePlan, SignalPlan
 from ingest.codec import FrameCounts

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from estimation.errors import LogFileError
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from ingest.align.clock import (
     TIME_REACH_NS,

@@ -14,8 +14,7 @@ from scipy.ndimage import convolve1d
 from estimation.contact.geometry import ContactTable
 from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleParameters
 from ingest.simulator.campaign import VehicleRun, friction_factor, with_stretches
 from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset

@@ -10,8 +10,7 @@ import numpy as np
 from estimation.contact.wear import WearFamily, wear_course
 from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import BogieParameters
+from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
 from ingest.simulator.drawn_plan import DrawnFleet, ProfilePair, WearDistribution
 from ingest.simulator.scenario import (
     Scenario,

@@ -1,6 +1,6 @@
 """Motion of a running gear: one or two wheelsets, the frame above them and what that carries, compiled.
 
-The wheelsets obey Eq. 1 and 2 of ``estimation.vehicle.equations_of_motion``, written for each wheel; with i = 1 at
+The wheelsets obey Eq. 1 and 2 of ``estimation.vehicle.regressors``, written for each wheel; with i = 1 at
 x_i = +a and i = 2 at -a (a half the wheelbase), frame (y_f, psi_f), body y_b and the curved path of ``gear_path``
 
     F_i = ky (y_f + x_i psi_f - y_i - o_i) + fy (their rates)             on wheelset i instead of Fsy
@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimation.values.arrays import FloatArray, IntArray
-from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.vehicle_class import GRAVITY
 from ingest.simulator.creep_laws import CreepConstants, share_of_linear
 from ingest.simulator.rates import OUTPUTS, STANDSTILL, Constants, Grid, advance, look_up, stepped, track_at
 

@@ -13,8 +13,7 @@ from annotated_types import Interval, Len
 from estimation.contact.wear import WearFamily, wear_course
 from estimation.values.fields import KM, KM_H, MM, FileUnit, Key
 from estimation.values.registry import MAX_AXLES
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, Arrangement, BogieParameters
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, GRAVITY, Arrangement, BogieParameters, VehicleParameters
 from ingest.file_value import FileBeside, IncreasingPlaces, Inline, between, taken
 from ingest.input_file import NotNegative, Positive, Text, field_error
 from ingest.simulator.scenario import Fault, VehiclePlan, WeakDamper, WheelsetPlan, usual_offsets

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
-from estimation.vehicle.equations_of_motion import VehicleParameters, creep_rate
+from estimation.vehicle.regressors import creep_rate
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.rates import (
     FORCED,
     LOOKED_UP,

@@ -10,8 +10,8 @@ from scipy.interpolate import CubicSpline
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters, creep_rate
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
+from estimation.vehicle.regressors import creep_rate
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, GRAVITY, BogieParameters, VehicleParameters
 from ingest.simulator.creep_laws import Creep, CreepLaw
 from ingest.simulator.gear_rates import (
     AXLE_PATH,

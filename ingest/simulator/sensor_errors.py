@@ -14,7 +14,7 @@ import scipy.signal
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, FrozenArrays
-from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.vehicle_class import GRAVITY
 
 AXES = 3  # x forward, y left, z up; rotations about them: roll, pitch, yaw
 CHANNELS = 4

@@ -22,7 +22,7 @@ from estimation.errors import ParameterError
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.fields import MS, PERCENT, FileUnit, Key
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.vehicle_class import GRAVITY
 from ingest.file_value import between
 from ingest.input_file import NotNegative, Positive, Text, field_error
 from ingest.simulator.motion import STEP, WheelsetMotion

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from estimation.errors import InputError, ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray, FrozenArrays, freeze
 from estimation.values.fields import MM, Key, M
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
+from estimation.vehicle.vehicle_class import GRAVITY, VehicleParameters
 from ingest.file_value import As, Inline, between
 from ingest.input_file import NotNegative, Positive, field_error
 from ingest.simulator.irregularity import (
