@@ -28,8 +28,7 @@ from ingest.catalogue import default_catalogue
 from ingest.codec import decode
 from ingest.frames import FrameBatch, channel_number, take
 from ingest.logs import write_blf
-from ingest.logs.formats import read_content
-from ingest.logs.processes import ReadCost
+from ingest.logs.formats import ReadCost, read_content
 
 FRAMES, SHARE, ROUNDS = 1_000_000, 20, 5
 DATABASE = files("ingest.dbc") / "treadwatch.dbc"

@@ -28,10 +28,8 @@ from ingest.catalogue import Catalogue
 from ingest.exchange.intake import check_alone, checked_exchange
 from ingest.exchange.run import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.run import write_bundle
-from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
-from ingest.own_bus.bus import BusChoice
-from ingest.reassembly import Reassembler
+from ingest.reassembly import HeldRecordings, Reassembler
 from ingest.receipts import (
     Announce,
     Chunk,
@@ -45,6 +43,7 @@ from ingest.receipts import (
 )
 from ingest.recordings import Recording, Recordings
 from ingest.span_commit import NO_CHANGES, commit, still_so
+from ingest.stored_settings import BusChoice
 
 SECOND_NS = 1_000_000_000
 READ_AHEAD = 3

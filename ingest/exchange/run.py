@@ -29,12 +29,11 @@ from estimation.vehicle.equations_of_motion import GRAVITY
 from ingest.align.clock import AlignCounts, AlignedFrames, TickedValues, TimeFrames
 from ingest.catalogue import ACCELERATION, MOTION, POSITION, SYNC, VEHICLE_NODE, Catalogue, MessagePlan, SignalPlan
 from ingest.codec import FrameCounts
-from ingest.derivative import derivative
 from ingest.exchange.description import SIGNALS, Column, ExchangeFile, read_description, unit
 from ingest.exchange.table import PARQUET, SUFFIXES, ExchangeTable, read_table, read_table_apart
 from ingest.file_value import read_value
 from ingest.input_file import read_json
-from ingest.units import DERIVATIVES, Quantity
+from ingest.units import DERIVATIVES, Quantity, derivative
 
 RATE_TOLERANCE = 1e-3  # how far the rate of the table may be from the declared one
 TIME_TOLERANCE = 0.3

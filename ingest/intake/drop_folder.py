@@ -18,9 +18,8 @@ from fleet_db.atomic_files import passing_faults, write_atomically
 from fleet_db.locks import locked_file
 from fleet_db.raw import RawStore, pieces_of
 from ingest.intake.backlog import BacklogWatch, Behind
-from ingest.intake.store import Arrival, ChunkStorage, Stored
 from ingest.logs.formats import format_of
-from ingest.receipts import Chunk
+from ingest.receipts import Arrival, Chunk, ChunkStorage, Stored
 
 DONE, REFUSED = "done", "refused"
 REASON_SUFFIX = ".reason.txt"

@@ -16,9 +16,8 @@ import can
 from estimation.errors import ParameterError
 from estimation.values.runs import first_line
 from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from ingest.live.backoff import Backoff
 from ingest.live.records import FrameBuffer, pack_frame
-from ingest.live.status import LiveStatus, Reports
+from ingest.live.status import Backoff, LiveStatus, Reports
 
 PATIENCE_S = 0.2
 FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 30.0

@@ -8,6 +8,7 @@ Times are the file's start time (taken as UTC) plus whole nanoseconds; they neve
 
 from __future__ import annotations
 
+import re
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -322,4 +323,4 @@ def _run(contents: bytes, at: int, stride: int) -> npt.NDArray[np.uint8]:
         length, looked = looked, looked * 8
 
 
-FORMAT = LogFormat(suffix=".blf", name="BLF", is_held=lambda head: head.startswith(blf.FILE_SIGNATURE), read=read_blf)
+FORMAT = LogFormat(suffix=".blf", name="BLF", begins=re.compile(blf.FILE_SIGNATURE), read=read_blf)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -65,7 +66,7 @@ class LogFormat:
 
     suffix: str  # in lower case, with its dot
     name: str
-    is_held: Callable[[bytes], bool]  # whether a file that begins with these bytes is of the format
+    begins: re.Pattern[bytes]  # how a file of the format does
     read: Callable[[Path, ReadLimits, FrameSink], None]
     modules: tuple[str, ...] = ()  # that are imported before the limits are set
     memory_bytes: int = 0  # that reading needs beyond the limit of every format

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -218,7 +219,7 @@ def read_mf4(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
 FORMAT = LogFormat(
     suffix=".mf4",
     name="MF4",
-    is_held=lambda head: head.startswith(b"MDF     "),
+    begins=re.compile(b"MDF     "),
     read=read_mf4,
     modules=("asammdf",),
     memory_bytes=64 * MEBIBYTE,

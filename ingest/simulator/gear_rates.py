@@ -32,8 +32,8 @@ import numpy as np
 
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.vehicle.equations_of_motion import GRAVITY
-from ingest.simulator.creep_laws import CreepConstants, share_of_linear
 from ingest.simulator.rates import OUTPUTS, STANDSTILL, Constants, Grid, advance, look_up, stepped, track_at
+from ingest.simulator.running import CreepConstants, share_of_linear
 
 AXLE_STATES = 5  # y, y', psi, psi', u of each wheelset
 FRAME, BODY = 10, 14  # first state of the frame (y, y', psi, psi') and of the body (y, y')

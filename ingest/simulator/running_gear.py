@@ -12,7 +12,6 @@ from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters, creep_rate
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
-from ingest.simulator.creep_laws import Creep, CreepLaw
 from ingest.simulator.gear_rates import (
     AXLE_PATH,
     AXLE_STATES,
@@ -38,6 +37,7 @@ from ingest.simulator.motion import (
     motion_of,
 )
 from ingest.simulator.rates import OUTPUTS, STANDSTILL, sub_steps
+from ingest.simulator.running import Creep, CreepLaw
 from ingest.simulator.track import Curves, TrackTruth
 
 

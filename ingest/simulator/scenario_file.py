@@ -21,11 +21,9 @@ from estimation.values.fields import MM
 from ingest.file_value import As, FileBeside, between, read_value, taken
 from ingest.input_file import Location, Text, field_error, read_toml
 from ingest.simulator.campaign import MARGIN
-from ingest.simulator.creep_laws import Creep
-from ingest.simulator.drawn_fleet import drawn_serial, with_seed
+from ingest.simulator.drawn_fleet import DynamicsTable, VehicleTable, drawn_serial, impossible_bogies, with_seed
 from ingest.simulator.drawn_plan import DrawnFleet
-from ingest.simulator.listed_fleet import DynamicsTable, VehicleTable, impossible_bogies
-from ingest.simulator.running import CreepTable, RunningPlan, TractionTable, WheelsTable
+from ingest.simulator.running import Creep, CreepTable, RunningPlan, TractionTable, WheelsTable
 from ingest.simulator.scenario import (
     BusPlan,
     ClassOnFile,

@@ -21,11 +21,11 @@ from fleet_db.raw import LostRecordingError, RawStore
 from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.held import release
 from ingest.intake.backlog import BacklogWatch, Behind, DecodedChunks, Limit
-from ingest.live.backoff import Backoff
+from ingest.live.status import Backoff
+from ingest.reassembly import release
 from ingest.receipts import Chunk, DeletedRecordings, enter_receipt
-from ingest.topic.reading import Received, TopicReader
+from ingest.topic.client import Received, TopicReader
 from ingest.topic.reference import ConsumerStatus, Outcome, Reference, Refused, as_text, from_text, read_message
 
 STAGE = "consume"

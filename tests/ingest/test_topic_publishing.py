@@ -22,8 +22,7 @@ from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
-from ingest.intake.store import Arrival, ChunkStorage
-from ingest.receipts import Chunk
+from ingest.receipts import Arrival, Chunk, ChunkStorage
 from ingest.receiver import Receiver
 from ingest.topic.client import OURS, Topic, load_properties
 from ingest.topic.publishing import Publisher, Sent

@@ -13,9 +13,8 @@ from estimation.contact.wear import TreadWear, worn
 from estimation.errors import ScenarioError
 from ingest.simulator.axle_motion import axle_motions, contact_of, together, wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run
-from ingest.simulator.drawn_fleet import shares_of_wear, with_seed
+from ingest.simulator.drawn_fleet import impossible_bogies, shares_of_wear, with_seed
 from ingest.simulator.fleet import prepare, run_fleet, simulate_campaign
-from ingest.simulator.listed_fleet import impossible_bogies
 from ingest.simulator.scenario import Scenario, WheelsetPlan
 from ingest.simulator.scenario_file import read_scenario
 from ingest.simulator.wear import rails_of
