@@ -152,8 +152,7 @@ class RawValues:
     def values(self, *, with_clipped: bool = False) -> FloatArray:
         """Return (n, m) values in the units of the catalogue; NaN where not valid.
 
-        Args:
-            with_clipped: Whether a value that stands for clipping is given as it is, at the end of the range.
+        Values that stand for clipping are not valid, or given as they are, at the end of the range.
         """
         scale = np.array([signal.scale for signal in self.plan.signals])
         offset = np.array([signal.offset for signal in self.plan.signals])
@@ -264,13 +263,10 @@ def unpack(plan: MessagePlan, words: npt.NDArray[np.uint64]) -> RawArray:
 
 
 def encode(plan: MessagePlan, t_ns: IntArray, values: Mapping[str, npt.ArrayLike]) -> FrameBatch:
-    """Return one frame per time with signals in the units of the catalogue.
+    """Return one frame per time with signals, (n,) or one value each, in the units of the catalogue.
 
     NaN becomes "not available"; a value beyond a limit is clipped to it; signals that are not given are "not
     available" where the catalogue has a code for that, else 0.
-
-    Args:
-        values: (n,) or one value per signal, in the units of the catalogue.
     """
     unknown = set(values) - set(plan.names)
     if unknown:

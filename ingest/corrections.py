@@ -132,11 +132,7 @@ class RecordingCorrections:
 
 
 def receipt_of(unit: SqlUnitOfWork, digest: str) -> ChunkRecord:
-    """Return the receipt of a recording.
-
-    Args:
-        digest: All of its digest, or the begin of it that no other recording has.
-    """
+    """Return the receipt of a recording by its digest, or the begin of it that no other recording has."""
     found = unit.chunks.beginning(digest)
     if not found:
         raise NotFoundError("recording", digest)

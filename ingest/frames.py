@@ -54,11 +54,7 @@ def channel_name(number: int) -> str:
 
 
 def channel_number(name: str) -> int:
-    """Return the number, from 1, that BLF, ASC and MF4 use for a bus.
-
-    Args:
-        name: Name of the bus; one without a number is bus 1.
-    """
+    """Return the number, from 1, that BLF, ASC and MF4 use for a bus; 1 of a name without a number."""
     match = _NUMBERED.fullmatch(name)
     return int(match[1]) + 1 if match else 1
 
@@ -66,11 +62,7 @@ def channel_number(name: str) -> int:
 def batch_of(
     arbitration_id: int, t_ns: IntArray, data: npt.NDArray[np.uint8], length: int, channel: str = DEFAULT_CHANNEL
 ) -> FrameBatch:
-    """Return frames that all carry one identifier.
-
-    Args:
-        data: (n, 8) payload, zero beyond ``length``.
-    """
+    """Return frames that all carry one identifier; data (n, 8) are zero beyond ``length``."""
     n = len(t_ns)
     return FrameBatch(
         channel=channel,

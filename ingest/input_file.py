@@ -89,8 +89,7 @@ class InputTable(BaseModel):
 def field_error(reason: str, *location: str | int) -> PydanticCustomError:
     """Return the error that a validator of an ``InputTable`` raises.
 
-    Args:
-        location: Keys and indices from the validated value to what is wrong; none for the value itself.
+    The location leads from the validated value to what is wrong; none is the value itself.
     """
     return PydanticCustomError("field_error", "{reason}", {"reason": reason, "location": location})
 
@@ -156,9 +155,7 @@ class InputFile:
     def parse(self, model: type[Model], location: Location = ()) -> Model:
         """Return the content, or what is at a place of it, as a model.
 
-        Raises:
-            InputError: As ``error_type``: a key is missing, unknown, of another type or out of range. Of several errors
-                the first in the order of the schema is reported.
+        Raises ``error_type`` of the first error in the order of the schema.
         """
         try:
             return model.model_validate(self.at(location), context=self.path.parent)

@@ -30,11 +30,7 @@ def possible(vehicle_ns: IntArray) -> BoolArray:
 
 
 def runs_alike(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) -> list[tuple[int, int]]:
-    """Return the runs ``[first, behind)`` of TIME frames that agree with the one before.
-
-    Args:
-        t_ns, vehicle_ns: (n,) stamp of the recorder, increasing, and vehicle time.
-    """
+    """Return the runs ``[first, behind)`` of TIME frames, by increasing stamp, that agree with the one before."""
     if len(t_ns) == 0:
         return []
     edges = np.flatnonzero(np.abs(np.diff(vehicle_ns - t_ns)) > tolerance_ns) + 1
@@ -101,8 +97,7 @@ def possible_motion(values: FloatArray) -> FloatArray:
 def odometer_excess(tick: IntArray, values: FloatArray, interval_s: float, longest: int) -> float:
     """Return by how much odometer and integral of the speed differ beyond what they may, m; 0 where they do not.
 
-    Args:
-        values: (n, 2) speed, m/s, and odometer, m; NaN where not known.
+    Values (n, 2) are speed, m/s, and odometer, m; NaN where not known.
     """
     known = ~np.isnan(values).any(axis=1)
     at, (speed, odometer) = tick[known], values[known].T

@@ -125,10 +125,9 @@ class LostRecordings:
         return item is not None and item != resolved(item)
 
     def look(self, vehicle: str | None = None) -> None:
-        """Look for missing recordings, and let the windows of those that are there again be made again.
+        """Look for missing recordings that are due, and let the windows of those that are there again be made again.
 
-        Args:
-            vehicle: The only one, whether another attempt is due or not; None for all that are due.
+        With a vehicle, for those of it alone, due or not.
         """
         now_ns = self.clock.now_ns()
         with self.storage.read() as unit:
@@ -176,15 +175,10 @@ OTHER_BUS = "was decoded with another bus than its vehicle has now"
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """The next piece of what is stale of a vehicle.
+    """The next piece of what is stale of a vehicle."""
 
-    Attributes:
-        spans: That touch each other; it is at their begin.
-        assembly: None where they hold neither a recording nor a window, or the registry does not know the vehicle.
-    """
-
-    spans: Sequence[StaleSpan]
-    assembly: SpanAssembly | None = field(metadata={"made_from": False})
+    spans: Sequence[StaleSpan]  # that touch each other; it is at their begin
+    assembly: SpanAssembly | None = field(metadata={"made_from": False})  # None: nothing there, or no such vehicle
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,9 +213,7 @@ class Reassembler:
     def reassemble(self, vehicle: str, from_ns: int | None, to_ns: int | None) -> SpanChanges:
         """Make the windows of a vehicle in ``[from_ns, to_ns)`` again, and all that is stale of it; None is open.
 
-        Raises:
-            NotFoundError: The registry does not know the vehicle.
-            StorageError: The raw recordings or the database cannot be reached; what is left stays stale.
+        Raises StorageError where raw recordings or database cannot be reached; what is left stays stale.
         """
         with self.storage.write() as unit:
             unit.registry.vehicle(vehicle)
@@ -231,9 +223,7 @@ class Reassembler:
     def work_off(self, vehicle: str | None = None) -> SpanChanges:
         """Work off the stale spans of all vehicles, each alone, or of one whatever quarantine says of it.
 
-        Raises:
-            TreadwatchError: The one vehicle failed, or raw recordings or database cannot be reached. What is left stays
-                stale.
+        Raises where that one failed, or raw recordings or database cannot be reached. What is left stays stale.
         """
         self.lost.look(vehicle)
         context = JobContext(self.storage, self.clock, "", JobSettings())

@@ -65,8 +65,7 @@ TAKE_DELETED = "--take-deleted"  # the option that asks for it
 class DeletedRecordings:
     """What is done with recordings that were deleted and come again.
 
-    Args:
-        taken_by: Who wants them to be taken in; None where they are refused.
+    They are refused, or taken in where somebody (``taken_by``) wants that.
     """
 
     storage: SqlStorage
@@ -208,8 +207,7 @@ class ChunkStorage:
     def store(self, arrivals: Sequence[Arrival]) -> list[Stored | ConflictError]:
         """Store arrivals; the answer to each is its receipt, or why it is not taken. What is not needed is deleted.
 
-        Raises:
-            PassingFaultError: The raw store cannot take them now: nothing has a receipt.
+        Raises PassingFaultError where the raw store cannot take them now: nothing has a receipt then.
         """
         if self._mark is None or self._raw.read_mark() != self._mark:
             self._mark = check_raw_store(self._storage, self._raw, self._clock.now_ns())
@@ -264,10 +262,9 @@ class ReceiptGroup:
         self._thread: threading.Thread | None = None
 
     def put(self, arrival: Arrival) -> Future[Stored]:
-        """Hand an arrival over; what is returned ends with its committed receipt, or with why there is none.
+        """Hand an arrival over, whose file must stay where it is until the future ends.
 
-        Args:
-            arrival: Its file must stay where it is until then.
+        The future ends with the committed receipt, or with why there is none.
         """
         with self._starting:
             if self._thread is None:

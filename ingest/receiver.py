@@ -63,8 +63,7 @@ class ChunkReceipt:
 class Receiver:
     """Takes recordings in.
 
-    Args:
-        deleted_taken_by: Who wants recordings that were deleted to be taken in again; None where they are refused.
+    Recordings that were deleted are refused, or taken in again where somebody (``deleted_taken_by``) wants that.
     """
 
     def __init__(
@@ -106,8 +105,7 @@ class Receiver:
     def receive_exchange(self, description: Path) -> ChunkReceipt:
         """Take in one exchange of runs; nothing of it is stored unless all of it is good.
 
-        Raises:
-            ConflictError: Logs of the vehicle's bus are in the same windows, or another exchange has the same time.
+        Raises ConflictError where the windows have logs of the vehicle's bus, or its time another exchange.
         """
         with self._storage.read() as unit:
             exchange = checked_exchange(description, unit)
@@ -156,8 +154,7 @@ class Receiver:
     def keep(self, content: bytes, suffix: str, vehicle: str, name: str) -> tuple[ChunkRecord, bool]:
         """Store a recording and commit its receipt; nothing of it is decoded.
 
-        Returns:
-            tuple[ChunkRecord, bool]: The receipt, and whether it had been there before.
+        Return the receipt, and whether it had been there before.
         """
         self._check_raw()
         deleted = self._deleted.receipt(hashlib.sha256(content).hexdigest())
@@ -183,12 +180,8 @@ class Receiver:
     ) -> Iterator[ChunkReceipt | Exception]:
         """Decode every recording that is stored and not decoded yet: after a crash, or a new entry of the registry.
 
-        One that failed before is left out until it is due again.
-
+        One that failed before is left out until it is due again, unless it is the only one, named by its digest.
         Yields the new receipt of each, or why it still cannot be decoded.
-
-        Args:
-            digest: Of the only recording to decode, due or not.
         """
         try:
             self._check_raw()

@@ -143,9 +143,8 @@ def derivative_with_gaps(
 ) -> FloatArray:
     """Return the derivative (n,) at samples with gaps between them; NaN near to a gap that is not bridged.
 
-    Args:
-        bridged: Samples in a row that may be missing or not valid: for the derivative of their neighbours a straight
-            line stands for them. Their own derivative is NaN.
+    So many samples in a row may be missing or not valid: for the derivative of their neighbours a straight line stands
+    for them. Their own derivative is NaN.
     """
     result = np.full(len(tick), np.nan)
     known = np.flatnonzero(~np.isnan(values))

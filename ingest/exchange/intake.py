@@ -102,11 +102,9 @@ def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidenc
 
 
 def check_signs(run: ExchangeRun, file: ExchangeFile, toml: InputFile, *, in_bogie: bool) -> None:
-    """Raise where the signals of a run contradict its axes.
+    """Raise where the signals of a run contradict its axes, or lateral and yaw of an axle differ in magnitude.
 
-    Raises:
-        ExchangeError: A signal has the wrong sign: on all axles its axis, on some of them its sensor; names what must
-            be turned. Or lateral and yaw of an axle differ in magnitude.
+    Where all axles have the wrong sign the error names the axis that must be turned, else a sensor.
     """
     found = {axle: sign_evidence(run, axle, in_bogie=in_bogie) for axle in run.accelerations}
     for at, axle in enumerate(file.axles):
@@ -231,12 +229,7 @@ class Exchange:
 
 
 def checked_exchange(description: Path, unit: SqlUnitOfWork) -> Exchange:
-    """Return an exchange that was checked from its units to its mountings.
-
-    Raises:
-        ExchangeError: Something in it is missing, impossible or contradicts itself or the registry; names file, line
-            and field.
-    """
+    """Return an exchange that was checked from its units to its mountings; errors name file, line and field."""
     file, toml = read_description(description)
     vehicle = _vehicle(file, toml, unit)
     try:

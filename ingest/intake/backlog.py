@@ -125,8 +125,7 @@ def decode_received(
 ) -> DecodedChunks:
     """Decode the chunks that wait for a worker when this begins or come meanwhile, but for those of other workers.
 
-    Args:
-        checkpoint: Called between two chunks with (done, of how many as far as known); it may raise to end the work.
+    ``checkpoint`` is called between two chunks with (done, of how many as far as known); it may raise to end the work.
     """
     counts, after = DecodedChunks(), (-1, "")
     with decoding_locks(storage, holder) as try_vehicle:
@@ -162,8 +161,7 @@ def _decode(
 def assemble_windows(receiver_of: Callable[[JobContext], Receiver], context: JobContext) -> Mapping[str, int]:
     """Assemble windows of stale spans again; decode recordings whose vehicle has come, or that are due again.
 
-    Args:
-        receiver_of: Receiver of a deployment, which is asked for only where there is something to do.
+    The receiver is asked for only where there is something to do.
     """
     counts = dict.fromkeys(("spans", "decoded", "new", "changed", "removed", "healed", "quarantined"), 0)
     with context.storage.read() as unit:

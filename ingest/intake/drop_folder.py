@@ -30,16 +30,12 @@ LOCK = ".treadwatch-drop-folder"
 
 @dataclass(frozen=True, slots=True)
 class DropSettings:
-    """Of a drop folder.
-
-    Attributes:
-        vehicle_of: Returns the vehicle of a file, by its path; raises InputError where it does not show.
-    """
+    """Of a drop folder."""
 
     folder: Path  # watched; ``done`` and ``refused`` are made in it
     quiet_s: float  # a file that has not changed for so long is complete, s
     most_bytes: int  # size of a file at most
-    vehicle_of: Callable[[Path], str]
+    vehicle_of: Callable[[Path], str]  # by the path of a file; raises InputError where it does not show
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +71,7 @@ class DropFolder:
     def look(self) -> Look:
         """Take in what is complete, and return what was done.
 
-        Raises:
-            PassingFaultError: The folder or the raw store cannot be used now: every file is still there.
-            StorageError: The database cannot be reached: the same.
+        Raises PassingFaultError or StorageError where folder, raw store or database are away: no file is lost.
         """
         complete, incomplete = self._complete()
         stored, known, refused = 0, 0, []

@@ -47,8 +47,7 @@ class BusSource:
 class Listening:
     """Listens until asked to end; nothing that the bus does can end it.
 
-    Args:
-        source: The bus. An error at opening it that does not pass is kept as ``refused``.
+    An error at opening the bus that does not pass is kept as ``refused``.
     """
 
     def __init__(self, source: BusSource, buffer: FrameBuffer, status: LiveStatus, reports: Reports) -> None:

@@ -203,11 +203,9 @@ def receive_live(bus: ReceivedBus, stop: threading.Event) -> None:
 
 
 def receive_buses(buses: Sequence[ReceivedBus], stop: threading.Event) -> None:
-    """Receive buses until ``stop`` is set, or one of them is refused for good, which ends all of them.
+    """Receive buses until ``stop`` is set, or one of them is refused for good, which ends all of them and is raised.
 
-    Raises:
-        TreadwatchError: A bus or the stores refused for good. What the other buses had received is stored, or in their
-            spools.
+    What the other buses had received is stored then, or in their spools.
     """
     failures: list[Exception] = []
 

@@ -123,11 +123,7 @@ class FrameBuffer:
             self._dropped += frames
 
     def take(self, limit_bytes: int) -> tuple[bytes, int]:
-        """Return the oldest frames, and how many were dropped behind them.
-
-        Args:
-            limit_bytes: How much to take at most; a multiple of the size of a frame.
-        """
+        """Return the oldest frames, of so many bytes at most, and how many were dropped behind them."""
         with self._lock:
             frames = bytes(self._frames[:limit_bytes])
             del self._frames[:limit_bytes]

@@ -53,11 +53,7 @@ class DropCountFile:
         self.count = DropCount(*counts)
 
     def write(self, count: DropCount) -> None:
-        """Put a count on the disk.
-
-        Raises:
-            OSError: The disk failed; the count before is still there.
-        """
+        """Put a count on the disk; where that fails (OSError) the count before is still there."""
         if count == self.count:
             return
         slot = _SLOT.pack(self._number + 1, count.total, count.recorded)
@@ -100,12 +96,9 @@ def spool_folder(parent: Path, vehicle: str) -> Path:
 
 
 class Spool:
-    """The spool of one vehicle, held by this process alone.
+    """The spool of one vehicle, held by this process alone; raises ConflictError where another one holds it.
 
     One thread appends and closes pieces, another one takes the closed ones; both may ask for sizes.
-
-    Raises:
-        ConflictError: Another process holds it.
     """
 
     def __init__(self, folder: Path, limit_bytes: int) -> None:
@@ -170,9 +163,7 @@ class Spool:
     def append(self, record: Record) -> None:
         """Put a record on the disk; it is there when this returns.
 
-        Raises:
-            StorageError: The spool is full.
-            OSError: The disk is full or failed. Nothing of the record counts.
+        Raises StorageError where the spool is full, OSError where the disk is or fails: nothing of the record counts.
         """
         content = encode(record)
         with self._lock:
@@ -211,11 +202,7 @@ class Spool:
             return self._waiting[0] if self._waiting else None
 
     def remove(self, piece: Piece) -> None:
-        """Remove a piece that has its receipt.
-
-        Raises:
-            OSError: The disk failed; the piece still waits.
-        """
+        """Remove a piece that has its receipt; where the disk fails (OSError) it still waits."""
         piece.path.unlink(missing_ok=True)
         with self._lock:
             self._waiting.remove(piece)

@@ -89,8 +89,7 @@ class Stores:
 class Storing:
     """Stores pieces until asked to end, then those that can be stored in the time that is left.
 
-    Args:
-        stores: Where they go. An error of :attr:`Stores.connect` that does not pass is kept as ``refused``.
+    An error of :attr:`Stores.connect` that does not pass is kept as ``refused``.
     """
 
     def __init__(self, spool: Spool, vehicle: str, stores: Stores, status: LiveStatus, reports: Reports) -> None:

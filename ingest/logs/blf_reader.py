@@ -169,9 +169,7 @@ _STANDARD_BITS = 0x7FF
 def read_blf(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
     """Read all CAN frames of a BLF file.
 
-    Raises:
-        LogFileError: The file is no BLF file, truncated, corrupt, too large when inflated, holds several buses or CAN
-            FD frames of more than eight bytes; names the byte. The file is named by who asked for it.
+    Raises LogFileError, which names the byte; the file is named by who asked for it.
     """
     with path.open("rb") as file:
         header = file_header(file)

@@ -74,11 +74,7 @@ class LogFormat:
 
 
 def library_channel_name(channel: int | str | None) -> str:
-    """Return the name of a bus that python-can numbers or names.
-
-    Args:
-        channel: A number from 0, also as text, a name, or None for the only bus.
-    """
+    """Return the name of a bus that python-can numbers from 0, also as text, or names; None is the only bus."""
     if isinstance(channel, str) and not channel.isdigit():
         return channel
     return channel_name(int(channel or 0) + 1)

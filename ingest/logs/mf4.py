@@ -74,8 +74,7 @@ def bus_groups(mdf: Any) -> list[tuple[int, str]]:  # noqa: ANN401 - asammdf's M
 def merged(groups: Sequence[Iterator[MF4Frames]]) -> Iterator[MF4Frames]:
     """Yield the frames of all groups in the order of time; those of one group keep their order among themselves.
 
-    Args:
-        groups: Each yields the frames of a group in its order. Of each only some pieces are in memory.
+    Of each group only some pieces are in memory.
     """
     heads = [_Head(group) for group in groups]
     while True:

@@ -56,9 +56,7 @@ LARGEST_POSITION_COUNT = 1.0  # m
 def load_own_bus(path: Path) -> OwnBus:
     """Read a mapping file and the DBC file beside it.
 
-    Raises:
-        CatalogueError: A file cannot be read, or a signal is missing, in another unit, too coarse, multiplexed
-            otherwise, or of a form that is not read; names file, line and field.
+    Raises CatalogueError, with file, line and field, where a signal cannot be read or cannot measure what it is to.
     """
     toml = read_toml(path, CatalogueError)
     mapping = toml.parse(MappingFile)

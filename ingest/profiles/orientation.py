@@ -43,8 +43,7 @@ _MEASURED_DEEPER = 3.0  # mm, by which the side is followed deeper that matters 
 def gauge_side_is_positive(y: FloatArray, depth: FloatArray) -> bool | None:
     """Return whether the gauge side of a rail is at positive y; None if its shape does not show it.
 
-    Args:
-        y, depth: (n,) mm, in order of the profile with y increasing on the whole; depth below the crown.
+    The points (n,), mm, are in order of the profile with y increasing on the whole, their depth below the crown.
     """
     crown = int(np.argmin(depth))
     deepest = [float(part.max()) for part in (depth[: crown + 1], depth[crown:])]

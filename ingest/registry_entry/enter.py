@@ -147,11 +147,7 @@ _R = TypeVar("_R")
 def enter(
     contents: RegistryContents, unit: SqlUnitOfWork, source: Source, entry: Entry, refusals: Sequence[Refusal] = ()
 ) -> LoadedRegistry:
-    """Store what is entered; return it, and what is estimated again.
-
-    Args:
-        unit: An open transaction; nothing is committed here.
-    """
+    """Store what is entered in an open transaction; return it, and what is estimated again."""
     entering = _Entering(unit, source, entry, list(refusals))
     entering.refusals += [Refusal(error) for error in class_refusals(source, contents, unit.registry)]
     again = entering.store(contents)

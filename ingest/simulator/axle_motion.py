@@ -111,8 +111,7 @@ def axle_motions(
 ) -> tuple[WheelsetMotion, ...]:
     """Return the true motion of the wheelsets at ``axles`` (from 0), which move together, over ``run``.
 
-    Args:
-        tables: Contact geometry of each; None to compute it here.
+    Contact geometry that is None is computed here.
     """
     found = [
         contact_of(scenario, track, run.vehicle.wheelsets[axle], run.odometer).table if table is None else table
@@ -183,9 +182,7 @@ def _wheels(scenario: Scenario, run: VehicleRun, axle: int) -> tuple[Wheel, Whee
 def averaged(table: ContactTable, half_width: float) -> ContactTable:
     """Return a contact table whose radii, angles and roll are means over a contact of finite size.
 
-    Args:
-        half_width: Of the semi-ellipse of lateral displacement over which the mean is taken, m; 0 leaves the table as
-            it is.
+    The mean is over a semi-ellipse of lateral displacement of this half width, m; 0 leaves the table as it is.
     """
     step = float(table.lateral_displacement[1] - table.lateral_displacement[0])
     reach = int(half_width / step)

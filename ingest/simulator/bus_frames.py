@@ -140,8 +140,7 @@ def vehicle_frames(
 ) -> FrameBatch:
     """Return all frames of the vehicle's bus over a run, in time order.
 
-    Args:
-        records: What the node of each axle measured, by axle; None for a node that has failed.
+    Records are what the node of each axle measured; None of one that has failed.
     """
     interval_ns = catalogue.sample_interval_ns
     if scenario.sensors.rate_hz * interval_ns != 1_000_000_000:  # noqa: PLR2004 - ns in a second

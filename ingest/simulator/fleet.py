@@ -144,11 +144,9 @@ def run_fleet(
 ) -> FleetReport:
     """Simulate ``scenario`` into ``out``: recordings per vehicle and campaign, ``registry.json``, ``truth.json``.
 
-    Args:
-        scenario: What to simulate; the same scenario gives the same bytes, however many workers there are.
-        out: Folder, made where missing; recordings are ``<vehicle>/<vehicle>__<start, UTC>.blf``.
-        vehicles: Codes of the vehicles to simulate; all by default. The registry always names all.
-        workers: Processes; by default as many as cores, at most the recordings. With 1 everything runs in this process.
+    Recordings are ``<vehicle>/<vehicle>__<start, UTC>.blf``; the same scenario gives the same bytes, however many
+    workers there are (by default as many as cores, at most the recordings; 1 is this process). The registry names all
+    vehicles, also where only some are simulated.
     """
     chosen = [scenario.vehicle(code) for code in vehicles] if vehicles is not None else list(scenario.vehicles)
     track = scenario_track(scenario)
@@ -345,10 +343,7 @@ def transmit(
 
     The kilometres between campaigns are not waited for: the vehicle's clock and odometer jump. With ``speed_up`` the
     frames come faster than by the vehicle's clock. A receiver refuses that, because its signal catalogue contains the
-    rate of SYNC.
-
-    Args:
-        progress: Called with (campaign from 1, frames sent so far) before each campaign.
+    rate of SYNC. ``progress`` is called with (campaign from 1, frames sent so far) before each campaign.
     """
     if not speed_up > 0.0:
         raise ParameterError(f"{speed_up} is not positive", field="speed_up")

@@ -182,11 +182,7 @@ def gear_rates(
 
 @stepped
 def suspended(c: Constants, x: float, path: FloatArray, axle: FloatArray, state: FloatArray) -> tuple[float, float]:
-    """Return lateral force (N) and yaw moment (N m) of the suspension on a wheelset.
-
-    Args:
-        x: Place of the axle ahead of the middle of the frame, m.
-    """
+    """Return force (N) and yaw moment (N m) of the suspension on a wheelset ``x`` m ahead of the frame's middle."""
     deflection = state[FRAME] + x * state[FRAME + 2] - axle[0] - path[3]
     rate = state[FRAME + 1] + x * state[FRAME + 3] - axle[1] - path[4]
     turned, turning = axle[2] + path[5] - state[FRAME + 2], axle[3] + path[6] - state[FRAME + 3]

@@ -153,11 +153,7 @@ def with_flat(motion: WheelsetMotion, flat: WheelFlat, radius: float, rng: np.ra
 
 
 def with_track_blows(motion: WheelsetMotion, blows: TrackBlows) -> WheelsetMotion:
-    """Return the motion as sensors feel it where joints or switches strike.
-
-    Args:
-        blows: Of the track; every other one is on the right rail.
-    """
+    """Return the motion as sensors feel it where joints or switches strike, every other one on the right rail."""
     return _struck(motion, motion.distance / blows.every, blows.size, alternating=True)
 
 

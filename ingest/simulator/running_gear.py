@@ -202,12 +202,8 @@ def simulate_gear(
 ) -> tuple[WheelsetMotion, ...]:
     """Run a running gear along ``track``, its first axle from distance ``start`` (m); return the motion of each axle.
 
-    As ``ingest.simulator.motion.simulate_wheelset``. The mass that a node measures is in a bogie the frame above its
-    axle: y_f + x_i psi_f.
-
-    Args:
-        initial: (16,) states at the first sample in the order of ``gear_rates``; None to start at rest relative to the
-            track.
+    As ``ingest.simulator.motion.simulate_wheelset``, with ``initial`` (16,) in the order of ``gear_rates``. The mass
+    that a node measures is in a bogie the frame above its axle: y_f + x_i psi_f.
     """
     if len(tables) != gear.axles:
         raise ParameterError(f"{len(tables)} for {gear.axles} wheelsets", field="tables")

@@ -106,9 +106,7 @@ def path_motion(
 ) -> PathMotion:
     """Return the accelerations that curved track forces on a wheelset, and those that its sensors measure of the path.
 
-    Args:
-        curves: Curvature (m,), 1/m, and cant (m,), m, on the grid ``s``.
-        s: (m,) m along the section.
+    Curves are on the grid ``s`` (m,), m along the section.
     """
     curvature = np.interp(distance, s, curves.curvature)
     tilt = np.interp(distance, s, curves.cant) / (2.0 * p.half_contact_distance)
@@ -275,11 +273,7 @@ def read_track(path: Path, interval: float | None = None) -> TrackTruth:
     """Read a recorded track (CSV with header ``s_m, alignment_mm, gauge_deviation_mm``, and curves where it has them).
 
     Distances must increase; uneven spacing is resampled by cubic spline every ``interval`` m (the median spacing
-    by default).
-
-    Raises:
-        ScenarioError: The file cannot be read, a column is missing, a cell is not a finite number, more than 2 m are
-            missing, or values are in another unit; names file, line and column.
+    by default). Gaps of more than 2 m and values in another unit are refused.
     """
     try:
         table = read_track_columns(path)

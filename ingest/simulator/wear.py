@@ -44,8 +44,7 @@ def wheel_in(path: Path) -> Profile:
 def rail_in(path: Path, mirror: bool | None) -> Profile:  # noqa: FBT001 - a place beside the path, as the plans have it
     """Return the rail profile in a file, read once in a process.
 
-    Args:
-        mirror: Whether its gauge side is at positive y of the file; None decides from the shape.
+    ``mirror``: whether its gauge side is at positive y of the file; None decides from the shape.
     """
     return read_profile(path, "rail", mirror=mirror)
 
@@ -104,11 +103,7 @@ def worn_contact(
     limit: float,
     step: float = CONTACT_STEP,
 ) -> WornContact:
-    """Return the contact geometry of a worn wheelset on ``section``, rigid with roll.
-
-    Args:
-        gauge_deviation: (g,) m, for which gauges.
-    """
+    """Return the contact geometry of a worn wheelset on ``section`` at gauge deviations (g,), m; rigid with roll."""
     wheelset = _on_track(plan, wear, section)
     half = round(limit / step)
     grid = np.asarray(step * np.arange(-half, half + 1))

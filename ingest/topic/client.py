@@ -74,15 +74,11 @@ Client = TypeVar("Client")
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic and how its brokers are reached.
-
-    Attributes:
-        properties: Of librdkafka beside ours, such as those of TLS and SASL. They may hold passwords.
-    """
+    """A topic and how its brokers are reached."""
 
     servers: str  # brokers, ``host:port`` with commas between them
     name: str
-    properties: Mapping[str, str] = field(default_factory=dict, repr=False)
+    properties: Mapping[str, str] = field(default_factory=dict, repr=False)  # of librdkafka; may hold passwords
 
     def producer(self) -> dict[str, Any]:
         """Return the configuration of a producer."""
@@ -100,8 +96,7 @@ class Topic:
 def load_properties(path: Path) -> dict[str, str]:
     """Return the properties of a file: lines ``name=value``; empty ones and those that begin with ``#`` are left out.
 
-    Raises:
-        InputError: It cannot be read, a line is none of these, or a property is one of ours; never with a value.
+    Errors never have a value in them: it may be a secret.
     """
     found: dict[str, str] = {}
     for number, line in enumerate(read_text_within(path, SETTINGS_BYTES, InputError).splitlines(), start=1):
@@ -133,8 +128,7 @@ def kafka() -> ModuleType:
 def connected(make: Callable[[], Client], topic: Topic) -> Client:
     """Return a client, or refuse a configuration that cannot be used; the brokers need not be there.
 
-    Raises:
-        InputError: A property cannot be used. Its value is not repeated: it may be a secret.
+    The value of a property that cannot be used is not repeated: it may be a secret.
     """
     try:
         return make()

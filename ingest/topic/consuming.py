@@ -96,10 +96,8 @@ class ReferenceTaking:
     def take(self, reference: Reference) -> Taken | Behind:
         """Make sure that there is a receipt, and return what was found; or the limit that keeps new receipts out.
 
-        Raises:
-            StorageError: The database cannot be reached: nothing has changed.
-            PassingFaultError: The store of raw recordings is away, or not that of the database, such as a folder that
-                is not mounted: the same.
+        Raises StorageError or PassingFaultError where database or raw store are away, such as a folder that is not
+        mounted: nothing has changed.
         """
         with self.storage.read() as unit:
             found = unit.chunks.get(reference.digest)

@@ -46,8 +46,7 @@ class Sent(StrEnum):
 class Publisher:
     """Publishes references from a thread of its own; it starts with the first.
 
-    Args:
-        fleet_of: Returns the fleet of a vehicle; raises TreadwatchError where it is not known.
+    ``fleet_of`` returns the fleet of a vehicle; it raises TreadwatchError where that is not known.
     """
 
     def __init__(self, topic: Topic, fleet_of: Callable[[str], str], most_waiting: int = MOST_WAITING) -> None:
@@ -70,8 +69,7 @@ class Publisher:
     def publish(self, record: ChunkRecord) -> None:
         """Hand a reference over to a committed receipt; it never waits and never fails.
 
-        Args:
-            record: The receipt; where it is decoded or decided on already, nobody needs the reference.
+        Nobody needs the reference where the receipt is decoded or decided on already.
         """
         reference = reference_of(record) if record.state is ChunkState.STORED else None
         if reference is None:

@@ -81,11 +81,7 @@ def reference_of(record: ChunkRecord) -> Reference | None:
 
 
 def message_of(reference: Reference, fleet: str) -> tuple[bytes, bytes]:
-    """Return key and value of the message of a reference.
-
-    Args:
-        fleet: Code of the vehicle's fleet; empty where the registry does not know the vehicle.
-    """
+    """Return key and value of the message of a reference; the fleet is empty where the vehicle is not registered."""
     body = {
         "version": VERSION,
         "sha256": reference.digest,
