@@ -120,9 +120,7 @@ ALONG_M = 200.0
 """The line is looked for this far on both sides of the reported distance: odometry between balises may be off by 5 m
 and 5 % (ETCS, SUBSET-041), which is 200 m after 3.9 km; a fix that is a second old is 80 m behind at most."""
 
-FEWEST_FIXES = 3
-"""Of a window. The median counts: fewer than half may be outliers."""
-
+FEWEST_FIXES = 3  # of a window. The median counts: fewer than half may be outliers.
 SEMI_MAJOR_M, ECCENTRICITY2 = 6_378_137.0, 6.694_379_990_14e-3  # of WGS84 (NIMA TR8350.2)
 
 

@@ -83,8 +83,7 @@ class HeldRecordings:
         release(self.storage, (SubjectKind.RECORDING, digest, STAGE))
 
 
-Subject = tuple[SubjectKind, str, str]
-"""Kind, key and stage of what is in quarantine."""
+Subject = tuple[SubjectKind, str, str]  # kind, key and stage of what is in quarantine
 
 
 def release(storage: SqlStorage, subject: Subject) -> None:
@@ -163,12 +162,8 @@ def _hold(unit: SqlUnitOfWork, record: ChunkRecord, fault: PassingFaultError, no
     unit.quarantine.put(after_failure(unit.quarantine.get(*subject), subject, record.vehicle, fault, now_ns))
 
 
-MOST_FRAMES = 1_000_000
-"""Frames of the recordings of one piece, unless one recording has more."""
-
-MOST_RECORDINGS = 500
-"""Recordings of one piece."""
-
+MOST_FRAMES = 1_000_000  # frames of the recordings of one piece, unless one recording has more
+MOST_RECORDINGS = 500  # recordings of one piece
 ASKED = "asked for"
 OTHER_BUS = "was decoded with another bus than its vehicle has now"
 

@@ -109,8 +109,7 @@ def _refusal(deleted: ChunkRecord) -> ConflictError:
     return ConflictError(reason, kind="recording", key=deleted.digest)
 
 
-Announce = Callable[[ChunkRecord], None]
-"""Called with each committed receipt; it neither waits nor fails."""
+Announce = Callable[[ChunkRecord], None]  # called with each committed receipt; it neither waits nor fails
 
 
 def to_nobody(_record: ChunkRecord) -> None:

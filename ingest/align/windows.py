@@ -67,9 +67,7 @@ CLIPPING_GUARD_S = 0.04
 BLOW_GUARD_S = 0.004
 """The same where a wheel strikes once a turn: as soon as a blow has died down the samples are good again."""
 
-OF_WHEELSET = ACCELERATIONS[:3]
-"""Lateral and yaw acceleration show hunting, lateral and roll acceleration show blows."""
-
+OF_WHEELSET = ACCELERATIONS[:3]  # lateral and yaw acceleration show hunting, lateral and roll acceleration show blows
 MOVING_M_S = 0.5  # a window in which the vehicle never ran faster is no running time
 
 

@@ -22,8 +22,7 @@ from ingest.live.records import Record, decode, encode
 
 _SLOT = struct.Struct("<QQQ")  # write number, total, recorded
 _CHECKSUM = struct.Struct("<I")
-_SLOT_BYTES = 512
-"""A sector, which a disk writes as a whole. The two are written in turn: one is whole at any time."""
+_SLOT_BYTES = 512  # a sector, which a disk writes as a whole. The two are written in turn: one is whole at any time.
 
 
 @dataclass(frozen=True, slots=True)

@@ -175,8 +175,7 @@ def prepare(scenario: Scenario, out: Path) -> Path:
     return write_registry(out, scenario, track, surveyed(scenario, track))
 
 
-Campaigns = tuple[int, ...]
-"""Campaigns (from 0) of one vehicle that are simulated together."""
+Campaigns = tuple[int, ...]  # campaigns (from 0) of one vehicle that are simulated together
 
 
 def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campaigns: Campaigns) -> list[Recording]:
