@@ -131,7 +131,7 @@ def load_catalogue(path: Path) -> Catalogue:
 @cache
 def default_catalogue() -> Catalogue:
     """Return the catalogue that comes with the package."""
-    with as_file(files("ingest.dbc") / "treadwatch.dbc") as path:
+    with as_file(files("ingest") / "dbc" / "treadwatch.dbc") as path:
         return load_catalogue(path)
 
 

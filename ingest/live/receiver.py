@@ -10,8 +10,7 @@ from pathlib import Path
 
 from estimation.errors import StorageError
 from ingest.live.listening import BusSource, Listening
-from ingest.live.records import FRAME_BYTES, FrameBuffer, Record
-from ingest.live.spool import DropCount, Spool, spool_folder
+from ingest.live.spool import FRAME_BYTES, DropCount, FrameBuffer, Record, Spool, spool_folder
 from ingest.live.status import LiveStatus, Reports
 from ingest.live.storing import Stores, Storing
 

@@ -26,8 +26,7 @@ from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.runs import first_line
 from fleet_db.receipts import ChunkRecord, ChunkState
 from ingest.frames import DEFAULT_CHANNEL, concatenate, dropped_marker, from_owned_arrays, sort_by_time
-from ingest.live.records import FRAME, decode
-from ingest.live.spool import Piece, Spool
+from ingest.live.spool import FRAME, Piece, Spool, decode
 from ingest.live.status import Backoff, LiveStatus, Reports
 from ingest.logs.blf_layout import blf_bytes
 from ingest.receiver import ChunkReceipt, Receiver

@@ -17,11 +17,20 @@ from scipy.interpolate import CubicSpline
 
 from estimation.errors import ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray
-from ingest.bus import send
 from ingest.catalogue import default_catalogue
 from ingest.frames import FrameBatch
+from ingest.live.listening import send
 from ingest.logs.blf_layout import write_blf
-from ingest.simulator.axle_motion import DerailmentError, axle_motions, contact_of, together, true_geometry
+from ingest.simulator.axle_motion import (
+    DerailmentError,
+    GeometryTruth,
+    WornContact,
+    axle_motions,
+    contact_of,
+    together,
+    true_geometry,
+    wear_at,
+)
 from ingest.simulator.bus_frames import vehicle_frames
 from ingest.simulator.campaign import (
     VehicleRun,
@@ -41,7 +50,6 @@ from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, generator, 
 from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, write_registry, write_truth
 from ingest.simulator.track import TrackTruth, from_zero, make_track, read_track
-from ingest.simulator.wear import GeometryTruth, WornContact, wear_at
 
 LEAST_SHARE = 0.9  # of the section that the survey of another one must cover
 

@@ -23,9 +23,9 @@ from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window
 from fleet_db.raw_files import FileRawStore
 from fleet_db.storage import SqlStorage
-from ingest.bus import open_bus, send
 from ingest.catalogue import default_catalogue
 from ingest.frames import EXTENDED_FLAG, FrameBatch, between, concatenate, from_owned_arrays, sort_by_time, take
+from ingest.live.listening import open_bus, send
 from ingest.logs import write_blf
 from ingest.own_bus.bus import OwnBus
 from ingest.own_bus.loading import load_own_bus
