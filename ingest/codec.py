@@ -216,7 +216,11 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
             messages[arbitration_id] = MessageValues(plan, unpack(plan, words[span]), index[span])
     invalid, clipped = _count_values(messages)
     strange = len(batch) - wrong - unknown - int(starts[-1])  # without an 11-bit identifier
-    error, remote = _count_flagged(batch.arbitration_id) if strange else (0, 0)
+    error = remote = 0
+    if strange:
+        is_error = (batch.arbitration_id & ERROR_FLAG) != 0
+        error = int(np.count_nonzero(is_error))
+        remote = int(np.count_nonzero(~is_error & ((batch.arbitration_id & REMOTE_FLAG) != 0)))
     counts = FrameCounts(
         frames=len(batch),
         decoded=int(starts[-1]),
@@ -229,12 +233,6 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
         clipped_values=clipped,
     )
     return Decoded(MappingProxyType(messages), counts)
-
-
-def _count_flagged(arbitration_id: npt.NDArray[np.uint32]) -> tuple[int, int]:
-    error = (arbitration_id & ERROR_FLAG) != 0
-    remote = ~error & ((arbitration_id & REMOTE_FLAG) != 0)
-    return int(np.count_nonzero(error)), int(np.count_nonzero(remote))
 
 
 def _count_values(messages: Mapping[int, MessageValues]) -> tuple[int, int]:

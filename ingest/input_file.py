@@ -19,7 +19,7 @@ import resource
 import signal
 import sys
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -94,16 +94,15 @@ def field_error(reason: str, *location: str | int) -> PydanticCustomError:
     return PydanticCustomError("field_error", "{reason}", {"reason": reason, "location": location})
 
 
-def _printable(text: str) -> str:
-    if any((letter < " " and letter not in "\n\t") or letter == "\x7f" for letter in text):
-        raise field_error(f"{text!r} has a control character")
-    return text
+def refusing(is_wrong: Callable[[Any], object], reason: str) -> AfterValidator:
+    """Return the validator that refuses values for a reason, which may contain ``{value}``."""
 
+    def check(value: Any) -> Any:  # noqa: ANN401 - of any field
+        if is_wrong(value):
+            raise field_error(reason.format(value=value))
+        return value
 
-def _not_empty(text: str) -> str:
-    if not text.strip():
-        raise field_error("must not be empty")
-    return text
+    return AfterValidator(check)
 
 
 def _one_short_line(text: str) -> str:
@@ -122,8 +121,9 @@ def increasing(values: Values) -> Values:
 
 
 CODE_LENGTH = 64  # letters of a code or a serial number that a database column holds
-FreeText = Annotated[str, AfterValidator(_printable)]
-Text = Annotated[FreeText, AfterValidator(_not_empty)]
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]")
+FreeText = Annotated[str, refusing(_CONTROL.search, "{value!r} has a control character")]
+Text = Annotated[FreeText, refusing(lambda text: not text.strip(), "must not be empty")]
 Code = Annotated[Text, AfterValidator(_one_short_line)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]

@@ -8,7 +8,7 @@ middle, so that a wheelset that changes vehicles within a window has one window 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -170,8 +170,9 @@ def _window(
     lookup: RegistryLookup,
 ) -> MountedWindow | WindowCounts:
     t_ns, axle = node.t_ns[span], node.node
-    mounting = _mounted_throughout(axle, (int(t_ns[0]), extent[0] + extent[1] // 2, int(t_ns[-1])), lookup)
-    if mounting is None:
+    times_ns = int(t_ns[0]), extent[0] + extent[1] // 2, int(t_ns[-1])
+    mounting, *others = {lookup.mounting_at(axle, at_ns) for at_ns in times_ns}
+    if mounting is None or others:
         return WindowCounts(windows_unmounted=1)
     if not np.any(motion.speed > MOVING_M_S):
         return WindowCounts(windows_standing=1)
@@ -211,11 +212,6 @@ def _window(
         quality=replace(_quality(node, span, extent, motion, (valid, clipped), slot), hunting=hunting, blows=blows),
     )
     return MountedWindow(window, mounting, motion.odometer_excess_m, _off_line(motion, section, lookup))
-
-
-def _mounted_throughout(axle: int, times_ns: Sequence[int], lookup: RegistryLookup) -> Mounting | None:
-    mounting, *others = {lookup.mounting_at(axle, at_ns) for at_ns in times_ns}
-    return None if others else mounting
 
 
 def _clipped(node: NodeSamples, span: slice, interval_s: float) -> BoolArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, model_validator
 from estimation.errors import ExchangeError, ParameterError
 from estimation.values.registry import MAX_AXLES, Kilometres
 from ingest.file_value import FIRST_YEAR, LAST_YEAR
-from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml
+from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml, refusing
 from ingest.units import DERIVATIVES, Quantity, Unit, unit_of
 
 MOTIONS = ("time", "position", "speed")
@@ -30,12 +30,6 @@ QUANTITIES: Mapping[str, tuple[Quantity, ...]] = {
 }
 
 
-def _one_character(text: str) -> str:
-    if len(text) != 1:
-        raise field_error(f"{text!r} is not one character")
-    return text
-
-
 def _with_zone(moment: datetime) -> datetime:
     if moment.tzinfo is None:
         raise field_error("needs its offset from UTC, as in 2026-01-05T06:00:00Z")
@@ -44,7 +38,7 @@ def _with_zone(moment: datetime) -> datetime:
     return moment
 
 
-Character = Annotated[str, AfterValidator(_one_character)]
+Character = Annotated[str, refusing(lambda text: len(text) != 1, "{value!r} is not one character")]
 
 
 class Column(InputTable):
@@ -175,7 +169,8 @@ class ExchangeFile(InputTable):
                 raise field_error("only a sensor of an axle can be turned", *location, "turned")
             others = [name for name, other in self.columns[:at] if other.column == column.column]
             if others:
-                raise field_error(f"column {column.column!r} is that of {_text(others[0])} too", *location, "column")
+                other = ".".join(map(str, others[0]))
+                raise field_error(f"column {column.column!r} is that of {other} too", *location, "column")
         numbers = [axle.axle for axle in self.axles]
         for at, number in enumerate(numbers):
             if number in numbers[:at]:
@@ -200,7 +195,3 @@ def read_description(path: Path) -> tuple[ExchangeFile, InputFile]:
     """Return the content of the TOML file, and where in the file each key stands."""
     file = read_toml(path, ExchangeError)
     return file.parse(ExchangeFile), file
-
-
-def _text(location: Iterable[object]) -> str:
-    return ".".join(str(part) for part in location)

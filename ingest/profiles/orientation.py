@@ -103,6 +103,7 @@ SIGNIFICANT = 6.0  # standard deviations
 _REACH = 2.0  # mm to either side that are extrapolated
 _FEWEST = 4  # points to either side
 _TREAD = (-32.0, 28.0)  # mm from the tread datum: there a wheel has no corner of its own
+_HALF_HEAD, _RUNNING_DEPTH = 25.0, 5.0  # mm from the crown: the running surface of a rail
 _GENTLE = 0.5  # slope up to which a surface is no flank
 
 
@@ -114,7 +115,12 @@ def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind
     their neighbours make no step.
     """
     order = np.argsort(y, kind="stable")
-    order = order[_where(y[order], z[order], kind)]
+    if kind == "wheel":
+        running = (y >= _TREAD[0]) & (y <= _TREAD[1])
+    else:
+        crown = y[order[np.argmin(z[order])]]
+        running = (np.abs(y - crown) < _HALF_HEAD) & (z < _RUNNING_DEPTH)
+    order = order[running[order]]
     if len(order) <= 2 * _FEWEST:
         return
     points = np.column_stack([y[order], z[order]])
@@ -137,13 +143,6 @@ def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind
             line=int(lines[at]),
             field="z",
         )
-
-
-def _where(y: FloatArray, z: FloatArray, kind: ProfileKind) -> IntArray:
-    if kind == "wheel":
-        return np.flatnonzero((y >= _TREAD[0]) & (y <= _TREAD[1]))
-    crown = float(y[np.argmin(z)])
-    return np.flatnonzero((np.abs(y - crown) < 25.0) & (z < 5.0))  # noqa: PLR2004 - mm, the running surface
 
 
 def _continued(y: FloatArray, z: FloatArray, at: float) -> tuple[float, float, float]:

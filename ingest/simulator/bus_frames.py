@@ -153,7 +153,11 @@ def vehicle_frames(
     batches = [*_master(catalogue, ticks), *_vehicle_node(catalogue, scenario, run, ticks)]
     connected = list(records)
     if not scenario.sensors.on_mass:
-        connected = [None if record is None else _without_mass(record) for record in connected]
+        others = np.array([name != "mass_lateral_acceleration" for name in ACCELERATIONS])
+        connected = [
+            record and SensorRecord(record.t, np.where(others, record.values, np.nan), record.clipped)
+            for record in connected
+        ]
     if scenario.bus.nodes_swapped:
         for first in range(0, len(connected) - 1, 2):
             connected[first], connected[first + 1] = connected[first + 1], connected[first]
@@ -162,12 +166,6 @@ def vehicle_frames(
     whole = sort_by_time(concatenate(batches))
     keep = _kept(scenario, whole, rng)
     return whole if keep.all() else take(whole, keep)
-
-
-def _without_mass(record: SensorRecord) -> SensorRecord:
-    values, place = record.values.copy(), ACCELERATIONS.index("mass_lateral_acceleration")
-    values[:, place] = np.nan
-    return SensorRecord(record.t, values, record.clipped)
 
 
 def _ticks(catalogue: Catalogue, scenario: Scenario, run: VehicleRun, rng: np.random.Generator) -> _Ticks:

@@ -361,14 +361,10 @@ def transmit(
         if progress is not None:
             progress(campaign + 1, sent)
         batch, _ = simulate_campaign(scenario, track, plan, campaign)
-        sent += send(bus, _scaled_time(batch, speed_up), stop=ended)
+        if speed_up != 1.0 and len(batch):
+            since = (batch.t_ns - batch.t_ns[0]) / speed_up
+            batch = replace(batch, t_ns=batch.t_ns[0] + since.astype(batch.t_ns.dtype))
+        sent += send(bus, batch, stop=ended)
         if ended.is_set():
             break
     return sent
-
-
-def _scaled_time(batch: FrameBatch, speed_up: float) -> FrameBatch:
-    if speed_up == 1.0 or len(batch) == 0:
-        return batch
-    first = batch.t_ns[0]
-    return replace(batch, t_ns=first + ((batch.t_ns - first) / speed_up).astype(batch.t_ns.dtype))

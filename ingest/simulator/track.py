@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import AfterValidator
 from scipy.interpolate import CubicSpline
 
 from estimation.errors import InputError, ParameterError, ScenarioError
@@ -17,7 +16,7 @@ from estimation.values.arrays import FloatArray, FrozenArrays, freeze
 from estimation.values.fields import MM, Key, M
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from ingest.file_value import As, Inline, between
-from ingest.input_file import NotNegative, Positive, field_error
+from ingest.input_file import NotNegative, Positive, field_error, refusing
 from ingest.simulator.irregularity import (
     GAUSSIAN,
     HIGHEST,
@@ -43,12 +42,10 @@ ROUNDING = 6.0  # m over which the ends of transitions are rounded: no track has
 
 
 MIN_CURVE_RADIUS = 150.0  # m
-
-
-def _curve_radius(radius: float) -> float:
-    if abs(radius) < MIN_CURVE_RADIUS:
-        raise field_error(f"{radius:g} m is no radius; at least {MIN_CURVE_RADIUS:g} m, negative to the right")
-    return radius
+_IS_RADIUS = refusing(
+    lambda radius: abs(radius) < MIN_CURVE_RADIUS,
+    f"{{value:g}} m is no radius; at least {MIN_CURVE_RADIUS:g} m, negative to the right",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +54,7 @@ class Curve:
 
     start: Annotated[NotNegative, M]
     length: Annotated[Positive, M]  # with both transitions
-    radius: Annotated[float, between(-1e6, 1e6), AfterValidator(_curve_radius), M]
+    radius: Annotated[float, between(-1e6, 1e6), _IS_RADIUS, M]
     cant: Annotated[float, between(-200.0, 200.0), MM] = 0.0
     transition: Annotated[Positive, M] = 80.0
 
