@@ -55,40 +55,28 @@ class Unit:
 
 _DEGREE = math.pi / 180.0
 
+_FACTORS: Mapping[Quantity, Mapping[str, float]] = {
+    Quantity.TIME: {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86_400.0},
+    Quantity.LENGTH: {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3},
+    Quantity.SPEED: {"m/s": 1.0, "mm/s": 1e-3, "km/h": 1.0 / 3.6, "mph": 0.44704},
+    Quantity.ACCELERATION: {"m/s2": 1.0, "mm/s2": 1e-3, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY},
+    Quantity.ANGLE: {"rad": 1.0, "mrad": 1e-3, "deg": _DEGREE},
+    Quantity.ANGULAR_RATE: {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE},
+    Quantity.ANGULAR_ACCELERATION: {"rad/s2": 1.0, "mrad/s2": 1e-3, "deg/s2": _DEGREE},
+    Quantity.NUMBER: {"": 1.0, "1": 1.0, "%": 1e-2},
+}
 UNITS: Mapping[str, Unit] = MappingProxyType(
-    {
-        "s": Unit(Quantity.TIME, 1.0),
-        "ms": Unit(Quantity.TIME, 1e-3),
-        "us": Unit(Quantity.TIME, 1e-6),
-        "ns": Unit(Quantity.TIME, 1e-9),
-        "min": Unit(Quantity.TIME, 60.0),
-        "d": Unit(Quantity.TIME, 86_400.0),
-        "m": Unit(Quantity.LENGTH, 1.0),
-        "mm": Unit(Quantity.LENGTH, 1e-3),
-        "cm": Unit(Quantity.LENGTH, 1e-2),
-        "km": Unit(Quantity.LENGTH, 1e3),
-        "m/s": Unit(Quantity.SPEED, 1.0),
-        "mm/s": Unit(Quantity.SPEED, 1e-3),
-        "km/h": Unit(Quantity.SPEED, 1.0 / 3.6),
-        "mph": Unit(Quantity.SPEED, 0.44704),
-        "m/s2": Unit(Quantity.ACCELERATION, 1.0),
-        "mm/s2": Unit(Quantity.ACCELERATION, 1e-3),
-        "g": Unit(Quantity.ACCELERATION, STANDARD_GRAVITY),
-        "mg": Unit(Quantity.ACCELERATION, 1e-3 * STANDARD_GRAVITY),
-        "rad": Unit(Quantity.ANGLE, 1.0),
-        "mrad": Unit(Quantity.ANGLE, 1e-3),
-        "deg": Unit(Quantity.ANGLE, _DEGREE),
-        "rad/s": Unit(Quantity.ANGULAR_RATE, 1.0),
-        "mrad/s": Unit(Quantity.ANGULAR_RATE, 1e-3),
-        "deg/s": Unit(Quantity.ANGULAR_RATE, _DEGREE),
-        "rad/s2": Unit(Quantity.ANGULAR_ACCELERATION, 1.0),
-        "mrad/s2": Unit(Quantity.ANGULAR_ACCELERATION, 1e-3),
-        "deg/s2": Unit(Quantity.ANGULAR_ACCELERATION, _DEGREE),
-        "": Unit(Quantity.NUMBER, 1.0),
-        "1": Unit(Quantity.NUMBER, 1.0),
-        "%": Unit(Quantity.NUMBER, 1e-2),
-    }
+    {name: Unit(quantity, factor) for quantity, factors in _FACTORS.items() for name, factor in factors.items()}
 )
+
+SENSOR_QUANTITIES: Mapping[str, tuple[Quantity, ...]] = {
+    "lateral": (Quantity.ACCELERATION,),
+    "yaw": tuple(DERIVATIVES),
+    "roll": tuple(DERIVATIVES),
+    "mass_lateral": (Quantity.ACCELERATION,),
+    "speed": (Quantity.SPEED,),
+}
+"""What signals of a vehicle may measure, by their names here."""
 
 _SPELLINGS = {"°": "deg", "µ": "u", "μ": "u", "²": "2", "^": "", "*": "", "kph": "km/h", "kmh": "km/h", "dps": "deg/s"}
 _PER_S_PER_S = re.compile(r"/\(?ss\)?$|/s/s$")

@@ -13,20 +13,16 @@ from estimation.errors import ExchangeError, ParameterError
 from estimation.values.registry import MAX_AXLES, Kilometres
 from ingest.file_value import FIRST_YEAR, LAST_YEAR
 from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml, refusing
-from ingest.units import DERIVATIVES, Quantity, Unit, unit_of
+from ingest.units import SENSOR_QUANTITIES, Quantity, Unit, unit_of
 
 MOTIONS = ("time", "position", "speed")
 SIGNALS = ("lateral", "yaw", "roll", "mass_lateral")
 """Signals of an axle, in the order of the accelerations of a window."""
 
 QUANTITIES: Mapping[str, tuple[Quantity, ...]] = {
+    **SENSOR_QUANTITIES,
     "time": (Quantity.TIME,),
     "position": (Quantity.LENGTH,),
-    "speed": (Quantity.SPEED,),
-    "lateral": (Quantity.ACCELERATION,),
-    "yaw": tuple(DERIVATIVES),
-    "roll": tuple(DERIVATIVES),
-    "mass_lateral": (Quantity.ACCELERATION,),
 }
 
 

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from estimation.values.registry import MAX_AXLES
 from ingest.catalogue import Catalogue, MessagePlan, SignalPlan
 from ingest.input_file import InputTable, Location, Positive, Text, field_error
-from ingest.units import DERIVATIVES, Quantity
+from ingest.units import SENSOR_QUANTITIES, Quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +109,7 @@ class OwnBus(Catalogue):
 
 
 QUANTITIES: Mapping[str, tuple[Quantity, ...]] = {
-    "lateral": (Quantity.ACCELERATION,),
-    "yaw": tuple(DERIVATIVES),
-    "roll": tuple(DERIVATIVES),
-    "mass_lateral": (Quantity.ACCELERATION,),
-    "speed": (Quantity.SPEED,),
+    **SENSOR_QUANTITIES,
     "odometer": (Quantity.LENGTH,),
     "distance": (Quantity.LENGTH,),
     "track_section": (Quantity.NUMBER,),

@@ -9,7 +9,7 @@ import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Self, TypeVar
 
 import numpy as np
 from annotated_types import Interval, Len
@@ -81,20 +81,13 @@ def vehicle_parameters(scenario: Scenario, vehicle: str) -> VehicleParameters:
         return assumed
     creep = 1.0 + limits.creep / NORMAL_95 * generator(scenario.seed, Stream.CREEP).standard_normal()
     lateral, yaw, wheelset, body = _draws(scenario, vehicle)
-    stiff_lateral, stiff_yaw = 1.0 + limits.stiffness * lateral, 1.0 + limits.stiffness * yaw
-    heavy_wheelset, heavy_body = 1.0 + limits.mass * wheelset, 1.0 + limits.mass * body
-    return replace(
+    return _scaled(
         assumed,
-        longitudinal_creep_coefficient=creep * assumed.longitudinal_creep_coefficient,
-        lateral_creep_coefficient=creep * assumed.lateral_creep_coefficient,
-        lateral_spin_creep_coefficient=creep * assumed.lateral_spin_creep_coefficient,
-        lateral_stiffness=stiff_lateral * assumed.lateral_stiffness,
-        yaw_stiffness=stiff_yaw * assumed.yaw_stiffness,
-        wheelset_mass=heavy_wheelset * assumed.wheelset_mass,
-        yaw_inertia=heavy_wheelset * assumed.yaw_inertia,
-        pitch_inertia=heavy_wheelset * assumed.pitch_inertia,
-        suspended_mass=heavy_body * assumed.suspended_mass,
-        load=heavy_body * assumed.load,
+        (creep, "longitudinal_creep_coefficient lateral_creep_coefficient lateral_spin_creep_coefficient"),
+        (1.0 + limits.stiffness * lateral, "lateral_stiffness"),
+        (1.0 + limits.stiffness * yaw, "yaw_stiffness"),
+        (1.0 + limits.mass * wheelset, "wheelset_mass yaw_inertia pitch_inertia"),
+        (1.0 + limits.mass * body, "suspended_mass load"),
     )
 
 
@@ -104,15 +97,21 @@ def vehicle_bogie(scenario: Scenario, vehicle: str) -> BogieParameters | None:
     if assumed is None or limits is None:
         return assumed
     lateral, yaw, _, body = _draws(scenario, vehicle)
-    heavy = 1.0 + limits.mass * body
-    return replace(
+    return _scaled(
         assumed,
-        frame_mass=heavy * assumed.frame_mass,
-        frame_yaw_inertia=heavy * assumed.frame_yaw_inertia,
-        body_mass=heavy * assumed.body_mass,
-        secondary_lateral_stiffness=(1.0 + limits.stiffness * lateral) * assumed.secondary_lateral_stiffness,
-        secondary_yaw_stiffness=(1.0 + limits.stiffness * yaw) * assumed.secondary_yaw_stiffness,
+        (1.0 + limits.mass * body, "frame_mass frame_yaw_inertia body_mass"),
+        (1.0 + limits.stiffness * lateral, "secondary_lateral_stiffness"),
+        (1.0 + limits.stiffness * yaw, "secondary_yaw_stiffness"),
     )
+
+
+_Parameters = TypeVar("_Parameters", VehicleParameters, BogieParameters)
+
+
+def _scaled(assumed: _Parameters, *factors: tuple[float, str]) -> _Parameters:
+    """Return parameters of which some, named with blanks between, are multiplied by factors."""
+    scaled = {name: factor * getattr(assumed, name) for factor, names in factors for name in names.split()}
+    return replace(assumed, **scaled)
 
 
 def _draws(scenario: Scenario, vehicle: str) -> FloatArray:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
+from estimation.contact.geometry import ContactTable
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
 from estimation.vehicle.equations_of_motion import VehicleParameters, creep_rate
@@ -30,25 +30,6 @@ STEP = 1e-3  # s
 RATE_LIMIT = 1.0  # creep rate x sub-step; Runge-Kutta of 4th order is stable to 2.78
 MINIMUM_SPEED = 0.5  # m/s, of scenarios that do not stop
 _MINIMUM_NODES = 3
-
-
-class ContactGeometryTable(Protocol):
-    """What the simulator needs of a contact table: uniform grids in m, arrays (n, g) in m and rad."""
-
-    @property
-    def lateral_displacement(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - the class docstring says it
-    @property
-    def gauge_deviation(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
-    @property
-    def rolling_radius_left(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
-    @property
-    def rolling_radius_right(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
-    @property
-    def contact_angle_left(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
-    @property
-    def contact_angle_right(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
-    @property
-    def roll(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +89,7 @@ class PreparedTable:
     e_step: float
 
     @staticmethod
-    def of(table: ContactGeometryTable) -> PreparedTable:
+    def of(table: ContactTable) -> PreparedTable:
         """Lay out ``table``, with the slopes of roll at its nodes."""
         x, e = table.lateral_displacement, table.gauge_deviation
         x_step, e_step = uniform_spacing(x), uniform_spacing(e)
@@ -140,7 +121,7 @@ class PreparedTable:
 
 def simulate_wheelset(
     parameters: VehicleParameters,
-    table: ContactGeometryTable | PreparedTable,
+    table: ContactTable | PreparedTable,
     track: TrackTruth,
     speed: FloatArray,
     start: float,

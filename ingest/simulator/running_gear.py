@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from estimation.contact.geometry import ContactTable
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters, creep_rate
@@ -29,7 +30,6 @@ from ingest.simulator.gear_rates import (
 from ingest.simulator.motion import (
     RATE_LIMIT,
     STEP,
-    ContactGeometryTable,
     PreparedTable,
     WheelsetMotion,
     constants,
@@ -193,7 +193,7 @@ def _on_track(gear: RunningGear, tables: Sequence[PreparedTable], track: TrackTr
 
 def simulate_gear(
     gear: RunningGear,
-    tables: Sequence[ContactGeometryTable | PreparedTable],
+    tables: Sequence[ContactTable | PreparedTable],
     track: TrackTruth,
     speed: FloatArray,
     start: float,
