@@ -230,11 +230,6 @@ def _check_needed(catalogue: Catalogue, path: Path) -> None:
             raise CatalogueError("an acceleration message is four int16", file=path, field=plan.name)
 
 
-def resolution(plan: MessagePlan) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return the value of one count of each signal, (m,)."""
-    return np.array([signal.scale for signal in plan.signals])
-
-
 SYNC_ID = 0x080
 TIME_ID = 0x100
 

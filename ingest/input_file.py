@@ -267,19 +267,16 @@ _REASONS: Mapping[str, str] = {
 
 def _reason(error: ErrorDetails, model: type[BaseModel], container: str) -> str:
     if error["type"] == "extra_forbidden":
-        return f"unknown key; known here: {', '.join(_known_keys(model, error['loc']))}"
+        for part in error["loc"][:-1]:
+            known = {item.alias or name: item for name, item in model.model_fields.items()}
+            if part in known:
+                model = _model_in(known[str(part)].annotation) or model
+        keys = sorted(item.alias or name for name, item in model.model_fields.items())
+        return f"unknown key; known here: {', '.join(keys)}"
     sentence = _REASONS.get(error["type"])
     if sentence is None:
         return error["msg"]
     return sentence.format(value=error["input"], container=container, **error.get("ctx", {}))
-
-
-def _known_keys(model: type[BaseModel], location: Location) -> list[str]:
-    for part in location[:-1]:
-        known = {item.alias or name: item for name, item in model.model_fields.items()}
-        if part in known:
-            model = _model_in(known[str(part)].annotation) or model
-    return sorted(item.alias or name for name, item in model.model_fields.items())
 
 
 def _model_in(annotation: object) -> type[BaseModel] | None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -42,20 +42,6 @@ class Decoded:
 
     receipts: tuple[ChunkRecord, ...]
     assembly: SpanAssembly | None
-
-
-def printable_name(path: Path) -> str:
-    """Return the name of a file as it is kept with the receipt: what is no text in it is replaced."""
-    name = path.name.encode("utf-8", "replace").decode()
-    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
-
-
-def check_undecided(unit: SqlUnitOfWork, receipts: Iterable[ChunkRecord]) -> None:
-    """Raise where a recording was reassigned, deleted, set aside or rejected while its windows were assembled."""
-    for receipt in receipts:
-        now = unit.chunks.get(receipt.digest)
-        if now is None or now.vehicle != receipt.vehicle or now.state in UNDECODABLE:
-            raise ConflictError(f"recording {receipt.digest[:12]} changed meanwhile", kind="chunk", key=receipt.digest)
 
 
 TAKE_DELETED = "--take-deleted"  # the option that asks for it
@@ -157,7 +143,8 @@ class Chunk:
     sender: str | None  # who sent it, or the folder it came through
 
     def receipt(self, digest: str, size_bytes: int, now_ns: int) -> ChunkRecord:
-        """Return its receipt."""
+        """Return its receipt; what is no text in the name of its file is replaced."""
+        name = Path(self.file_name).name.encode("utf-8", "replace").decode()
         return ChunkRecord(
             digest=digest,
             vehicle=self.vehicle,
@@ -171,7 +158,7 @@ class Chunk:
             counts={},
             received_ns=now_ns,
             recorded_ns=now_ns,
-            file_name=printable_name(Path(self.file_name)),
+            file_name="".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name),
             sender=self.sender,
         )
 

@@ -31,12 +31,12 @@ from ingest.exchange.run import write_bundle
 from ingest.logs.formats import format_of
 from ingest.reassembly import HeldRecordings, Reassembler
 from ingest.receipts import (
+    UNDECODABLE,
     Announce,
     Chunk,
     Decoded,
     DeletedRecordings,
     ReceivedFile,
-    check_undecided,
     enter_receipt,
     of_another_vehicle,
     to_nobody,
@@ -306,7 +306,12 @@ class Receiver:
         return self._assembler.placed(unit, record, recording) == made.receipts
 
     def _commit(self, unit: SqlUnitOfWork, made: Decoded) -> tuple[ChunkRecord, int]:
-        check_undecided(unit, made.receipts)
+        for receipt in made.receipts:
+            now = unit.chunks.get(receipt.digest)
+            if now is None or now.vehicle != receipt.vehicle or now.state in UNDECODABLE:
+                raise ConflictError(
+                    f"recording {receipt.digest[:12]} changed meanwhile", kind="chunk", key=receipt.digest
+                )
         changes, counts = NO_CHANGES, made.receipts[0].counts
         if made.assembly is not None:
             changes = commit(unit, made.assembly, self._clock.now_ns())

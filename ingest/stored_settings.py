@@ -96,7 +96,10 @@ def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) ->
         check_window_length(unit, length_ns)
         found = _stored_buses(unit) if unit.settings.get(LENGTH) == str(length_ns) else None
     chosen: dict[str, Catalogue] = {OTHERS: buses.others, **buses.by_class}
-    given = {name: StoredBus(bus_digest(bus), isinstance(bus, OwnBus)) for name, bus in chosen.items()}
+    given = {
+        name: StoredBus(hashlib.sha256(repr(_plain(bus)).encode()).hexdigest(), isinstance(bus, OwnBus))
+        for name, bus in chosen.items()
+    }
     if found is None or _changed(found, given):
         with storage.write() as unit:
             unit.settings.alone()
@@ -114,11 +117,6 @@ def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) ->
             unit.settings.put(BUSES, text, now_ns)
     missing = {name for name, bus in found.items() if bus.own and not (name in given and given[name].own)}
     return replace(buses, missing=frozenset(missing - {OTHERS}), others_missing=OTHERS in missing)
-
-
-def bus_digest(bus: Catalogue) -> str:
-    """Return the digest of what decoding takes from a bus; the order of messages in a file does not matter."""
-    return hashlib.sha256(repr(_plain(bus)).encode()).hexdigest()
 
 
 def _changed(found: Mapping[str, StoredBus], given: Mapping[str, StoredBus]) -> list[str]:
@@ -143,6 +141,7 @@ def _stored_buses(unit: SqlUnitOfWork) -> dict[str, StoredBus] | None:
 
 
 def _plain(value: object) -> object:
+    """Return what decoding takes from a bus; the order of messages in a file does not matter."""
     if is_dataclass(value):
         names = [field.name for field in fields(value) if field.name != "vehicle_classes"]
         return [(name, _plain(getattr(value, name))) for name in names]

@@ -35,7 +35,7 @@ from ingest.align.samples import (
     range_of,
     vehicle_motion,
 )
-from ingest.catalogue import ACCELERATION, Catalogue, resolution
+from ingest.catalogue import ACCELERATION, Catalogue
 from ingest.codec import Counts
 from ingest.plausibility import off_line_m
 
@@ -132,9 +132,10 @@ def vehicle_samples(
         if found is not None:
             nodes[node] = found[0]
             counts += found[1]
-    steps = resolution(catalogue.find(ACCELERATION, catalogue.wheelset_nodes[0])).tolist()
+    signals = catalogue.find(ACCELERATION, catalogue.wheelset_nodes[0]).signals
+    lateral, yaw, roll, mass = (signal.scale for signal in signals)
     motion = vehicle_motion(messages, catalogue.sample_interval_ns)
-    return VehicleSamples(vehicle, catalogue.sample_interval_ns, nodes, motion, tuple(steps)), counts
+    return VehicleSamples(vehicle, catalogue.sample_interval_ns, nodes, motion, (lateral, yaw, roll, mass)), counts
 
 
 def windows_of(

@@ -54,7 +54,7 @@ class _Seen:
     size: int
     changed_ns: int
     inode: int
-    since_s: float
+    since_s: float = field(compare=False)
 
 
 @dataclass(slots=True)
@@ -108,10 +108,9 @@ class DropFolder:
                 status = path.lstat()
                 if not stat.S_ISREG(status.st_mode):
                     continue
-                one = _Seen(status.st_size, status.st_mtime_ns, status.st_ino, now_s)
+                seen = _Seen(status.st_size, status.st_mtime_ns, status.st_ino, now_s)
                 before = self._seen.get(path)
-                same = before is not None and _same(before, one)
-                found[path] = before if before is not None and same else one
+                found[path] = before if before is not None and before == seen else seen
         self._seen = found
         complete = [path for path, one in found.items() if now_s - one.since_s >= self.settings.quiet_s]
         complete.sort(key=lambda path: (found[path].changed_ns, path))
@@ -141,7 +140,7 @@ class DropFolder:
             with suppress(FileNotFoundError):
                 status = path.lstat()
                 now = _Seen(status.st_size, status.st_mtime_ns, status.st_ino, 0.0)
-                if _same(self._seen[path], now) and arrival.file.size_bytes == status.st_size:
+                if self._seen[path] == now and arrival.file.size_bytes == status.st_size:
                     same.append((path, arrival))
         if not same:
             return []
@@ -173,7 +172,3 @@ def held_folder(folder: Path) -> Iterator[None]:
         if not locked:
             raise ConflictError(f"another process watches {folder}")
         yield
-
-
-def _same(one: _Seen, other: _Seen) -> bool:
-    return (one.size, one.changed_ns, one.inode) == (other.size, other.changed_ns, other.inode)

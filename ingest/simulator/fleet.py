@@ -24,7 +24,6 @@ from ingest.logs.blf_layout import write_blf
 from ingest.simulator.axle_motion import (
     DerailmentError,
     GeometryTruth,
-    WornContact,
     axle_motions,
     contact_of,
     together,
@@ -33,7 +32,6 @@ from ingest.simulator.axle_motion import (
 )
 from ingest.simulator.bus_frames import vehicle_frames
 from ingest.simulator.campaign import (
-    VehicleRun,
     as_measured,
     failed,
     length_ahead,
@@ -45,7 +43,6 @@ from ingest.simulator.campaign import (
     with_margins,
 )
 from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less_wear
-from ingest.simulator.motion import WheelsetMotion
 from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, generator, seed_of
 from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, write_registry, write_truth
@@ -237,10 +234,10 @@ def _group_on_the_rails(
 
 
 def _group(
-    scenario: Scenario, track: TrackTruth, vehicle: str, group: tuple[int, ...], campaigns: Campaigns
+    scenario: Scenario, track: TrackTruth, code: str, group: tuple[int, ...], campaigns: Campaigns
 ) -> list[_Axle]:
     """Return what the nodes of wheelsets that move together measure in every campaign, and their geometry at first."""
-    plan = scenario.vehicle(vehicle)
+    plan = scenario.vehicle(code)
     wheelsets = [plan.wheelsets[axle] for axle in group]
     contacts = [contact_of(scenario, track, wheelset, scenario.odometer(campaigns[0])) for wheelset in wheelsets]
     records: list[dict[int, SensorRecord | None]] = [{} for _ in group]
@@ -251,26 +248,20 @@ def _group(
         if not any(working):
             continue
         run = vehicle_run(scenario, track, plan, campaign)
-        motions = _motions(scenario, track, run, group, contacts)
+        back = runs_rear_first(scenario, campaign)
+        if back:
+            seen, vehicle = seen_from_ahead(scenario, plan)
+            ahead = replace(run, vehicle=vehicle, distance=run.distance + length_ahead(plan))
+            places = tuple(len(vehicle.wheelsets) - 1 - axle for axle in reversed(group))
+            motions = axle_motions(seen, track, ahead, places, [None] * len(places))[::-1]
+        else:
+            motions = axle_motions(scenario, track, run, group, [contact.table for contact in contacts])
         for found, axle, motion, works in zip(records, group, motions, working, strict=True):
             if works:
                 record = wheelset_record(scenario, run, axle, motion)
-                back = runs_rear_first(scenario, campaign)
                 found[campaign] = replace(record, values=as_measured(record.values)) if back else record
     truths = (true_geometry(scenario, *pair) for pair in zip(wheelsets, contacts, strict=True))
     return [_Axle(*pair) for pair in zip(records, truths, strict=True)]
-
-
-def _motions(
-    scenario: Scenario, track: TrackTruth, run: VehicleRun, group: tuple[int, ...], contacts: Sequence[WornContact]
-) -> Sequence[WheelsetMotion]:
-    if not runs_rear_first(scenario, run.campaign):
-        return axle_motions(scenario, track, run, group, [contact.table for contact in contacts])
-    seen, vehicle = seen_from_ahead(scenario, run.vehicle)
-    ahead = replace(run, vehicle=vehicle, distance=run.distance + length_ahead(run.vehicle))
-    last = len(vehicle.wheelsets) - 1
-    places = tuple(last - axle for axle in reversed(group))
-    return axle_motions(seen, track, ahead, places, [None] * len(places))[::-1]
 
 
 def _campaign(

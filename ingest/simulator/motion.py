@@ -139,22 +139,21 @@ def simulate_wheelset(
     distance = course(track, speed, start)
     coefficients = track.spline_coefficients()
     state = _start(coefficients, track, start, float(speed[0])) if initial is None else np.array(initial, np.float64)
-    path = None
+    forced, sensed = np.zeros((len(speed), FORCED)), None
     if track.curves is not None:
-        path = path_motion(parameters, track.curves, track.s, distance, speed, STEP)
+        forced, sensed = path_motion(parameters, track.curves, track.s, distance, speed, STEP)
     out = np.empty((len(OUTPUTS), len(speed)))
     outside = integrate(
         WheelsetOnTrack(constants(parameters), prepared.nodes, coefficients, prepared.grid(track)),
         speed,
         distance,
-        path.forced if path is not None else np.zeros((len(speed), FORCED)),
+        forced,
         STEP,
         sub_steps(speed, STEP, creep_rate(parameters, 1.0), RATE_LIMIT),
         state,
         out,
     )
     out.flags.writeable = False
-    sensed = None if path is None else path.accelerations
     return motion_of(out, speed, distance, outside=int(outside), path_accelerations=sensed)
 
 

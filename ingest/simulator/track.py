@@ -77,14 +77,6 @@ class Curves(FrozenArrays):
     cant: Annotated[FloatArray, "n"]  # m, right rail above the left one
 
 
-@dataclass(frozen=True, slots=True)
-class PathMotion:
-    """What the path does to a wheelset that follows it."""
-
-    forced: FloatArray  # (n, 3) added to y'', psi'', ym''
-    accelerations: FloatArray  # (4, n) what sensors measure beside the motion, in the order of ACCELERATIONS
-
-
 def laid_out(curves: Sequence[Curve], s: FloatArray) -> Curves:
     """Return the curves on the grid ``s`` (n,), m; linear transitions with rounded ends."""
     shape = np.zeros((2, len(s)))
@@ -100,10 +92,11 @@ def laid_out(curves: Sequence[Curve], s: FloatArray) -> Curves:
 
 def path_motion(
     p: VehicleParameters, curves: Curves, s: FloatArray, distance: FloatArray, speed: FloatArray, step: float
-) -> PathMotion:
+) -> tuple[FloatArray, FloatArray]:
     """Return the accelerations that curved track forces on a wheelset, and those that its sensors measure of the path.
 
-    Curves are on the grid ``s`` (m,), m along the section.
+    The former (n, 3) are added to y'', psi'' and ym'', the latter are (4, n) in the order of ``ACCELERATIONS``. Curves
+    are on the grid ``s`` (m,), m along the section.
     """
     curvature = np.interp(distance, s, curves.curvature)
     tilt = np.interp(distance, s, curves.cant) / (2.0 * p.half_contact_distance)
@@ -114,10 +107,8 @@ def path_motion(
     creep = 2.0 * (p.half_contact_distance**2 * p.longitudinal_creep_coefficient + p.spin_creep_coefficient)
     gyroscopic = p.pitch_inertia * speed / p.nominal_radius * tilt_rate
     yaw = -turning - (creep * curvature - gyroscopic) / p.yaw_inertia  # the right rail above: it rolls by -tilt
-    return PathMotion(
-        forced=np.ascontiguousarray(np.column_stack([-uncompensated - spin, yaw, -uncompensated])),
-        accelerations=np.stack([uncompensated, turning, -np.gradient(tilt_rate, step), uncompensated]),
-    )
+    forced = np.ascontiguousarray(np.column_stack([-uncompensated - spin, yaw, -uncompensated]))
+    return forced, np.stack([uncompensated, turning, -np.gradient(tilt_rate, step), uncompensated])
 
 
 LARGEST_GAP = 2.0  # m between two rows of a recorded track
