@@ -98,6 +98,7 @@ READS: Mapping[str, str] = {
     "results.identity": "identity",
     "results.suspension": Facet.BESIDE,
     "tracks.in_force": Facet.ALIGNMENT,
+    "windows.any_decided": Facet.PLACES,
     "windows.refused_on": Facet.PLACES,
     "epochs.outdated": Facet.PLACES,
     "tables.parameter_keys": Facet.PLACES,
