@@ -42,7 +42,7 @@ from ingest.receipts import Announce, ChunkStorage, to_nobody
 from ingest.receiver import Receiver
 from ingest.stored_settings import SECOND_NS, bus_choice, check_window_length, claim
 from ingest.topic.client import Topic, load_properties
-from ingest.topic.publishing import Publisher
+from ingest.topic.references import Publisher
 from ingest.vehicle_class_schema import class_of_package
 
 if TYPE_CHECKING:

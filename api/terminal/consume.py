@@ -29,9 +29,8 @@ from estimation.errors import ParameterError
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import decode_received
 from ingest.live.status import Backoff
-from ingest.topic.client import Topic, TopicReader
+from ingest.topic.client import ConsumerStatus, Outcome, Topic, TopicReader
 from ingest.topic.consuming import Consuming, ReferenceTaking
-from ingest.topic.reference import ConsumerStatus, Outcome
 
 WATCH_EVERY_S = 0.2
 MEASURES = "treadwatch_consumer_"

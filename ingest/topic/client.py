@@ -9,11 +9,13 @@ import importlib
 import importlib.util
 import logging
 import re
+import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -21,7 +23,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from estimation.errors import InputError, PassingFaultError
 from estimation.values.reasons import ReasonCode
 from ingest.input_file import SETTINGS_BYTES, read_text_within
-from ingest.topic.reference import ConsumerStatus
 
 if TYPE_CHECKING:
     from confluent_kafka import Consumer, KafkaError, TopicPartition
@@ -144,6 +145,50 @@ SHORT_POLL_S = 0.2
 ASK_S = 2.0
 
 _log = logging.getLogger(__name__)
+
+
+class Outcome(StrEnum):
+    """What became of a message, once its offset is committed."""
+
+    STORED = "stored"  # the receipt is new: the bytes were in the raw store already
+    KNOWN = "known"  # there was a receipt
+    MISSING = "missing"  # no such bytes in the raw store: in quarantine, tried again
+    DAMAGED = "damaged"  # other bytes under that digest, or of another size: in quarantine, tried again
+    FAILED = "failed"  # the program failed at it: in quarantine, tried again
+    OTHER_VEHICLE = "other_vehicle"  # the same chunk was received from another vehicle
+    DELETED = "deleted"  # the chunk was deleted by hand
+    MALFORMED = "malformed"
+    OTHER_VERSION = "other_version"
+    CONTRADICTORY = "contradictory"  # key and body name different vehicles
+
+
+@dataclass(slots=True)
+class ConsumerStatus:
+    """What a consumer knows; written by its thread, and read by any. Counts are since the start; no fault is None."""
+
+    broker_fault: str | None = "not asked yet"
+    raw_fault: str | None = None
+    database_fault: str | None = "not asked yet"
+    behind: str | None = None  # which limit keeps new receipts out
+    outcomes: Counter[Outcome] = field(default_factory=Counter)  # of messages
+    decoded: int = 0  # chunks
+    not_decoded: int = 0  # chunks that could not be
+    partitions: int = 0  # this consumer's
+    behind_by: int = 0  # messages of these that are not taken yet, as far as the brokers have said
+    last_message_s: float | None = None  # seconds since the Unix epoch; None before the first
+    last_age_s: float = 0.0  # of the reference of the last message, when it was taken
+    thread: threading.Thread | None = None
+
+    @property
+    def alive(self) -> bool:
+        """Whether its thread runs."""
+        return self.thread is not None and self.thread.is_alive()
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """What keeps references from their receipts, by where it is."""
+        found = {"broker": self.broker_fault, "raw": self.raw_fault, "database": self.database_fault}
+        return {where: fault for where, fault in found.items() if fault is not None}
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,8 +25,8 @@ from ingest.intake.backlog import BacklogWatch, Behind, DecodedChunks, Limit
 from ingest.live.status import Backoff
 from ingest.reassembly import release
 from ingest.receipts import Chunk, DeletedRecordings, enter_receipt
-from ingest.topic.client import Received, TopicReader
-from ingest.topic.reference import ConsumerStatus, Outcome, Reference, Refused, as_text, from_text, read_message
+from ingest.topic.client import ConsumerStatus, Outcome, Received, TopicReader
+from ingest.topic.references import Reference, Refused, as_text, from_text, read_message
 
 STAGE = "consume"
 MOST_ATTEMPTS = 30

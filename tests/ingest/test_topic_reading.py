@@ -12,8 +12,7 @@ from kafka_cluster import MockCluster, mock_cluster
 from live_listening import PATIENCE_S, eventually
 
 from ingest.topic import client
-from ingest.topic.client import Received, Topic, TopicReader
-from ingest.topic.reference import ConsumerStatus
+from ingest.topic.client import ConsumerStatus, Received, Topic, TopicReader
 
 MESSAGES = [(b"north:L-1", str(number).encode()) for number in range(8)]
 
