@@ -66,7 +66,8 @@ class AxesTable(InputTable):
 
     @model_validator(mode="after")
     def _check_hand(self) -> Self:
-        if self.right_handed or (self.yaw is not None and self.roll is not None):
+        turned = (self.x == "backward") + (self.y == "right") + (self.z == "down")
+        if turned % 2 == 0 or (self.yaw is not None and self.roll is not None):
             return self
         other = "right" if self.y == "left" else "left"
         raise field_error(
@@ -74,12 +75,6 @@ class AxesTable(InputTable):
             " or give the positive sense of yaw and roll",
             "y",
         )
-
-    @property
-    def right_handed(self) -> bool:
-        """Whether x, y and z are."""
-        turned = (self.x == "backward") + (self.y == "right") + (self.z == "down")
-        return turned % 2 == 0
 
     @property
     def signs(self) -> Mapping[str, float]:

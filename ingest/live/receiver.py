@@ -32,18 +32,12 @@ class Spooling:
         self._status = status
         self._reports = reports
         self._ending = threading.Event()
-        self._ready = threading.Event()
         self._frames, self._dropped = b"", 0  # taken from the buffer and not on the disk yet
         self._piece_begun: float | None = None
         self._piece_bytes = 0
         self._before = 0  # frames dropped before this process that a record mentions
         self._recorded = 0
         self._reported, self._reported_at = 0, -REPORT_EVERY_S
-
-    @property
-    def ready(self) -> bool:
-        """Whether what an earlier process left has been taken over."""
-        return self._ready.is_set()
 
     def end(self) -> None:
         """Make :meth:`run` write the rest and return."""
@@ -54,7 +48,6 @@ class Spooling:
         while not self._take_over():
             if self._ending.wait(EVERY_S):
                 return
-        self._ready.set()
         while not self._ending.wait(EVERY_S):
             self._step()
         self._step()

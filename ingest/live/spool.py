@@ -105,13 +105,8 @@ class FrameBuffer:
         self._limit = limit_bytes
         self._lock = threading.Lock()
         self._frames = bytearray()
-        self._dropped = 0
+        self.dropped = 0  # frames, since the start
         self._handed_over = 0
-
-    @property
-    def dropped(self) -> int:
-        """Frames dropped since the start."""
-        return self._dropped
 
     @property
     def size_bytes(self) -> int:
@@ -124,12 +119,12 @@ class FrameBuffer:
             if len(self._frames) + FRAME_BYTES <= self._limit:
                 self._frames += frame
             else:
-                self._dropped += 1
+                self.dropped += 1
 
     def count_dropped(self, frames: int) -> None:
         """Count frames that were dropped before they came here."""
         with self._lock:
-            self._dropped += frames
+            self.dropped += frames
 
     def take(self, limit_bytes: int) -> tuple[bytes, int]:
         """Return the oldest frames, of so many bytes at most, and how many were dropped behind them."""
@@ -138,8 +133,8 @@ class FrameBuffer:
             del self._frames[:limit_bytes]
             if self._frames or not frames:
                 return frames, 0
-            dropped = self._dropped - self._handed_over
-            self._handed_over = self._dropped
+            dropped = self.dropped - self._handed_over
+            self._handed_over = self.dropped
             return frames, dropped
 
 

@@ -22,7 +22,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Any
@@ -35,7 +35,7 @@ from estimation.values.reasons import ReasonCode
 from fleet_db.atomic_files import passing_fault
 from ingest.frames import FrameBatch
 from ingest.logs import asc, blf_reader, candump, mf4
-from ingest.logs.log_format import COLUMNS, LogFormat, ReadLimits, limits_of
+from ingest.logs.log_format import COLUMNS, LogFormat, ReadLimits
 
 SERVER = "ingest.logs.server"
 ENVIRONMENT = {"TZ": "UTC", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
@@ -47,13 +47,34 @@ PATIENCE_S = 30.0
 STARVED = 0.5  # a process that was ended by the clock and had less than this share of its CPU limit was kept waiting
 
 
+FRAMES_PER_BYTE = 0.5
+"""A BLF file of a standing vehicle whose sensors send one value takes 4 bytes a frame, a running one 15."""
+
+INFLATED_PER_BYTE = 24
+
+
+def limits_of(size_bytes: int, bytes_per_s: int, more_memory: int = 0) -> ReadLimits:
+    """Return the limits for a file: a day of a vehicle passes with room to spare, a bomb does not.
+
+    Memory does not grow with the file, because no reader keeps more of it than a few containers or lines.
+    """
+    seconds, least = size_bytes / bytes_per_s, ReadLimits()
+    return replace(
+        least,
+        memory_bytes=least.memory_bytes + more_memory,
+        cpu_s=least.cpu_s + seconds,
+        wall_s=least.wall_s + 2.0 * seconds,
+        frames=least.frames + round(FRAMES_PER_BYTE * size_bytes),
+        inflated_bytes=least.inflated_bytes + INFLATED_PER_BYTE * size_bytes,
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class LogContent:
     """What a log file holds.
 
-    Attributes:
-        counts: What was left out or is strange, where there was any: ``lines_lost``, ``lines_not_frames``,
-            ``objects_not_frames``, ``frames_out_of_time``, ``recorder_steps_back``, ``header_disagrees``.
+    Counts are of what was left out or is strange, where there was any: ``lines_lost``, ``lines_not_frames``,
+    ``objects_not_frames``, ``frames_out_of_time``, ``recorder_steps_back``, ``header_disagrees``.
     """
 
     batch: FrameBatch
@@ -233,15 +254,10 @@ def read_log(path: Path, limits: ReadLimits | None = None) -> FrameBatch:
 def read_content(
     path: Path, limits: ReadLimits | None = None, cost: Callable[[ReadCost], None] | None = None
 ) -> LogContent:
-    """Read a recording of one bus, in a process of its own.
+    """Read a recording of one bus, in a process of its own, under limits (by default those of its size and format).
 
-    Args:
-        limits: What reading may cost; by default what a file of its size and format may need.
-
-    Raises:
-        LogFileError: The file is no such log, its contents are not of its suffix's format, it is truncated or corrupt,
-            or reading it would cost more than the limits allow. Names the file, and the byte or line.
-        PassingFaultError: The machine cannot read it now.
+    Raises LogFileError, with the byte or line, where the file is no whole log of its suffix's format or too costly to
+    read, and PassingFaultError where the machine cannot read it now.
     """
     expected = format_of(path)
     held, size = _format_held(path)

@@ -20,8 +20,8 @@ from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, em
 from ingest.live.listening import messages_of
 from ingest.logs import SUFFIXES, read_log, write_blf
 from ingest.logs.blf_reader import read_blf
-from ingest.logs.formats import read_content, stop_server
-from ingest.logs.log_format import COLUMNS, FrameSink, limits_of
+from ingest.logs.formats import limits_of, read_content, stop_server
+from ingest.logs.log_format import COLUMNS, FrameSink
 
 TEXT_FORMATS = [".asc", ".log"]
 FORMATS = [".blf", *TEXT_FORMATS, ".mf4"]
