@@ -83,6 +83,8 @@ READS: Mapping[str, str] = {
     "geometries.interval_numbers": GEOMETRY.stage,
     "geometries.intervals": GEOMETRY.stage,
     "geometries.current_of": GEOMETRY.stage,
+    "geometries.read_with": GEOMETRY.stage,
+    "geometries.read_intervals": GEOMETRY.stage,
     "registry.vehicles": Facet.REGISTRY,
     "registry.mounted_on": Facet.REGISTRY,
     "registry.newest_measurement_of": Facet.REGISTRY,
