@@ -92,9 +92,9 @@ class Receiver:
         """Take in one recording of a vehicle.
 
         Where decoding fails for a passing fault or by a failure of the program the recording is stored all the same,
-        with its reason, and tried again by :meth:`decode_stored`. Raises LogFileError where it is damaged (its bytes are
-        kept with a receipt that says so, unless it is no log by its suffix), NotFoundError where the registry does not
-        know the vehicle (it is kept until it does), ConflictError where it is another vehicle's, or was deleted.
+        with its reason, and tried again by :meth:`decode_stored`. Raises LogFileError where it is damaged (its bytes
+        are kept with a receipt that says so, unless it is no log by its suffix), NotFoundError where the registry does
+        not know the vehicle (it is kept until it does), ConflictError where it is of another vehicle, or deleted.
         """
         return self.accept(self._store_and_read(path, vehicle))
 
