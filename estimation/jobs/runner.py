@@ -47,7 +47,7 @@ def run_all(stages: Iterable[AnyStage], context: JobContext, isolation: Isolatio
     isolation, looked = isolation or Isolation(context, waiting[0].job), False
     while waiting:
         if looked and not _is_listed(waiting[0], listed):
-            with context.storage.write() as unit:
+            with context.storage.write(fenced=False) as unit:  # whoever lists them, they are due
                 unit.marks.list_again(waiting[0].inputs(context))
             listed.add(waiting[0].name)
         due: Mapping[str, Due] = {}
