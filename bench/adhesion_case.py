@@ -36,7 +36,7 @@ from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import Motion, Window
 from estimation.vehicle.vehicle_class import VehicleClass
 from ingest.simulator.axle_motion import contact_of, true_geometry
-from ingest.simulator.creep_laws import CreepLaw
+from ingest.simulator.running import CreepLaw
 from ingest.simulator.scenario import Scenario
 
 AMPLITUDES = np.arange(4, 13) * 0.25e-3  # m

@@ -44,8 +44,8 @@ from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
 from ingest.catalogue import default_catalogue
 from ingest.codec import decode, encode
 from ingest.frames import batch_of, concatenate
-from ingest.simulator.creep_laws import Creep, CreepLaw
 from ingest.simulator.motion import simulate_wheelset
+from ingest.simulator.running import Creep, CreepLaw
 from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
 from ingest.simulator.track import Curves, Surface, TrackTruth
 
