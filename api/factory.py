@@ -19,13 +19,13 @@ from api.raw_stores import open_raw_store
 from api.rules_file import load_rules
 from api.settings import PREFIX, Settings, known_sections, load_retention
 from api.tracing import traced
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.errors import InputError, MigrationError, ParameterError, StorageError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.numerics_version import NUMERICS_VERSION
-from estimation.rails.parameters import RailsParameters
+from estimation.rails.cell import RailsParameters
 from estimation.storage import Clock
 from fleet_db.keeping.purge import purge_job
 from fleet_db.keeping.retention import Retention
@@ -33,18 +33,16 @@ from fleet_db.migrate import check_head
 from fleet_db.raw import RawStore
 from fleet_db.session import ServerLimits, database_engine
 from fleet_db.storage import SqlStorage
-from ingest.assemble_windows import assemble_windows
 from ingest.catalogue import default_catalogue
-from ingest.intake.backlog import BacklogLimits, BacklogWatch
-from ingest.intake.store import ChunkStorage
-from ingest.live.backoff import Backoff
-from ingest.own_bus.bus import bus_choice
+from ingest.intake.backlog import BacklogLimits, BacklogWatch, assemble_windows
+from ingest.live.status import Backoff
 from ingest.own_bus.loading import load_own_bus
-from ingest.receipts import Announce, to_nobody
+from ingest.reassembly import ASSEMBLY
+from ingest.receipts import Announce, ChunkStorage, to_nobody
 from ingest.receiver import Receiver
-from ingest.stored_settings import SECOND_NS, check_window_length, claim
+from ingest.stored_settings import SECOND_NS, bus_choice, check_window_length, claim
 from ingest.topic.client import Topic, load_properties
-from ingest.topic.publishing import Publisher
+from ingest.topic.references import Publisher
 from ingest.vehicle_class_schema import class_of_package
 
 if TYPE_CHECKING:
@@ -210,7 +208,9 @@ def retention_of(settings: Settings) -> Retention:
 
 def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:
     """Return the jobs in the order in which one hands its results to the next, at the intervals of this deployment."""
-    jobs = (assemble_windows(_sql_storage, partial(_job_receiver, settings)), *ALL_JOBS)
+    assembly = partial(assemble_windows, partial(_job_receiver, settings))
+    title = "Assemble windows again whose recordings, registry or files have changed"
+    jobs = (Job(ASSEMBLY, title, every_s=60.0, run=assembly), *ALL_JOBS)
     if settings.jobs_every_s is not None:
         jobs = tuple(replace(job, every_s=settings.jobs_every_s) for job in jobs)
     return tuple(traced(job) for job in jobs)

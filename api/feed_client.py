@@ -13,7 +13,7 @@ import httpx
 import orjson
 
 from estimation.errors import TreadwatchError
-from ingest.live.backoff import Backoff
+from ingest.live.status import Backoff
 
 TRY_AGAIN = frozenset({HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.REQUEST_TIMEOUT})
 NEEDS_KEY = {

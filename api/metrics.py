@@ -16,10 +16,9 @@ from estimation.errors import TreadwatchError
 from estimation.values.alerts import AlertScope
 from estimation.values.runs import TRIED_AGAIN, SubjectKind
 from estimation.values.windows import WindowState
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState, Webhook, WebhookState
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.window_counts import backlog_of
-from fleet_db.webhook_records import Webhook, WebhookState
 from ingest.intake.backlog import Limit, free_bytes
 
 SILENT_AFTER_NS = 86_400 * 1_000_000_000  # a vehicle without data for longer is counted as silent

@@ -9,8 +9,7 @@ from urllib.parse import unquote, urlsplit
 
 from api.settings import LOOPBACK, PREFIX, Settings
 from estimation.errors import ParameterError
-from fleet_db.raw import RawStore
-from fleet_db.raw_files import FileRawStore
+from fleet_db.raw import FileRawStore, RawStore
 from fleet_db.raw_s3 import S3RawStore
 from fleet_db.s3_bucket import S3Bucket, S3Place
 

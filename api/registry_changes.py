@@ -14,7 +14,7 @@ from api.answers import require_match
 from api.asking import CODE, AskedChange
 from api.schemas.common import Body
 from estimation.errors import InputError
-from fleet_db.registry_events import Decision
+from fleet_db.records import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.input_file import MEBIBYTE, Location, dotted
 from ingest.registry_entry.contents import Entry, RegistryContents, Rule

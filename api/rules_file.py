@@ -42,7 +42,7 @@ from pydantic import BaseModel, create_model
 from pydantic import Field as Key
 from pydantic.types import AllowInfNan
 
-from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
+from estimation.alerts.rule_book import AlarmFloodRule, RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.alerts.rules.rule import AlertDelays, AlertRule
 from ingest.input_file import Code, InputFile, InputTable, Location, read_toml

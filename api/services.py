@@ -23,7 +23,7 @@ from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 from fleet_db.raw import RawStore
 from fleet_db.session import BUSY_TIMEOUT_MS
 from fleet_db.storage import SqlStorage
-from ingest.topic.publishing import Publisher
+from ingest.topic.references import Publisher
 
 MOST_WAITING = 16  # requests that may wait for a slot; more are refused at once
 

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, ValidationError, create_model, model
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from estimation.errors import ParameterError
-from estimation.rails.parameters import RailsParameters
+from estimation.rails.cell import RailsParameters
 from fleet_db.keeping.retention import Kept, Retention
 from ingest.input_file import InputTable, read_toml
 

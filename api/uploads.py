@@ -19,8 +19,7 @@ from api.problems import ProblemError, ProblemItem
 from estimation.errors import PassingFaultError, StorageError
 from fleet_db.raw import IncomingFile, RawStore
 from ingest.intake.backlog import BacklogWatch, Limit
-from ingest.intake.store import Arrival, ChunkStorage, ReceiptGroup, Stored
-from ingest.receipts import Chunk
+from ingest.receipts import Arrival, Chunk, ChunkStorage, ReceiptGroup, Stored
 
 FOLDER = "/v1/chunks/"
 

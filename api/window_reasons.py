@@ -12,17 +12,17 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.runs import TRIED_AGAIN, JobRun, Quarantined, QuarantineState, SubjectKind
 from estimation.values.windows import WindowKey, WindowRecord, WindowsOfReason, WindowState, WithoutEstimate, remedies
-from estimation.worklist.waiting import (
+from estimation.worklist.row import (
     ALIGNMENT,
     ESTIMATION,
-    GEOMETRY,
+    GEOMETRIES,
     SectionFacts,
     no_alignment,
     no_geometry_yet,
     tried_again,
     waits_for,
 )
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.window_counts import COUNTED, CountedWindows, newest_by_reason, pending_by_place
 
@@ -153,8 +153,8 @@ class WindowReasons:
         return None if known else Reason(ReasonCode.CLASS_UNKNOWN, f"class {code!r} of {vehicle} is not on file")
 
     def _no_geometry_yet(self, serial: str) -> Reason:
-        failed = self._failed(SubjectKind.WHEELSET, serial, GEOMETRY)
-        return no_geometry_yet(self._last_run(GEOMETRY), failed)
+        failed = self._failed(SubjectKind.WHEELSET, serial, GEOMETRIES)
+        return no_geometry_yet(self._last_run(GEOMETRIES), failed)
 
     def _last_run(self, job: str) -> JobRun | None:
         if job not in self._runs:

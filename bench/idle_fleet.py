@@ -24,15 +24,14 @@ from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.epoch_inputs import FileLookup, given
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
-from estimation.values.results import Mark
-from estimation.values.runs import JobTrigger
+from estimation.values.runs import JobTrigger, Mark
 from estimation.values.track import AlignmentSource, FoldState, TrackEpoch
 from fleet_db.due import DUE
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.tables.operation import ResultRow
 from fleet_db.tables.recordings import ChunkRow
 from fleet_db.tables.registry import MountingRow
-from fleet_db.tables.results import ResultRow
 from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, WindowPositionRow
 from fleet_db.tables.windows import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 

@@ -18,7 +18,7 @@ from estimation.estimators.interface import CurveEstimate, EstimatorParameters, 
 from estimation.jobs.job import JobContext
 from estimation.jobs.refresh_geometry import geometries_of
 from estimation.jobs.steps.rolling import members
-from estimation.motion.rolling_radius_difference import standard_displacement
+from estimation.motion.integration import standard_displacement
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import NORMAL_95, Status

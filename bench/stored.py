@@ -26,7 +26,7 @@ from fleet_db.keeping.retention import Retention
 from fleet_db.keeping.stored_bytes import database_size
 from fleet_db.migrate import upgrade
 from fleet_db.packed_values import pack_geometry
-from fleet_db.raw_files import FileRawStore
+from fleet_db.raw import FileRawStore
 from fleet_db.storage import SqlStorage
 
 DAYS, ALL_A_DAY = 365, 960

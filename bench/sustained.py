@@ -36,7 +36,7 @@ from estimation.errors import TreadwatchError
 from estimation.jobs import estimate_windows, refresh_alignment
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.values.runs import JobOutcome, JobTrigger
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables.recordings import ChunkRow

@@ -20,7 +20,7 @@ from estimation.values.trend import TREND
 from fleet_db.migrate import upgrade
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables.results import ResultRow
+from fleet_db.tables.operation import ResultRow
 from tests.postgres_server import SAFE, stoppable_server
 
 VERSIONS, AT_ONCE, ROUNDS, READS = 70_000, 5_000, 11, 40

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from sqlalchemy import update
 
+from bench.put_values import put_table
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.values.geometry import BinTable
@@ -86,7 +87,7 @@ class WheelsetYear:
         )
         record = unit.windows.get(SERIAL, start_ns)
         assert record is not None
-        unit.tables.put(SERIAL, start_ns, one.table, one.version, record.content_digest)
+        put_table(unit, SERIAL, start_ns, one.table, one.version, record.content_digest)
         unit.windows.mark(SERIAL, start_ns, WindowState.ESTIMATED)
         unit.tracks.put_positions([WindowPosition(SERIAL, start_ns, record.content_digest, one.version)])
         return EpochMember(record, "c" * 64, "a" * 64)

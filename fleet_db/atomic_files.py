@@ -6,6 +6,7 @@ import errno
 import hashlib
 import os
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -67,3 +68,15 @@ def sha256_of(path: Path) -> str:
     """Return the sha256 of a file."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def unlink_old(path: Path, least_age_s: float) -> int | None:
+    """Delete a file unless it was written or used again less than this age ago; return its size, None if it stays."""
+    try:
+        found = path.stat()
+        if found.st_mtime > time.time() - least_age_s:
+            return None
+        path.unlink()
+    except FileNotFoundError:
+        return None
+    return found.st_size

@@ -38,15 +38,12 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.opinions import CREEP
 from estimation.values.quantities import Status
-from estimation.values.results import Due, Facet, Mark, StageInputs
-from estimation.values.runs import FAILED, SubjectKind
+from estimation.values.runs import FAILED, Due, Facet, Mark, StageInputs, SubjectKind
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
-from fleet_db.on_file import VERSION
-from fleet_db.read_once import ReadOnce
 from fleet_db.rows import by_wheelset, reason_columns, table_of
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import REGISTRY_VERSION, ReadOnce, Subjects
 from fleet_db.tables.track import (
     TrackAlignmentRow,
     TrackEpochRow,
@@ -105,11 +102,7 @@ class WindowDueStore:
         return dict(self.once.of_wheelset(f"due {stage}", wheelset, read) or ())
 
     def of_section(self, stage: str, section: str, until_ns: int | None = None) -> Mapping[WindowKey, int]:
-        """Return the due windows of a section with their versions.
-
-        Args:
-            until_ns: Last start; None is all.
-        """
+        """Return the due windows of a section, up to a start, with their versions."""
         statement = select(DUE).where(DUE.c.stage == stage, DUE.c.section == section)
         if until_ns is not None:
             statement = statement.where(DUE.c.start_ns <= until_ns)
@@ -123,12 +116,8 @@ class WindowDueStore:
             self.connection.execute(_settled(), given)
 
     def due(self, inputs: StageInputs, keys: Collection[str] | None = None) -> Mapping[str, Due]:
-        """Return the windows that are due by key as text, in the order of vehicle, time and wheelset.
-
-        Args:
-            keys: Only of these; None is all.
-        """
-        statement = select(DUE, VERSION.label("registry")).where(DUE.c.stage == inputs.stage)
+        """Return the windows, some or all, that are due by key as text, in the order of vehicle, time and wheelset."""
+        statement = select(DUE, REGISTRY_VERSION.label("registry")).where(DUE.c.stage == inputs.stage)
         if inputs.stage == DueStage.TABLES:
             is_same = and_(WINDOWS.c.wheelset == DUE.c.wheelset, WINDOWS.c.start_ns == DUE.c.start_ns)
             ready = or_(DUE.c.section.not_in(_aligned_by_fleet()), PLACED, WINDOWS.c.state.is_(None))
@@ -140,12 +129,8 @@ class WindowDueStore:
         return {text_of_key(row.wheelset, row.start_ns): Due(row.version, registry=row.registry) for row in rows}
 
     def wheelsets(self, inputs: StageInputs, serials: Collection[str] | None = None) -> Mapping[str, Due]:
-        """Return the wheelsets with windows that are due, by serial.
-
-        Args:
-            serials: Only of these; None is all.
-        """
-        columns = (DUE.c.wheelset, func.sum(DUE.c.version).label("seen"), VERSION.label("registry"))
+        """Return the wheelsets, some or all, with windows that are due, by serial."""
+        columns = (DUE.c.wheelset, func.sum(DUE.c.version).label("seen"), REGISTRY_VERSION.label("registry"))
         statement = select(*columns).where(DUE.c.stage == inputs.stage)
         if serials is not None:
             statement = statement.where(DUE.c.wheelset.in_(serials))
@@ -162,21 +147,12 @@ class WindowDueStore:
 
 
 def list_due(connection: Connection, stage: str, chosen: ColumnElement[bool], **given: Any) -> None:  # noqa: ANN401
-    """List windows as due, in the transaction that changes them; before it removes them.
-
-    Args:
-        chosen: Condition on the table of windows.
-        given: Parameters of the condition.
-    """
+    """List windows on which a condition holds as due, in the transaction that changes them; before it removes them."""
     connection.execute(_listed(connection.dialect.name, (stage,), chosen), given)
 
 
 def list_to_estimate(connection: Connection, chosen: ColumnElement[bool]) -> None:
-    """Let windows with samples wait to be estimated again.
-
-    Args:
-        chosen: Condition on the table of windows, but for their states.
-    """
+    """Let windows with samples wait to be estimated again on which a condition holds, whatever their states."""
     waits = and_(chosen, WINDOWS.c.samples_purged_ns.is_(None))
     _let_wait(connection, waits)
     list_due(connection, DueStage.TABLES, waits)
@@ -242,11 +218,7 @@ def estimated(connection: Connection, keys: Sequence[WindowKey], tabled: Collect
 
 
 def is_due(stage: DueStage, table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
-    """Return the condition that the window of a row is due.
-
-    Args:
-        table: With the columns ``wheelset`` and ``start_ns``.
-    """
+    """Return the condition that the window of a row, with ``wheelset`` and ``start_ns``, is due."""
     same = (DUE.c.wheelset == table.c.wheelset, DUE.c.start_ns == table.c.start_ns)
     return select(DUE.c.version).where(DUE.c.stage == stage.value, *same).exists()
 
@@ -310,11 +282,7 @@ OF_EPOCH = (MEMBERS.c.section, MEMBERS.c.epoch)
 
 
 def list_for_alignment(subjects: Subjects, sections: Mapping[WindowKey, str | None]) -> None:
-    """List windows that are new or others now; after they are stored.
-
-    Args:
-        sections: That the windows are on, by key; those on none are no concern of an alignment.
-    """
+    """List windows (by key, with their section or None) that are new or others now; after they are stored."""
     keys = sorted(key for key, section in sections.items() if section is not None)
     for first in range(0, len(keys), BATCH):
         own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys[first : first + BATCH])
@@ -340,11 +308,7 @@ def windows_left(subjects: Subjects, keys: Sequence[WindowKey]) -> None:
 
 
 def positions_forgotten(subjects: Subjects, chosen: ColumnElement[bool]) -> None:
-    """Let epochs be computed again that have found where some windows were; before that is forgotten.
-
-    Args:
-        chosen: Condition on the table of windows.
-    """
+    """Let epochs be computed again that have found where some windows were; before that is forgotten."""
     placed = MEMBERS.join(POSITIONS, PLACED_MEMBER).join(WINDOWS, OF_WINDOW)
     found = subjects.connection.execute(select(*OF_EPOCH).select_from(placed).where(chosen).distinct())
     stale_epochs(subjects, [(row.section, row.epoch) for row in found])

@@ -1,6 +1,8 @@
 """Locks between processes: one writer on SQLite, one assembler of a vehicle; and leases, which end with time.
 
-On PostgreSQL they are advisory locks: ordered commits, and what is one transaction at a time anyway on SQLite.
+On PostgreSQL they are advisory locks: ordered commits, and what is one transaction at a time anyway on SQLite. What one
+process does as long as it lives (it sends to webhooks, keeps files, decodes a vehicle) it holds a lock file for beside
+an embedded database, and an advisory lock of a session of its own on PostgreSQL.
 """
 
 from __future__ import annotations
@@ -12,15 +14,17 @@ import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import partial
 from pathlib import Path
 
 from sqlalchemy import Connection, Engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from estimation.errors import BusyError, StorageError
+from estimation.errors import BusyError, ConflictError, StorageError
+from fleet_db.session import sqlite_file, translate_errors
 
 POLL_S = 0.002
 NAME_LENGTH = 60  # PostgreSQL keeps 63 bytes of an application name
@@ -164,19 +168,12 @@ class Claims:
 
 @dataclass(frozen=True, slots=True)
 class UnendedLease:
-    """Claims under a lease that nobody works on any more.
+    """Claims under a lease that nobody works on any more."""
 
-    Attributes:
-        number: Of the lease.
-        stage: Of the work.
-        begun_ns: When work on each key was begun under it, ns by the clock of the claims.
-        alone: Whether it is the lease of these claims alone, and ends with them.
-    """
-
-    number: int
-    stage: str
-    begun_ns: Mapping[str, int]
-    alone: bool = True
+    number: int  # of the lease
+    stage: str  # of the work
+    begun_ns: Mapping[str, int]  # when work on each key was begun under it, by the clock of the claims
+    alone: bool = True  # whether it is the lease of these claims alone, and ends with them
 
 
 @dataclass(slots=True)
@@ -200,3 +197,82 @@ class UnendedLeases:
         """Forget those that have been ended."""
         with self._lock:
             self._left = [one for one in self._left if one not in leases]
+
+
+DECODING = 0x7472_6463  # "trdc": ours among the advisory locks of a database, one number a vehicle
+FILES = 64
+"""Lock files for decoding beside an embedded database; vehicles that share one wait for each other."""
+
+TryVehicle = Callable[[str], AbstractContextManager[bool]]
+"""Tries to lock a vehicle for as long as the context lasts; yields whether it is locked."""
+
+
+@contextmanager
+def sending_alone(engine: Engine, holder: str) -> Iterator[Callable[[], bool] | None]:
+    """Hold the lock of the one sender of a database; yield what tells if it is held, None where another one sends."""
+    file = sqlite_file(engine)
+    if file is not None:
+        with locked_file(file.with_name(f"{file.name}.webhooks-lock")) as locked:
+            yield (lambda: True) if locked else None
+        return
+    with translate_errors(), postgresql_session(engine, holder) as session:
+        yield (lambda: _answers(session)) if _try(session, NAMESPACE, Subject.WEBHOOKS) else None
+
+
+@contextmanager
+def keeping_alone(engine: Engine) -> Iterator[None]:
+    """Hold the lock of those who copy or delete files of a database; ConflictError: another process holds it."""
+    busy = ConflictError("a backup, restore or purge of this database is running", kind="keeping", key="lock")
+    file = sqlite_file(engine)
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with locked_file(file.with_name(f"{file.name}.keeping-lock")) as locked:
+            if not locked:
+                raise busy
+            yield
+        return
+    with translate_errors(), postgresql_session(engine, "keeping") as session:
+        if not _try(session, NAMESPACE, Subject.KEEPING):
+            raise busy
+        yield
+
+
+@contextmanager
+def decoding_locks(engine: Engine, holder: str) -> Iterator[TryVehicle]:
+    """Yield what locks a vehicle: decoding it twice would give the same, this only saves the work."""
+    file = sqlite_file(engine)
+    if file is not None:
+        yield partial(_file_lock, file)
+        return
+    with translate_errors(), postgresql_session(engine, holder) as session:
+        yield partial(_advisory_lock, session)
+
+
+def _try(session: Connection, namespace: int, number: int) -> bool:
+    names = {"namespace": namespace, "number": int(number)}
+    return bool(session.scalar(text("SELECT pg_try_advisory_lock(:namespace, :number)"), names))
+
+
+def _answers(session: Connection) -> bool:
+    """Return whether a session is alive: its locks are held for as long."""
+    try:
+        session.execute(text("SELECT 1"))
+    except SQLAlchemyError:
+        return False
+    return True
+
+
+def _file_lock(file: Path, vehicle: str) -> AbstractContextManager[bool]:
+    return locked_file(file.with_name(f"{file.name}.decoding-{zlib.crc32(vehicle.encode()) % FILES:02d}"))
+
+
+@contextmanager
+def _advisory_lock(session: Connection, vehicle: str) -> Iterator[bool]:
+    number = zlib.crc32(vehicle.encode()) - (1 << 31)
+    locked = _try(session, DECODING, number)
+    try:
+        yield locked
+    finally:
+        if locked:
+            names = {"namespace": DECODING, "number": number}
+            session.execute(text("SELECT pg_advisory_unlock(:namespace, :number)"), names)

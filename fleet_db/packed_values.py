@@ -29,7 +29,8 @@ ALIGNMENTS = 4  # that are kept unpacked, some megabytes each
 GEOMETRY, LAYOUT, BIN_TABLE = "wheelset_geometry", "track_layout", "bin_table"
 WHEEL_PAIR, ALIGNMENT = "wheel_pair", "track_alignment"
 ROLLING_SUMS, SIGNATURES = "rolling_sums", "wear_signatures"
-WINDOW_ADHESION, SECTION_ADHESION, WINDOW_DAMPER = "window_adhesion", "section_adhesion", "window_damper"
+WINDOW_ADHESION, WINDOW_DAMPER = "window_adhesion", "window_damper"
+NAMES: Mapping[type[Any], str] = {SectionAdhesion: "section_adhesion"}  # of values that have another than their class
 STATUSES = {status.value: status for status in BinStatus}
 PROFILE_ARRAYS = ("y", "z", "slope")
 
@@ -38,14 +39,14 @@ def pack_value(value: object) -> bytes:
     """Return a value as one blob, by its own fields."""
     if isinstance(value, WheelsetGeometry):
         return pack_geometry(value)
-    return pack(type(value).__name__, *fields_of(value))
+    return pack(NAMES.get(type(value), type(value).__name__), *fields_of(value))
 
 
 def unpack_value(kind: type[V], blob: bytes, *, where: str) -> V:
     """Return the value of a class, bit for bit; DamagedError names ``where`` it was read from, here and below."""
     if issubclass(kind, WheelsetGeometry):
         return cast("V", unpack_geometry(blob, where=where))
-    return value_of(kind, *unpack(blob, kind.__name__, where=where))
+    return value_of(kind, *unpack(blob, NAMES.get(kind, kind.__name__), where=where))
 
 
 def pack_geometry(geometry: WheelsetGeometry) -> bytes:
@@ -219,16 +220,6 @@ def unpack_window_adhesion(blob: bytes, *, where: str) -> WindowAdhesion:
     scalars, arrays = unpack(blob, WINDOW_ADHESION, where=where)
     sums = value_of(FrictionSums, {}, arrays) if arrays else None
     return value_of(WindowAdhesion, scalars, {}, sums=sums)
-
-
-def pack_section_adhesion(found: SectionAdhesion) -> bytes:
-    """Return the friction of a section as one blob."""
-    return pack(SECTION_ADHESION, *fields_of(found))
-
-
-def unpack_section_adhesion(blob: bytes, *, where: str) -> SectionAdhesion:
-    """Return the friction of a section, bit for bit."""
-    return value_of(SectionAdhesion, *unpack(blob, SECTION_ADHESION, where=where))
 
 
 def pack_window_damper(found: WindowDamper) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -10,9 +11,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from estimation.errors import PassingFaultError
-from fleet_db.atomic_files import passing_faults
+from fleet_db.atomic_files import passing_faults, unlink_old
 from fleet_db.raw import (
+    DAMAGED,
     MARK_NAME,
+    MISSING,
     PREFIX,
     IncomingFile,
     LostRecordingError,
@@ -20,16 +23,13 @@ from fleet_db.raw import (
     RawStore,
     RawTotal,
     check_size,
-    damaged,
-    digest_in,
-    missing,
     recording_name,
 )
-from fleet_db.raw_files import unlink_old
 from fleet_db.s3_bucket import PART_BYTES, ObjectFacts, S3Bucket
 
 AT_ONCE = 8  # recordings of one call that are sent at the same time
 MARK_BYTES = 100
+_NAME = re.compile(r"([0-9a-f]{2})/([0-9a-f]{64})\.[A-Za-z0-9]+")
 NAMES = 1 << 32  # so many beginnings of a digest, of eight digits, there are
 
 
@@ -98,7 +98,7 @@ class S3RawStore(RawStore):
         for path, status in left:
             yield RawItem(str(path), "", status.st_size, status.st_mtime)
         for name, facts in self._bucket.listed():
-            digest = digest_in(name)
+            digest = _digest_in(name)
             if digest is not None:
                 yield RawItem(self._bucket.url(name), digest, facts.size_bytes, facts.changed_s)
 
@@ -119,7 +119,7 @@ class S3RawStore(RawStore):
         """Return what is there; of more than ``enough`` by how far their names, which are digests, have come."""
         files = size = 0
         for name, facts in self._bucket.listed():
-            digest = digest_in(name)
+            digest = _digest_in(name)
             if digest is None:
                 continue
             files, size = files + 1, size + facts.size_bytes
@@ -159,7 +159,7 @@ class S3RawStore(RawStore):
     def _missing(self, digest: str, suffix: str) -> LostRecordingError:
         """Return that an object is missing; raise PassingFaultError where it is the bucket that is."""
         self._bucket.read_few(recording_name(digest, suffix), 1)
-        return missing(self.place(digest, suffix))
+        return LostRecordingError(MISSING, file=self.place(digest, suffix))
 
     def _checked(self, digest: str, suffix: str, size_bytes: int | None) -> Iterator[bytes]:
         """Yield the pieces of an object; raise LostRecordingError behind the last where they are something else."""
@@ -174,9 +174,14 @@ class S3RawStore(RawStore):
                 found.update(piece)
                 yield piece
         except FileNotFoundError:
-            raise missing(place) from None
+            raise LostRecordingError(MISSING, file=place) from None
         if found.hexdigest() != digest:
-            raise damaged(place)
+            raise LostRecordingError(DAMAGED, file=place)
+
+
+def _digest_in(name: str) -> str | None:
+    found = _NAME.fullmatch(name)
+    return None if found is None or found[1] != found[2][:2] else found[2]
 
 
 def _is_sent(stored: ObjectFacts, size_bytes: int, tags: frozenset[str]) -> bool:

@@ -106,6 +106,17 @@ def insert_all_new(connection: Connection, table: Table, rows: Sequence[Mapping[
     return connection.execute(_insert_new(table, connection.dialect.name), list(rows)).rowcount if rows else 0
 
 
+def equal(table: Table, **values: object) -> list[ColumnElement[bool]]:
+    """Return the conditions that columns hold values; those of None are left out."""
+    plain = {name: value.value if isinstance(value, Enum) else value for name, value in values.items()}
+    return [table.c[name] == value for name, value in plain.items() if value is not None]
+
+
+def given(value: V | None, condition: Callable[[V], ColumnElement[bool]]) -> list[ColumnElement[bool]]:
+    """Return a condition on a value, if it is not None."""
+    return [] if value is None else [condition(value)]
+
+
 def on_sections(column: ColumnElement[str | None], sections: Collection[str]) -> ColumnElement[bool]:
     """Return the condition that a column names one of some sections; the empty text stands for null."""
     named = column.in_(sorted(set(sections) - {""}))

@@ -30,21 +30,15 @@ NO_BUCKET = "NoSuchBucket"
 
 @dataclass(frozen=True, slots=True)
 class S3Place:
-    """Where a bucket is.
-
-    Attributes:
-        bucket, prefix: Of the objects; the prefix may be empty.
-        endpoint, region: Of the store.
-        keys: ``access_key_id``, ``secret_access_key``, and ``token`` where there is one; None where the client library
-            finds credentials by a role of the machine or the container.
-    """
+    """Where a bucket is."""
 
     bucket: str
-    prefix: str
+    prefix: str  # of the objects; may be empty
     endpoint: str
     region: str
     allow_http: bool  # whether the connection may go without TLS
     timeout_s: float  # how long one request may take; with its repetitions, at most twice as long
+    # access_key_id, secret_access_key, maybe token; None where the client library finds credentials by a role
     keys: Mapping[str, str] | None = field(default=None, repr=False)
 
     @property

@@ -29,22 +29,15 @@ from sqlalchemy.exc import (
 from sqlalchemy.pool import ConnectionPoolEntry
 
 from estimation.errors import ConflictError, ParameterError, StorageError
-from fleet_db.visibility import narrow_statements
 
 
 @dataclass(frozen=True, slots=True)
 class ServerLimits:
-    """How long a database server may take.
+    """How long a database server may take."""
 
-    Attributes:
-        connect_s: To accept a connection; the driver takes at least 2 s.
-        silence_s: To say anything about a statement, before it is asked whether it is there.
-        statement_s: For one statement; None without a limit.
-    """
-
-    connect_s: int = 5
-    silence_s: float = 10.0
-    statement_s: float | None = None
+    connect_s: int = 5  # to accept a connection; the driver takes at least 2 s
+    silence_s: float = 10.0  # to say anything about a statement, before it is asked whether it is there
+    statement_s: float | None = None  # for one statement; None without a limit
 
     def options(self) -> dict[str, int]:
         """Return the driver's options: also for a peer whose kernel has gone without a word."""
@@ -151,9 +144,9 @@ def database_engine(url: str, limits: ServerLimits = UNLIMITED) -> Engine:
     except (ArgumentError, ValueError):  # without its cause: that repeats parts of the URL
         raise ParameterError("is no database URL", field="database_url") from None
     if parsed.drivername in SQLITE:
-        return narrow_statements(_sqlite_engine(parsed))
+        return _sqlite_engine(parsed)
     if parsed.drivername in POSTGRESQL:
-        return narrow_statements(_postgresql_engine(parsed, limits))
+        return _postgresql_engine(parsed, limits)
     raise ParameterError(f"names {parsed.drivername!r}; known are sqlite and postgresql", field="database_url")
 
 
@@ -192,7 +185,7 @@ def reading_engine(engine: Engine) -> Engine:
     """Return the engine of reading transactions on the same database: on SQLite one whose connections cannot write."""
     if engine.dialect.name != "sqlite":
         return engine
-    reading = narrow_statements(_sqlite_engine(engine.url))
+    reading = _sqlite_engine(engine.url)
     event.listen(reading, "connect", _forbid_writing)
     return reading
 

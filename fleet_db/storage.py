@@ -14,8 +14,6 @@ from estimation.errors import ConflictError, LeaseLostError, StorageError
 from estimation.values.runs import Claimed, JobTrigger
 from fleet_db.due import WindowDueStore
 from fleet_db.locks import Claims, Lease, UnendedLease, UnendedLeases, prolonged, serialise_vehicle, single_writer
-from fleet_db.on_file import KeptRecords, OnFile
-from fleet_db.read_once import ReadOnce
 from fleet_db.session import (
     BUSY_TIMEOUT_MS,
     IMMEDIATE,
@@ -26,109 +24,58 @@ from fleet_db.session import (
     translate_errors,
 )
 from fleet_db.stores.access import ApiKeyStore, AuditStore, IdempotencyStore
-from fleet_db.stores.adhesion import AdhesionStore
 from fleet_db.stores.alerts import AlertStore
-from fleet_db.stores.assembled import AssembledWindowStore
+from fleet_db.stores.assembled import AssembledWindowStore, StaleSpanStore
 from fleet_db.stores.bin_tables import BinTableStore
 from fleet_db.stores.chunks import ChunkStore, RawScrubStore, RecordingChangeStore
 from fleet_db.stores.corrections import CorrectionStore
-from fleet_db.stores.geometries import GeometryStore
+from fleet_db.stores.geometries import GeometryStore, TrendStore
 from fleet_db.stores.installation import FeedBranchStore, RawMarkStore, RecordedTimeStore, StoredSettingStore
 from fleet_db.stores.jobs import JobRunStore, WorkClaimStore
-from fleet_db.stores.plausibility import PlausibilityStore
-from fleet_db.stores.quarantine import QuarantineStore
-from fleet_db.stores.rails import RailsStore
+from fleet_db.stores.opinions import AdhesionStore, DamperStore, RailsStore, SuspensionStore
 from fleet_db.stores.registry import RegistryStore
-from fleet_db.stores.registry_history import RegistryHistoryStore
+from fleet_db.stores.registry_history import RegistryHistoryStore, Shipped, no_class
 from fleet_db.stores.results import ResultStore
 from fleet_db.stores.roll_ups import RollUpStore
-from fleet_db.stores.sensor_changes import SensorChangeStore
 from fleet_db.stores.signatures import SignatureStore
-from fleet_db.stores.stage_marks import StageMarkStore
-from fleet_db.stores.stale_spans import StaleSpanStore
-from fleet_db.stores.suspension import DamperStore, SuspensionStore
+from fleet_db.stores.stage_marks import QuarantineStore, StageMarkStore
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
-from fleet_db.stores.trends import TrendStore
-from fleet_db.stores.vehicle_classes import Shipped, no_class
 from fleet_db.stores.webhooks import WebhookStore
+from fleet_db.stores.wheelset_events import SensorChangeStore
+from fleet_db.stores.window_counts import PlausibilityStore
 from fleet_db.stores.windows import WindowStore
-from fleet_db.stores.worklist import WorklistStore
-from fleet_db.stores.worklist_inputs import WorklistReader
-from fleet_db.subjects import Subjects
+from fleet_db.stores.worklist import WorklistReader, WorklistStore
+from fleet_db.subjects import KeptRecords, OnFile, ReadOnce, Subjects
 from fleet_db.telemetry import WindowFiles
-from fleet_db.visibility import VISIBLE
+from fleet_db.visibility import bind
 
 
-@dataclass(slots=True)
 class SqlUnitOfWork:
     """One transaction over all stores."""
 
-    connection: Connection
-    files: WindowFiles
-    writing: bool
-    shipped: Shipped = no_class
-    kept: KeptRecords | None = None  # of the registry; None where a transaction does not see all of it
-    owner: int | None = None  # lease of the process that runs jobs
-    done: set[str] = field(default_factory=set)  # of what is claimed: it is free once this is committed
-    together: set[str] = field(default_factory=set)  # wheelsets of which a reading transaction reads all together
-    subjects: Subjects = field(init=False)
-    chunks: ChunkStore = field(init=False)
-    settings: StoredSettingStore = field(init=False)
-    stale_spans: StaleSpanStore = field(init=False)
-    quarantine: QuarantineStore = field(init=False)
-    raw_marks: RawMarkStore = field(init=False)
-    raw_scrubs: RawScrubStore = field(init=False)
-    recording_changes: RecordingChangeStore = field(init=False)
-    registry: RegistryStore = field(init=False)
-    registry_history: RegistryHistoryStore = field(init=False)
-    sensor_changes: SensorChangeStore = field(init=False)
-    corrections: CorrectionStore = field(init=False)
-    tracks: TrackStore = field(init=False)
-    epochs: EpochStore = field(init=False)
-    windows: WindowStore = field(init=False)
-    assembled: AssembledWindowStore = field(init=False)
-    tables: BinTableStore = field(init=False)
-    due: WindowDueStore = field(init=False)
-    geometries: GeometryStore = field(init=False)
-    marks: StageMarkStore = field(init=False)
-    results: ResultStore = field(init=False)
-    trends: TrendStore = field(init=False)
-    suspensions: SuspensionStore = field(init=False)
-    adhesion: AdhesionStore = field(init=False)
-    dampers: DamperStore = field(init=False)
-    signatures: SignatureStore = field(init=False)
-    alerts: AlertStore = field(init=False)
-    feed_branches: FeedBranchStore = field(init=False)
-    jobs: JobRunStore = field(init=False)
-    plausibility: PlausibilityStore = field(init=False)
-    recorded_times: RecordedTimeStore = field(init=False)
-    idempotency: IdempotencyStore = field(init=False)
-    worklist: WorklistStore = field(init=False)
-    api_keys: ApiKeyStore = field(init=False)
-    audit: AuditStore = field(init=False)
-    rails: RailsStore = field(init=False)
-    roll_ups: RollUpStore = field(init=False)
-    webhooks: WebhookStore = field(init=False)
-    work_claims: WorkClaimStore = field(init=False)
-
-    def __post_init__(self) -> None:
-        connection = self.connection
+    def __init__(
+        self,
+        connection: Connection,
+        files: WindowFiles,
+        *,
+        writing: bool,
+        shipped: Shipped = no_class,
+        kept: KeptRecords | None = None,  # of the registry; None where a transaction does not see all of it
+        owner: int | None = None,  # lease of the process that runs jobs
+    ) -> None:
+        self.connection = connection
+        self._add_stores_of_operation(connection)
+        self.done: set[str] = set()  # of what is claimed: it is free once this is committed
+        self.together: set[str] = set()  # wheelsets of which a reading transaction reads all together
         self.subjects = Subjects(connection)
         self.chunks = ChunkStore(connection, self.subjects)
-        self.settings = StoredSettingStore(connection)
-        self.stale_spans = StaleSpanStore(connection)
-        self.quarantine = QuarantineStore(connection)
-        self.raw_marks = RawMarkStore(connection)
-        self.raw_scrubs = RawScrubStore(connection)
-        self.recording_changes = RecordingChangeStore(connection)
-        once = ReadOnce(not self.writing, self.together)
+        once = ReadOnce(not writing, self.together)
         on_file = once
-        if self.kept is not None:
-            on_file = OnFile(not self.writing, self.together, subjects=self.subjects, kept=self.kept)
+        if kept is not None:
+            on_file = OnFile(not writing, self.together, subjects=self.subjects, kept=kept)
         # a transaction that changes records reads them as they are in it
-        of_registry = once if self.writing else on_file
-        self.registry = RegistryStore(connection, self.subjects, self.shipped, once=of_registry)
+        self.registry = RegistryStore(connection, self.subjects, shipped, once=once if writing else on_file)
         self.tracks = TrackStore(connection, self.subjects, once)
         self.registry_history = RegistryHistoryStore(connection, self.subjects)
         self.sensor_changes = SensorChangeStore(connection, self.subjects)
@@ -136,8 +83,8 @@ class SqlUnitOfWork:
             connection, self.registry, self.tracks, self.registry_history, self.sensor_changes
         )
         self.epochs = EpochStore(connection, self.subjects)
-        self.windows = WindowStore(connection, self.subjects, self.files, once)
-        self.assembled = AssembledWindowStore(connection, self.subjects, self.files)
+        self.windows = WindowStore(connection, self.subjects, files, once)
+        self.assembled = AssembledWindowStore(connection, self.subjects, files)
         self.tables = BinTableStore(connection, self.subjects, once)
         self.due = WindowDueStore(connection, once)
         self.marks = StageMarkStore(connection, self.subjects, self.due, once, on_file)
@@ -148,19 +95,27 @@ class SqlUnitOfWork:
         self.adhesion = AdhesionStore(connection, self.subjects)
         self.dampers = DamperStore(connection, self.results)
         self.signatures = SignatureStore(connection, self.subjects)
-        self.alerts = AlertStore(connection, self.writing, self.subjects, once)
+        self.alerts = AlertStore(connection, writing, self.subjects, once)
         self.plausibility = PlausibilityStore(connection, self.windows)
-        self.recorded_times = RecordedTimeStore(connection)
-        self.feed_branches = FeedBranchStore(connection)
-        self.jobs = JobRunStore(connection, self.owner)
-        self.idempotency = IdempotencyStore(connection)
+        self.jobs = JobRunStore(connection, owner)
         shown = replace(self.registry, once=on_file)
         reader = WorklistReader(connection, shown, self.geometries, self.trends)
         self.worklist = WorklistStore(connection, self.subjects, reader)
-        self.api_keys = ApiKeyStore(connection)
-        self.audit = AuditStore(connection)
         self.rails = RailsStore(connection, self.subjects)
         self.roll_ups = RollUpStore(connection, once)
+
+    def _add_stores_of_operation(self, connection: Connection) -> None:
+        self.settings = StoredSettingStore(connection)
+        self.stale_spans = StaleSpanStore(connection)
+        self.quarantine = QuarantineStore(connection)
+        self.raw_marks = RawMarkStore(connection)
+        self.raw_scrubs = RawScrubStore(connection)
+        self.recording_changes = RecordingChangeStore(connection)
+        self.recorded_times = RecordedTimeStore(connection)
+        self.feed_branches = FeedBranchStore(connection)
+        self.idempotency = IdempotencyStore(connection)
+        self.api_keys = ApiKeyStore(connection)
+        self.audit = AuditStore(connection)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)
 
@@ -179,33 +134,20 @@ class SqlUnitOfWork:
 
 @dataclass(frozen=True, slots=True)
 class SqlStorage:
-    """Transactions: `write` commits on a clean exit and rolls back on an exception; `read` sees one snapshot.
+    """Transactions: `write` commits on a clean exit and rolls back on an exception; `read` sees one snapshot."""
 
-    Args:
-        engine: From ``fleet_db.session.database_engine``; migrated (``fleet_db.migrate.check_head``).
-        data_dir: Where the samples of windows are, under ``windows``.
-        shipped: The classes of the package, for vehicles whose class is not registered.
-        patience_s: How long a writing transaction on SQLite waits for that of another process.
-        visible_fleets: Codes of the fleets that reading transactions see; None for all.
-        lease: Without which nothing is committed; None where none is needed.
-        claims: What is claimed under it and worked on; None where it is not for claims.
-        owner: Lease of the process that runs jobs, with which those of its work end; None where there is none.
-        unended: Leases of this process that could not be ended yet.
-        kept: What this process has read of the registry.
-        reading: Of reading transactions; None is made from ``engine``.
-    """
-
-    engine: Engine
-    data_dir: Path
-    shipped: Shipped = no_class
-    patience_s: float = BUSY_TIMEOUT_MS / 1000
-    visible_fleets: frozenset[str] | None = None
-    lease: Lease | None = None
-    claims: Claims | None = None
-    owner: int | None = None
+    engine: Engine  # of ``fleet_db.session.database_engine``, of a database at the head of the migrations
+    data_dir: Path  # where the samples of windows are, under ``windows``
+    shipped: Shipped = no_class  # the classes of the package, for vehicles whose class is not registered
+    patience_s: float = BUSY_TIMEOUT_MS / 1000  # so long a writing transaction on SQLite waits for another process
+    visible_fleets: frozenset[str] | None = None  # codes of those that reading transactions see; None for all
+    lease: Lease | None = None  # without which nothing is committed; None where none is needed
+    claims: Claims | None = None  # what is claimed under it and worked on; None where it is not for claims
+    owner: int | None = None  # lease of the process that runs jobs, with which those of its work end; None for none
+    # leases of this process that could not be ended yet, and what it has read of the registry
     unended: UnendedLeases = field(default_factory=UnendedLeases, compare=False, repr=False)
     kept: KeptRecords = field(default_factory=KeptRecords, compare=False, repr=False)
-    reading: Engine | None = field(default=None, compare=False, repr=False)
+    reading: Engine | None = field(default=None, compare=False, repr=False)  # of reading transactions
 
     def __post_init__(self) -> None:
         if self.reading is None:
@@ -236,7 +178,9 @@ class SqlStorage:
             dropped_on_failure(connection),
             connection.begin(),
         ):
-            unit = SqlUnitOfWork(connection, self._files(), True, self.shipped, self.kept, self.owner)  # noqa: FBT003
+            unit = SqlUnitOfWork(
+                connection, self._files(), writing=True, shipped=self.shipped, kept=self.kept, owner=self.owner
+            )
             if self.lease is not None:
                 unit.work_claims.bound(self.lease.length_s)
             yield unit
@@ -268,20 +212,17 @@ class SqlStorage:
 
     @contextmanager
     def read(self) -> Iterator[SqlUnitOfWork]:
-        """Read one snapshot; nothing can be written.
-
-        Raises:
-            StorageError: The database cannot be reached, or something was written.
-        """
-        bound = {} if self.visible_fleets is None else {VISIBLE: self.visible_fleets}
+        """Read one snapshot; StorageError: the database cannot be reached, or something was written."""
         with (
             translate_errors(),
-            (self.reading or self.engine).connect().execution_options(**bound) as connection,
+            (self.reading or self.engine).connect() as connection,
             dropped_on_failure(connection),
             snapshot(connection),
         ):
+            if self.visible_fleets is not None:
+                bind(connection, self.visible_fleets)
             kept = self.kept if self.visible_fleets is None else None
-            yield SqlUnitOfWork(connection, self._files(), False, self.shipped, kept)  # noqa: FBT003
+            yield SqlUnitOfWork(connection, self._files(), writing=False, shipped=self.shipped, kept=kept)
 
     @contextmanager
     def owned(self, kind: JobTrigger, holder: str, length_s: float) -> Iterator[SqlStorage]:
@@ -375,11 +316,7 @@ class SqlStorage:
                 unit.work_claims.forget(lease, claims.stage, claims.keys)
 
     def lease_lost(self) -> bool:
-        """Return whether the lease of this storage has ended.
-
-        Raises:
-            StorageError: The database cannot be asked.
-        """
+        """Return whether the lease of this storage has ended; StorageError: the database cannot be asked."""
         if self.lease is None:
             return False
         with self.read() as unit:

@@ -1,4 +1,4 @@
-"""Versions of what is known of wheelsets, vehicles and sections: raised with the fact, read by the stages.
+"""Versions of what is known of wheelsets, vehicles and sections, and records that are read once in a version.
 
 Whoever writes a base fact or a result raises its facet in the same transaction. A stage compares the sum of the
 versions of the facets that it declares with the sum that it has seen (``fleet_db.stores.stage_marks``).
@@ -7,22 +7,22 @@ versions of the facets that it declares with the sum that it has seen (``fleet_d
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from typing import Any, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Insert, bindparam, exists, func, select
+from sqlalchemy import ColumnElement, Connection, Insert, String, bindparam, cast, exists, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.opinions import GEAR_DAMPERS
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import SUSPENSION, TREND
 from estimation.worklist.row import FACETS as SHOWN
 from fleet_db.rows import table_of
-from fleet_db.tables.operation import SubjectVersionRow
+from fleet_db.tables.alerts import FeedBranchRow
+from fleet_db.tables.operation import ResultRow, SubjectVersionRow
 from fleet_db.tables.registry import MountingRow
-from fleet_db.tables.results import ResultRow
 from fleet_db.tables.track import TrackEpochWindowRow
 from fleet_db.tables.windows import WindowRow
 
@@ -149,3 +149,122 @@ def _raise(dialect: str) -> Insert:
     insert = postgresql.insert if dialect == "postgresql" else sqlite.insert
     raised = insert(VERSIONS).values(row)
     return raised.on_conflict_do_update(index_elements=names, set_={"version": VERSIONS.c.version + 1})
+
+
+Key = TypeVar("Key", bound=Hashable)
+Record = TypeVar("Record")
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOnce:
+    """Records by kind and key: a transaction that sees one snapshot reads none of them again."""
+
+    snapshot: bool = False  # one that writes reads anew each time
+    together: set[str] = field(default_factory=set)  # wheelsets of which all is read together
+    _records: dict[str, dict[Any, Any]] = field(default_factory=dict)
+
+    def of(
+        self, kind: str, keys: Collection[Key], read: Callable[[Collection[Key]], Mapping[Key, Record]]
+    ) -> dict[Key, Record]:
+        """Return records by key, of which ``read`` reads those that are missing; a key without one is left out."""
+        known = self._of_kind(kind)
+        missing = [key for key in dict.fromkeys(keys) if key not in known]
+        if missing:
+            found = read(missing)
+            known.update((key, found.get(key)) for key in missing)
+        return {key: known[key] for key in keys if known[key] is not None}
+
+    def renew(self, version: str | None) -> None:
+        """Let what others have changed meanwhile be seen; a transaction that writes remembers nothing."""
+
+    def _of_kind(self, kind: str) -> dict[Any, Any]:
+        """Return the records of a kind that need not be read; what is read is added to it."""
+        return self._records.setdefault(kind, {}) if self.snapshot else {}
+
+    def remember(self, kind: str, records: Mapping[Any, Any]) -> None:
+        """Let records be those that this transaction has read."""
+        self._records.setdefault(kind, {}).update(records)
+
+    def known(self, kind: str, key: Hashable) -> Any:  # noqa: ANN401 - a record of this kind
+        """Return a record that :meth:`of` has read; None where it has not, or there is none."""
+        return self._records.get(kind, {}).get(key)
+
+    def is_absent(self, kind: str, key: Hashable) -> bool:
+        """Return whether :meth:`of` has looked for a record and found none."""
+        records = self._records.get(kind, {})
+        return key in records and records[key] is None
+
+    def of_wheelset(
+        self, kind: str, wheelset: str, read: Callable[[Collection[str]], Mapping[str, Record]]
+    ) -> Record | None:
+        """Return what :meth:`of_wheelsets` does of one; None where it has none."""
+        return self.of_wheelsets(kind, [wheelset], read).get(wheelset)
+
+    def of_wheelsets(
+        self, kind: str, wheelsets: Collection[str], read: Callable[[Collection[str]], Mapping[str, Record]]
+    ) -> dict[str, Record]:
+        """Return what :meth:`of` does of wheelsets; one of those that are read together is read with all of them."""
+        if self.snapshot and not self.together.isdisjoint(wheelsets):
+            self.of(kind, sorted(self.together), read)
+        return self.of(kind, wheelsets, read)
+
+    def one(self, kind: str, key: Hashable, read: Callable[[], Record]) -> Record:
+        """Return a record, which ``read`` reads, of which there may be none."""
+
+        def known(_: Collection[Hashable]) -> Mapping[Hashable, tuple[Record]]:
+            return {key: (read(),)}
+
+        return self.of(kind, [key], known)[key][0]
+
+
+BRANCHES = table_of(FeedBranchRow)
+_OF_REGISTRY = (VERSIONS.c.kind == SubjectKind.FLEET.value, VERSIONS.c.subject == "")
+_CHANGES = select(cast(VERSIONS.c.version, String)).where(*_OF_REGISTRY, VERSIONS.c.facet == Facet.REGISTRY.value)
+_BRANCH = select(BRANCHES.c.identity).order_by(BRANCHES.c.branch_id.desc()).limit(1)
+REGISTRY_VERSION = func.coalesce(_CHANGES.scalar_subquery(), "") + " " + func.coalesce(_BRANCH.scalar_subquery(), "")
+"""What is another one with each change of the registry, and after a restore."""
+MOST = 20_000
+"""Records of a kind that are kept."""
+LARGE = ("measured profiles",)
+"""Kinds that are kept for a transaction only."""
+Records = dict[str, dict[Any, Any]]
+
+
+@dataclass(slots=True)
+class KeptRecords:
+    """Records by kind and key, of one version of the registry; shared by the threads of a process."""
+
+    _kept: tuple[Hashable, Records] = (None, {})
+
+    def of(self, version: Hashable) -> Records:
+        """Return the records of a version, to be looked up and added to."""
+        of_version, records = self._kept
+        if of_version != version or any(len(of_kind) > MOST for of_kind in records.values()):
+            self._kept = (version, records := {})
+        return records
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OnFile(ReadOnce):
+    """Records of the registry: while it does not change, no transaction reads again what another one has read.
+
+    A transaction that has changed it sees what is not committed: it neither uses nor adds to what others see.
+    """
+
+    subjects: Subjects
+    kept: KeptRecords
+    _read: dict[str, Records] = field(default_factory=dict)
+
+    def renew(self, version: str | None) -> None:
+        """Go on with a version of the registry that was read just now."""
+        if version is not None:
+            self._read["now"] = self.kept.of(version)
+
+    def _of_kind(self, kind: str) -> dict[Any, Any]:
+        if kind in LARGE:
+            return ReadOnce._of_kind(self, kind)  # noqa: SLF001 - of the class that this one extends
+        if self.subjects.growth([Facet.REGISTRY]):
+            return {}
+        if not self._read:
+            self._read["now"] = self.kept.of(self.subjects.connection.scalar(select(REGISTRY_VERSION)))
+        return self._read["now"].setdefault(kind, {})

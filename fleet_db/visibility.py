@@ -10,20 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
-from sqlalchemy import (
-    ColumnElement,
-    Connection,
-    Engine,
-    FromClause,
-    Select,
-    Table,
-    and_,
-    event,
-    false,
-    func,
-    or_,
-    select,
-)
+from sqlalchemy import ColumnElement, Connection, FromClause, Select, Table, and_, event, false, func, or_, select
 from sqlalchemy.sql import Executable, visitors
 from sqlalchemy.sql.selectable import Alias, Join
 
@@ -35,8 +22,6 @@ from fleet_db.tables.registry import VehicleRow, WheelsetRow
 Fleets = frozenset[str]
 Columns = Any  # the columns of a table or of an alias of it
 Rule = Callable[[Columns, Fleets], ColumnElement[bool]]
-VISIBLE = "treadwatch_visible_fleets"
-"""Execution option of a connection: the fleets that its statements see; absent, all."""
 _VEHICLES, _WHEELSETS, _ALERTS = table_of(VehicleRow), table_of(WheelsetRow), table_of(AlertRow)
 _CHUNKS, _WEBHOOK_FLEETS = table_of(ChunkRow), table_of(WebhookFleetRow)
 
@@ -83,14 +68,12 @@ _OF_VEHICLES = ("vehicle", "sensor_change")
 
 
 def _of_subject(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    """Return the decisions on records of wheelsets and vehicles of the fleets; sections and classes are of none."""
     of_wheelset = and_(columns.kind.in_(_OF_WHEELSETS), _in(columns.subject, _WHEELSETS, "serial", fleets))
     of_vehicle = and_(columns.kind.in_(_OF_VEHICLES), _in(columns.subject, _VEHICLES, "code", fleets))
     return or_(of_wheelset, of_vehicle)
 
 
 def _of_result(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    """Return the results of wheelsets and vehicles of the fleets; sections are of none."""
     return or_(
         and_(columns.kind == "wheelset", _in(columns.subject, _WHEELSETS, "serial", fleets)),
         and_(columns.kind == "vehicle", _in(columns.subject, _VEHICLES, "code", fleets)),
@@ -146,21 +129,13 @@ HIDDEN = frozenset(
 """Tables that a bound caller does not see at all."""
 
 
-def narrow_statements(engine: Engine) -> Engine:
-    """Return an engine whose bound connections see only their fleets."""
-    event.listen(engine, "before_execute", _narrow, retval=True)
-    return engine
+def bind(connection: Connection, fleets: Fleets) -> None:
+    """Let every statement of a connection see only these fleets."""
 
+    def narrow(_: Connection, statement: Executable, several: Any, given: Any, _options: object) -> tuple[Any, ...]:  # noqa: ANN401
+        return narrowed(statement, fleets), several, given
 
-def _narrow(
-    connection: Connection,
-    statement: Executable,
-    several: Any,  # noqa: ANN401 - parameters as SQLAlchemy hands them over
-    given: Any,  # noqa: ANN401 - the same
-    options: Mapping[str, Any],
-) -> tuple[Executable, Any, Any]:
-    fleets: Fleets | None = options.get(VISIBLE, connection.get_execution_options().get(VISIBLE))
-    return (statement if fleets is None else narrowed(statement, fleets)), several, given
+    event.listen(connection, "before_execute", narrow, retval=True)
 
 
 def narrowed(statement: Any, fleets: Fleets) -> Any:  # noqa: ANN401 - any statement

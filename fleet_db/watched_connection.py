@@ -38,15 +38,7 @@ class WatchedConnection(psycopg.Connection[Any]):
 
     @classmethod
     def open(cls, silence_s: float, statement_s: float | None, *positional: Any, **named: Any) -> Self:  # noqa: ANN401 - the driver's own
-        """Return a connection within limits.
-
-        Args:
-            silence_s, statement_s: Those of ``ServerLimits``.
-            positional, named: Of ``psycopg.connect``.
-
-        Raises:
-            psycopg.OperationalError: Nothing answered in time, or it refused.
-        """
+        """Return a connection within ``ServerLimits``; OperationalError: nothing answered in time, or it refused."""
         connection = cls.connect(*positional, **named)
         connection.watch(silence_s, statement_s, lambda: psycopg.connect(*positional, **named))
         return connection
@@ -58,12 +50,7 @@ class WatchedConnection(psycopg.Connection[Any]):
         self._silence_s, self._statement_s, self._again = silence_s, statement_s, connect_again
 
     def wait(self, gen: Waiting[Returned], *positional: Any, **named: Any) -> Returned:  # noqa: ANN401 - the driver's own
-        """Wait as the driver does, and look at the silence meanwhile.
-
-        Raises:
-            psycopg.OperationalError: The server was silent for too long and is not there, or the statement took too
-                long.
-        """
+        """Wait as the driver does, and look at the silence meanwhile; OperationalError: it was too long."""
         watched = gen if self._silence_s is None else self._watch(gen, self._silence_s)
         return super().wait(watched, *positional, **named)
 

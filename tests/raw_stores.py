@@ -9,8 +9,7 @@ from pathlib import Path
 from obstore.store import S3Store
 from s3_server import ACCESS_KEY, BUCKET, SECRET_KEY, S3Server
 
-from fleet_db.raw import RawStore, recording_name
-from fleet_db.raw_files import FileRawStore
+from fleet_db.raw import FileRawStore, RawStore, recording_name
 from fleet_db.raw_s3 import S3RawStore
 from fleet_db.s3_bucket import S3Bucket, S3Place
 

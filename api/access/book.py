@@ -18,7 +18,7 @@ from api.access.caller import known_caller
 from api.access.gate import READING, Rate, address_of
 from api.uploads import is_upload
 from estimation.errors import TreadwatchError
-from fleet_db.access_records import AuditEntry
+from fleet_db.records import AuditEntry
 from fleet_db.storage import SqlStorage
 
 GATHER_S = 1.0  # refusals and uses are gathered for so long, so that they cost one transaction

@@ -17,7 +17,7 @@ from anyio import CapacityLimiter
 
 from api.access.caller import EVERYTHING
 from estimation.errors import NotFoundError, ParameterError
-from fleet_db.access_records import ApiKey
+from fleet_db.records import ApiKey
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 _ALPHABET = "abcdefghijklmnopqrstuvwxyz234567"

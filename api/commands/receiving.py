@@ -12,7 +12,7 @@ import typer
 from estimation.errors import ParameterError
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import SubjectKind
-from fleet_db.receipts import ChunkState, RecordingAction
+from fleet_db.records import ChunkState, RecordingAction
 from ingest.logs import SUFFIXES
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from estimation.errors import ParameterError
-from fleet_db.registry_events import RecordAction, RecordKind
+from fleet_db.records import RecordAction, RecordKind
 from ingest.registry_entry.contents import CONFIRMABLE, Rule
 
 _DOUBTS = ", ".join(sorted(CONFIRMABLE))
@@ -138,7 +138,7 @@ def show_rules() -> None:
     from api.rules_file import load_rules
     from api.settings import load_settings
     from api.terminal.rules import print_rules
-    from estimation.alerts.rules.book import RuleBook
+    from estimation.alerts.rule_book import RuleBook
 
     file = load_settings().rules_file
     print_rules(RuleBook() if file is None else load_rules(file))

@@ -16,7 +16,7 @@ from estimation.jobs.steps.estimated_geometry import EstimatedWith
 from estimation.jobs.steps.load_window import load_window
 from estimation.jobs.steps.rolled_geometries import RolledGeometries
 from estimation.jobs.steps.rolling import Part, members
-from estimation.motion.parameters import WindowParameters
+from estimation.motion.integration import WindowParameters
 from estimation.motion.window_motion import window_motion
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.geometry import WheelsetGeometry

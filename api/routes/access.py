@@ -18,7 +18,7 @@ from api.schemas.common import Body, Links, Page
 from api.schemas.derived import Derived
 from api.services import ServicesDep, writer_slot
 from api.times import Moment
-from fleet_db.access_records import ApiKey, AuditEntry
+from fleet_db.records import ApiKey, AuditEntry
 from fleet_db.stores.access import AuditFilter
 
 Owner = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f\x7f]{1,100}$", strip_whitespace=True)]

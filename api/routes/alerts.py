@@ -20,8 +20,7 @@ from api.visible_objects import require_known
 from estimation.alerts.life_cycle import acknowledge, link, shelve, unshelve
 from estimation.values.alerts import Alert, AlertScope, Condition, Severity, Transition
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.alert_queries import AlertChoice, AlertOutline
-from fleet_db.stores.alerts import AlertStore
+from fleet_db.stores.alerts import AlertChoice, AlertOutline, AlertStore
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
 Kind = Annotated[alerts.KnownKind | None, Query(description="Only of this kind.")]

@@ -23,7 +23,7 @@ from api.times import Timestamp, to_rfc3339
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import TRIED_AGAIN
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 from ingest import receipts
 from ingest.logs import SUFFIXES
 

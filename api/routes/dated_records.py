@@ -23,7 +23,7 @@ from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.errors import ConflictError, ProfileError
 from estimation.values.reasons import utc_text
 from estimation.values.registry import Mounting, Reprofiling, SensorChange, SensorWork
-from fleet_db.registry_events import Decision
+from fleet_db.records import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.profiles.files import wheel_profile_of
 from ingest.registry_entry.contents import RegistryContents

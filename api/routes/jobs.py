@@ -23,7 +23,7 @@ from api.visible_objects import require_known
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobRun as JobRunValue
 from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
-from fleet_db.stores.quarantine import Place
+from fleet_db.stores.stage_marks import Place
 
 
 class JobRun(

@@ -34,7 +34,7 @@ from estimation.values.opinions import (
 from estimation.values.opinions import SectionAdhesion as FrictionValue
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
-from estimation.values.results import Result
+from estimation.values.runs import Result
 from estimation.values.signatures import ANSWERS, METHOD, Disagreement, SignatureFinding, StateProbability
 from estimation.values.signatures import SignatureAnswer as AnswerValue
 from estimation.values.signatures import UsedEntry as UsedValue

@@ -35,8 +35,8 @@ from api.visible_objects import require_known
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.windows import WindowState
-from fleet_db.receipts import ChunkRecord, ChunkState
-from fleet_db.receipts import RecordingChange as Change
+from fleet_db.records import ChunkRecord, ChunkState
+from fleet_db.records import RecordingChange as Change
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.chunks import ChosenChunks
 from ingest.corrections import Author, RecordingCorrections

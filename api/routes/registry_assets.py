@@ -22,7 +22,7 @@ from api.visible_objects import require_known
 from estimation.errors import ConflictError, InputError, NotFoundError
 from estimation.values.registry import SPEED_IN_FILES, VehicleRecord, WheelsetRecord
 from estimation.vehicle.vehicle_class import VehicleClass
-from fleet_db.registry_events import Decision
+from fleet_db.records import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.input_file import parse_toml
 from ingest.registry_entry.contents import RegistryContents

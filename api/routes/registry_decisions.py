@@ -29,10 +29,10 @@ from estimation.values.registry import Mounting, Reprofiling, VehicleRecord, Whe
 from estimation.values.track import TrackSectionRecord
 from estimation.vehicle.vehicle_class import ClassOnFile, class_of_document
 from fleet_db.packed_values import unpack_wheel_pair
-from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
+from fleet_db.records import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
-from fleet_db.stores.sensor_changes import sensor_change_of
+from fleet_db.stores.wheelset_events import sensor_change_of
 from ingest.registry_entry.enter import refuse_contradicted
 
 RecordKindName = Literal[

@@ -21,7 +21,6 @@ from estimation.errors import NotFoundError
 from estimation.trend.suspension import SuspensionParameters, suspension_changes
 from estimation.values.opinions import GearDamper
 from estimation.values.trend import SuspensionChange, SuspensionFinding
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import (
     SHIPPED_VERSION,
     Arrangement,
@@ -29,6 +28,7 @@ from estimation.vehicle.vehicle_class import (
     ClassOnFile,
     SensorLayout,
     VehicleClass,
+    VehicleParameters,
 )
 from ingest.vehicle_class_schema import shipped_class, shipped_classes
 

@@ -30,8 +30,8 @@ from api.webhooks.sending import TRIALS, Sender
 from api.webhooks.targets import MOST_CHARACTERS, RefusedTargetError, parsed
 from estimation.errors import ParameterError
 from estimation.values.alerts import AlertEventKind, Severity
-from fleet_db.webhook_records import Delivery, DeliveryState, Failure, WebhookState
-from fleet_db.webhook_records import Webhook as WebhookRecord
+from fleet_db.records import Delivery, DeliveryState, Failure, WebhookState
+from fleet_db.records import Webhook as WebhookRecord
 
 MOST_VALUES = 50
 LONGEST_OVERLAP_S = 604_800

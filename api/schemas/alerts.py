@@ -12,10 +12,10 @@ from api.schemas.derived import Derived
 from api.schemas.evidence import AnyEvidence, evidence_of
 from api.schemas.registry import segment
 from api.times import Moment
-from estimation.alerts.rules.book import ALERT_RULES
+from estimation.alerts.rule_book import ALERT_RULES
 from estimation.values.alerts import Alert as AlertValue
 from estimation.values.alerts import AlertEvent, AlertScope, Condition
-from fleet_db.stores.alert_queries import AlertOutline
+from fleet_db.stores.alerts import AlertOutline
 
 _WORDS = r"^[^\x00]*$"
 LIMIT_UNITS = {rule.kind: rule.limit_unit for rule in ALERT_RULES}

@@ -23,7 +23,7 @@ from api.times import Timestamp, times_to_rfc3339, to_rfc3339
 from estimation.values.fields import Served
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
-from estimation.values.results import AnyResult
+from estimation.values.runs import AnyResult
 
 PLAIN = Served()
 MEASURED = {"from_ns": "measured_from", "to_ns": "measured_to"}

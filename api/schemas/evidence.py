@@ -20,10 +20,9 @@ from api.schemas.common import Href, Representation, Uncertain
 from api.schemas.derived import MODELS, Derived, fields_of
 from api.schemas.trend import DateForecast, DistanceForecast, forecast_of
 from api.times import Timestamp, to_rfc3339
-from estimation.alerts.fleet_alerts import FleetAlertEvidence
 from estimation.alerts.life_cycle import DELAYS, Delays
-from estimation.alerts.rules import low_adhesion
-from estimation.alerts.rules.book import ALERT_RULES
+from estimation.alerts.rule_book import ALERT_RULES, FleetAlertEvidence
+from estimation.alerts.rules import running_gear
 from estimation.values.alerts import Alert, AlertScope
 from estimation.values.fields import JsonValue
 from estimation.values.quantities import Estimate, Forecast, Status
@@ -126,7 +125,7 @@ def _served(hint: Any, key: str) -> tuple[Any, Read]:  # noqa: ANN401 - a type
     return served
 
 
-class Stretch(Derived, of=low_adhesion.Stretch):
+class Stretch(Derived, of=running_gear.Stretch):
     """A stretch of a track section."""
 
 

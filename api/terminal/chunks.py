@@ -30,8 +30,8 @@ from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.keeping.checks import ScrubFault, ScrubPlan, scrub
 from ingest.intake.backlog import DecodedChunks, decode_received
 from ingest.intake.drop_folder import DropFolder, DropSettings, held_folder
-from ingest.intake.store import ChunkStorage
-from ingest.live.backoff import Backoff
+from ingest.live.status import Backoff
+from ingest.receipts import ChunkStorage
 
 LOOK_EVERY_S = 1.0
 FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 30.0

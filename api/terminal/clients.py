@@ -24,9 +24,8 @@ from api.webhooks.sending import sender_of
 from api.webhooks.targets import RefusedTargetError
 from estimation.errors import ParameterError
 from estimation.values.alerts import Severity
-from fleet_db.access_records import ApiKey, AuditEntry
+from fleet_db.records import ApiKey, AuditEntry, Delivery, Webhook, WebhookState
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.webhook_records import Delivery, Webhook, WebhookState
 
 DAY_NS = 86_400_000_000_000
 MOST_DAYS = 36_500.0

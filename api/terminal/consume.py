@@ -28,11 +28,9 @@ from api.terminal.store import begun, store_once_it_answers
 from estimation.errors import ParameterError
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import decode_received
-from ingest.live.backoff import Backoff
-from ingest.topic.client import Topic
+from ingest.live.status import Backoff
+from ingest.topic.client import ConsumerStatus, Outcome, Topic, TopicReader
 from ingest.topic.consuming import Consuming, ReferenceTaking
-from ingest.topic.reading import TopicReader
-from ingest.topic.reference import ConsumerStatus, Outcome
 
 WATCH_EVERY_S = 0.2
 MEASURES = "treadwatch_consumer_"

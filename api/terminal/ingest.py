@@ -22,9 +22,9 @@ from api.times import to_rfc3339
 from api.tracing import start_tracing
 from api.window_reasons import WindowReasons
 from estimation.errors import InputError, ParameterError, TreadwatchError
-from fleet_db.registry_events import Decision
+from fleet_db.records import Decision
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS
+from fleet_db.stores.assembled import EARLIEST_NS, LATEST_NS
 from ingest.logs import SUFFIXES
 from ingest.receiver import ChunkReceipt, Receiver
 from ingest.registry_entry.contents import Entry, LoadedRegistry

@@ -25,8 +25,7 @@ from api.tracing import start_tracing
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.migrate import check_head
 from fleet_db.storage import SqlStorage
-from ingest.bus import open_bus
-from ingest.live.listening import BusSource
+from ingest.live.listening import BusSource, open_bus
 from ingest.live.receiver import LiveSettings, ReceivedBus, receive_buses
 from ingest.live.status import LiveStatus, Reports, Say
 from ingest.live.storing import Stores

@@ -15,9 +15,9 @@ from api.terminal.store import columns, reading, user_name
 from api.times import to_rfc3339
 from estimation.errors import TreadwatchError
 from estimation.values.runs import Quarantined, SubjectKind
-from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
+from fleet_db.records import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.stores.chunks import ChosenChunks
-from fleet_db.stores.decoded_again import STAGE
+from fleet_db.stores.estimated_again import STAGE
 from ingest.corrections import Author, RecordingCorrections, receipt_of
 from ingest.receiver import ChunkReceipt, Receiver
 

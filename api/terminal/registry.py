@@ -15,7 +15,7 @@ from api.terminal.store import reading, user_name, writing
 from api.times import from_rfc3339, to_rfc3339
 from estimation.errors import InputError, ParameterError, TreadwatchError
 from estimation.values.fields import JsonValue
-from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
+from fleet_db.records import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.registry_history import RecordKey
 from ingest.registry_entry.contents import Entry, RegistryRefusedError, Rule

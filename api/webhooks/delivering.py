@@ -24,11 +24,11 @@ from api.webhooks.sending import Outcome, Sender
 from estimation.errors import NotFoundError, TreadwatchError
 from estimation.storage import Clock
 from estimation.values.alerts import AlertEvent
-from fleet_db.process_locks import sending_alone
+from fleet_db.locks import sending_alone
+from fleet_db.records import Delivery, DeliveryState, DisabledReason, Failure, Webhook, WebhookState
 from fleet_db.session import BUSY_TIMEOUT_MS
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.installation import FeedBranch
-from fleet_db.webhook_records import Delivery, DeliveryState, DisabledReason, Failure, Webhook, WebhookState
 
 SECOND_NS = 1_000_000_000
 LONGEST_DIGITS = 9
@@ -151,7 +151,7 @@ class _Next:
 
 @dataclass(slots=True)
 class Deliveries:
-    """Sends what is due; one in all processes, see :func:`fleet_db.process_locks.sending_alone`."""
+    """Sends what is due; one in all processes, see :func:`fleet_db.locks.sending_alone`."""
 
     storage: SqlStorage
     sender: Sender

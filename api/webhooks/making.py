@@ -10,8 +10,8 @@ from api.problems import ProblemError
 from api.visible_objects import require_known
 from api.webhooks.cloud_events import new_secret
 from estimation.errors import ConflictError
+from fleet_db.records import Webhook, WebhookState
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.webhook_records import Webhook, WebhookState
 
 MOST_WEBHOOKS = 200
 

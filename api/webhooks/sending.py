@@ -17,7 +17,7 @@ import httpx
 from api.settings import Settings
 from api.webhooks.targets import Address, RefusedTargetError, Target, Targets, networks_of
 from estimation.errors import ParameterError
-from fleet_db.webhook_records import Failure
+from fleet_db.records import Failure
 
 MOST_ANSWER_BYTES = 65_536  # what is read of an answer, which is then let go; a receiver that says more is cut off
 ADDRESSES = 4  # addresses of a name that are tried, one after the other

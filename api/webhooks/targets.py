@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import httpx
 
 from estimation.errors import ParameterError
-from fleet_db.webhook_records import Failure
+from fleet_db.records import Failure
 
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network

@@ -30,7 +30,7 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobTrigger
 from fleet_db.atomic_files import passing_faults
 from fleet_db.storage import SqlStorage
-from ingest.live.backoff import Backoff
+from ingest.live.status import Backoff
 
 CONNECT_S = 10.0  # how long the scheduler may take to answer, s
 LOOK_S = 1.0  # how often it is asked which workers there are, s

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sqlalchemy import Insert, func, insert, literal, select
 
-from estimation.alerts.rules.rule import estimate_evidence, unknown_evidence
+from bench.put_values import put_geometry, put_trend
 from estimation.trend.trend import TrendPoint, refresh
-from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
+from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity, estimate_evidence, unknown_evidence
 from estimation.values.geometry import (
     GEOMETRY,
     BinStatus,
@@ -249,9 +249,9 @@ def _store_results(
                     from_ns=now_ns - size.days * DAY_NS,
                     input_digest=f"{wheelset:064x}",
                 )
-                unit.geometries.put(named)
+                put_geometry(unit, named)
                 trend = replace(course.trend, mileage_km=course.trend.mileage_km + run)
-                unit.trends.put(TrendRecord(size.serial(wheelset), 0, trend, f"{wheelset:064x}", "bench", now_ns))
+                put_trend(unit, TrendRecord(size.serial(wheelset), 0, trend, f"{wheelset:064x}", "bench", now_ns))
 
 
 def _store_alerts(

@@ -28,7 +28,7 @@ from bench.chaos.small_deployment import WINDOW_S, Databases, until
 from bench.report import BenchRow
 from bench.service_environment import environment_of
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.frames import FrameBatch
 from ingest.logs import write_blf

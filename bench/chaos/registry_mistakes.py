@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from bench.put_values import put_mountings
 from estimation.values.registry import Mounting, Reprofiling
-from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
 
@@ -35,7 +36,7 @@ def void(unit: SqlUnitOfWork, key: RecordKey) -> None:
 def swapped(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:  # noqa: ARG001 - as every mistake
     """Enter two wheelsets under each other's name; the right file puts it right."""
     first, second = _mounting(unit, "C-A"), _mounting(unit, "C-B")
-    unit.registry.add_mountings([replace(first, axle=second.axle), replace(second, axle=first.axle)])
+    put_mountings(unit, [replace(first, axle=second.axle), replace(second, axle=first.axle)])
     return []
 
 

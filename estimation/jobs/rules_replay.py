@@ -16,22 +16,18 @@ from enum import StrEnum
 from itertools import pairwise
 
 from estimation.adhesion.friction import section_adhesion
-from estimation.alerts.evaluation import findings, superseded
 from estimation.alerts.life_cycle import close, section_transition, transition
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook, findings, superseded
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
-from estimation.alerts.rules.rule import WheelsetFacts
-from estimation.alerts.rules.running_gear import SuspensionChangeRule, WeakDamperRule
+from estimation.alerts.rules.rule import WheelsetFacts, within_reach
+from estimation.alerts.rules.running_gear import LowAdhesionRule, SuspensionChangeRule, WeakDamperRule, section_finding
 from estimation.alerts.rules.sensor_data import NoDataRule
-from estimation.alerts.rules.standing import within_reach
 from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.wheelset_facts import hunted_beside, windows_wanted
 from estimation.jobs.steps.window_creep import friction_parameters, pool_ends, pooled_ns, section_length
 from estimation.storage import UnitOfWork
-from estimation.trend.steps import behind_step
-from estimation.trend.trend import TrendParameters
+from estimation.trend.trend import TrendParameters, behind_step
 from estimation.values.alerts import Alert, CloseReason, Condition
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
 from estimation.values.opinions import SectionAdhesion
@@ -41,7 +37,6 @@ from estimation.values.windows import WindowRecord, WindowState
 
 DAY_NS = 86_400_000_000_000
 NOT_REPLAYED = (IDENTITY, SuspensionChangeRule.kind, WeakDamperRule.kind)
-_ALL = 1000
 _Trends = Callable[[Sequence[IntervalConicities], float], WearTrend]
 
 
@@ -69,17 +64,6 @@ def history_of(unit: UnitOfWork, serial: str) -> History:
     windows = sorted(unit.windows.list(serial), key=lambda one: one.start_ns)
     stored = (record for record in unit.geometries.intervals(serial) if record.geometry.windows)
     intervals = sorted(stored, key=lambda one: (one.to_ns, one.baseline))
-    raised: list[Alert] = []
-    while page := unit.alerts.page(
-        fleet=None,
-        wheelset=serial,
-        kind=None,
-        condition=None,
-        open_only=False,
-        after_id=raised[-1].alert_id if raised else None,
-        limit=_ALL,
-    ):
-        raised += page
     return History(
         wheelset=unit.registry.wheelset(serial),
         mountings=mountings,
@@ -88,7 +72,7 @@ def history_of(unit: UnitOfWork, serial: str) -> History:
         intervals=intervals,
         current=unit.geometries.current(serial),
         change=identity_change(unit, serial),
-        raised=raised,
+        raised=unit.alerts.of_wheelset(serial),
         window_ends=[one.start_ns + one.length_ns for one in windows],
         interval_ends=[one.to_ns for one in intervals],
         conicities=[interval_conicities(one) for one in intervals],

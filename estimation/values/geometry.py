@@ -14,8 +14,7 @@ from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_cen
 from estimation.values.fields import IN_MM, JsonValue, Served, in_mm
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason
-from estimation.values.results import Result, ResultKind
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Result, ResultKind, SubjectKind
 from estimation.values.windows import OfWindow
 
 
@@ -25,7 +24,7 @@ class BinTable(FrozenArrays):
 
     Groups are what standard deviations come from: blocks of running time are assigned to ``g`` groups, and any derived
     number is recomputed with one group left out (delete-a-group jackknife). ``lateral`` and ``yaw`` hold, per group and
-    bin, the packed moments that ``estimation.tables.least_squares`` lays out.
+    bin, the packed moments that ``estimation.tables.bin_table`` lays out.
     """
 
     parameter_key: str  # digest of every parameter that shapes the statistics
@@ -236,7 +235,6 @@ class WheelsetGeometry(FrozenArrays):
 
 
 def _doubted(estimate: Estimate, found: Contradiction) -> Estimate:
-    """Return a number with the std and the reason of a doubt; one that is not known stays as it is."""
     if estimate.value is None or estimate.std is None or estimate.low is None or estimate.high is None:
         return estimate
     more = found.relative * abs(estimate.value)

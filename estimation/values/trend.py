@@ -14,10 +14,10 @@ from typing import Annotated, Protocol, TypeVar
 from estimation.values.alerts import Alert
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.fields import JsonValue, Served, in_mm
+from estimation.values.geometry import KnownConicity
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason
-from estimation.values.results import History, ResultKind
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import History, ResultKind, SubjectKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,3 +216,22 @@ def on_one_side(change: IdentityChange | None, first_ns: int, second_ns: int) ->
         return True
     before = first_ns <= change.before_ns and second_ns <= change.before_ns
     return before or (first_ns >= change.after_ns and second_ns >= change.after_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class TrendPoint:
+    """One value of the indicator, from one stretch of running."""
+
+    mileage_km: float  # since the wheelset was new
+    measured_ns: int
+    value: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class StepSurroundings:
+    """What else is known about the time of a step."""
+
+    behind: tuple[KnownConicity, ...] = ()  # of the newest interval behind it
+    designed: Mapping[float, float] | None = None  # conicity of the wheel as designed by amplitude (m)
+    others: Sequence[TrendStep | None] = ()  # newest of the other wheelsets of the vehicle; None of one without

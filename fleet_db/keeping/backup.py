@@ -28,10 +28,9 @@ from fleet_db.keeping.kept_files import (
     lines_of,
     not_listed,
 )
+from fleet_db.locks import keeping_alone
 from fleet_db.migrate import check_head, head, upgrade
-from fleet_db.process_locks import keeping_alone
-from fleet_db.raw import RawStore, recording_name
-from fleet_db.raw_files import FileRawStore
+from fleet_db.raw import FileRawStore, RawStore, recording_name
 from fleet_db.rows import key_given, key_of
 from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, translate_errors
 from fleet_db.storage import SqlStorage
@@ -257,7 +256,6 @@ def _copied(engine: Engine, target: Path) -> None:
 
 
 def _contents(database: Path, *, windows: bool) -> tuple[dict[str, int], list[KeptRecording], list[KeptFile]]:
-    """Return the rows by table, and the recordings and files that a database file refers to."""
     engine = read_only_engine(database)
     try:
         with translate_errors(), engine.connect() as connection:

@@ -21,9 +21,8 @@ from fleet_db.keeping.kept_files import (
     orphaned_recordings,
     orphaned_samples,
 )
-from fleet_db.raw import RawStore
-from fleet_db.raw_files import check_raw_store
-from fleet_db.receipts import ChunkState
+from fleet_db.raw import RawStore, check_raw_store
+from fleet_db.records import ChunkState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.chunks import RawFile, RawScrub
@@ -93,7 +92,6 @@ def check_deep(storage: SqlStorage, raw: RawStore, progress: Callable[[int, int]
 
 
 def _database(connection: Connection) -> Iterator[Finding]:
-    """Yield what the database says of itself."""
     if connection.dialect.name != "sqlite":  # PostgreSQL holds its constraints; pg_amcheck looks at its pages
         return
     for (line,) in connection.exec_driver_sql("PRAGMA integrity_check"):
@@ -104,7 +102,6 @@ def _database(connection: Connection) -> Iterator[Finding]:
 
 
 def _rows(connection: Connection) -> Iterator[Finding]:
-    """Yield rows that contradict each other."""
     other = select(TABLES.c.wheelset, TABLES.c.start_ns).join(WINDOWS, OF_TABLE)
     for row in connection.execute(other.where(TABLES.c.window_digest != WINDOWS.c.content_digest)):
         yield Finding("rows", f"bin table {row.wheelset}@{row.start_ns}", "is of other samples than its window has")
@@ -137,7 +134,6 @@ def _alerts(connection: Connection) -> Iterator[Finding]:
 
 
 def _packed(unit: SqlUnitOfWork) -> tuple[list[Finding], int]:
-    """Return packed values that cannot be read, and how many values were."""
     findings: list[Finding] = []
     count = 0
     for subject, read in (*_of_wheelsets(unit), *_of_sections(unit)):

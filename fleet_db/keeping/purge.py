@@ -14,23 +14,21 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.roll_up import APART
 from estimation.values.runs import TRIED_AGAIN, JobOutcome
 from estimation.values.windows import DueStage, WindowState
+from fleet_db.atomic_files import unlink_old
 from fleet_db.due import DUE, is_due
 from fleet_db.keeping.kept_files import LEAST_AGE_S, SAMPLES, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
-from fleet_db.process_locks import keeping_alone
+from fleet_db.locks import keeping_alone
 from fleet_db.raw import RawStore
-from fleet_db.raw_files import unlink_old
-from fleet_db.receipts import ChunkRecord
+from fleet_db.records import ChunkRecord, DeliveryState
 from fleet_db.rows import replace_all, table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.tables.alerts import WebhookDeliveryRow
-from fleet_db.tables.operation import AuditRow, IdempotencyRow, JobRunRow
+from fleet_db.tables.operation import AuditRow, IdempotencyRow, JobRunRow, ResultRow
 from fleet_db.tables.recordings import PurgeRow
-from fleet_db.tables.results import ResultRow
 from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, TrackReportRow, WindowPositionRow
 from fleet_db.tables.windows import RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 from fleet_db.telemetry import WindowFiles
-from fleet_db.webhook_records import DeliveryState
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 EPOCHS, MEMBERS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow)
@@ -256,7 +254,6 @@ class _Purge:
         unlink_old(WindowFiles(self.storage.data_dir / SAMPLES).path(window.content_digest), LEAST_AGE_S)
 
     def _tables(self) -> Purged:
-        """Delete the bin tables of roll-ups that are whole and old, one roll-up a transaction."""
         items = 0
         with self.storage.read() as unit:
             found = expired_tables(unit.connection, self.before_ns)
@@ -313,7 +310,6 @@ def _delete(key: Column[Any], expired: ColumnElement[bool], unit: SqlUnitOfWork)
 
 
 def _expired(kind: Kept, before_ns: int) -> tuple[Column[Any], ColumnElement[bool]]:
-    """Return the key of the table of a kind, and which of its rows have expired."""
     if kind is Kept.IDEMPOTENCY_KEYS:
         return KEYS.c.key, KEYS.c.recorded_ns < before_ns
     if kind is Kept.AUDIT:

@@ -27,14 +27,13 @@ from fleet_db.keeping.kept_files import (
     lines_of,
     not_listed,
 )
+from fleet_db.locks import keeping_alone
 from fleet_db.migrate import check_upgradable, known_revisions, refusal, upgrade
-from fleet_db.process_locks import keeping_alone
-from fleet_db.raw import RawStore
-from fleet_db.raw_files import FileRawStore
+from fleet_db.raw import FileRawStore, RawStore
 from fleet_db.rows import table_of
 from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, sqlite_file, translate_errors
+from fleet_db.stores.assembled import StaleSpanStore
 from fleet_db.stores.installation import FeedBranchStore
-from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.tables import Base
 from fleet_db.tables.windows import WindowRow
 
@@ -133,7 +132,6 @@ def _restored(engine: Engine, into: Installation, folder: Path, manifest: Manife
 
 @contextmanager
 def _at_this_version(manifest: Manifest, folder: Path, data_dir: Path) -> Iterator[Path]:
-    """Yield a copy of the database of a backup, brought to the migration of this version."""
     with tempfile.TemporaryDirectory(prefix=".restoring-", dir=data_dir) as name:
         database = Path(name) / "database.sqlite3"
         shutil.copyfile(manifest.database_file(folder), database)
@@ -142,7 +140,6 @@ def _at_this_version(manifest: Manifest, folder: Path, data_dir: Path) -> Iterat
 
 
 def _stale(source: Connection, manifest: Manifest, lost: list[KeptFile]) -> tuple[str, ...]:
-    """Return the vehicles whose window files are not all there."""
     kept = WINDOWS.c.samples_purged_ns.is_(None)
     statement = select(WINDOWS.c.vehicle).where(kept).distinct().order_by(WINDOWS.c.vehicle)
     if manifest.windows_kept:
@@ -152,7 +149,6 @@ def _stale(source: Connection, manifest: Manifest, lost: list[KeptFile]) -> tupl
 
 
 def _store_rows(engine: Engine, url: str, source: Connection, database: Path, stale: tuple[str, ...]) -> dict[str, int]:
-    """Put all rows into the database in one step; return their numbers by table."""
     file = sqlite_file(engine)
     if file is None:
         upgrade(url)

@@ -24,8 +24,7 @@ from sqlalchemy.exc import OperationalError
 from estimation.errors import StorageError
 from fleet_db.keeping.kept_files import SAMPLES
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
-from fleet_db.raw import RawStore, RawTotal
-from fleet_db.raw_files import total_of
+from fleet_db.raw import RawStore, RawTotal, total_of
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables.base import Base
@@ -303,7 +302,6 @@ def _running(connection: Connection, windows: int, hours_per_day: float | None) 
 
 
 def _raw_bytes_per_hour(connection: Connection, running: Running) -> float:
-    """Return the bytes of raw recordings of an hour of one wheelset, by the newest recordings."""
     newest = (
         select(CHUNKS.c.size_bytes, (CHUNKS.c.last_ns - CHUNKS.c.first_ns).label("length_ns"))
         .where(CHUNKS.c.first_ns.is_not(None))

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, insert, or_, select, update
 
 from estimation.errors import ConflictError, NotFoundError
-from fleet_db.access_records import ApiKey, AuditEntry
-from fleet_db.rows import columns_of, insert_new, row_of, table_of, value_of_row
+from fleet_db.records import ApiKey, AuditEntry
+from fleet_db.rows import columns_of, equal, given, insert_new, row_of, table_of, value_of_row
 from fleet_db.tables.operation import ApiKeyRow, AuditRow, IdempotencyRow
 
 KEYS = table_of(ApiKeyRow)
@@ -35,9 +35,7 @@ class ApiKeyStore:
 
     def page(self, after: str | None, limit: int | None) -> Sequence[ApiKey]:
         """Return at most ``limit`` keys with a prefix behind ``after``, by prefix; None for all."""
-        statement = select(KEYS).order_by(KEYS.c.prefix).limit(limit)
-        if after is not None:
-            statement = statement.where(KEYS.c.prefix > after)
+        statement = select(KEYS).where(*given(after, KEYS.c.prefix.__gt__)).order_by(KEYS.c.prefix).limit(limit)
         return [value_of_row(ApiKey, row) for row in self.connection.execute(statement)]
 
     def add(self, key: ApiKey) -> None:
@@ -86,16 +84,12 @@ class AuditStore:
 
     def page(self, chosen: AuditFilter, before_id: int | None, limit: int) -> Sequence[AuditEntry]:
         """Return at most ``limit`` entries with a number below ``before_id``, newest first."""
-        same = {name: getattr(chosen, name) for name in ("owner", "key_prefix", "status", "method")}
         statement = select(ENTRIES).where(
-            *(ENTRIES.c[name] == value for name, value in same.items() if value is not None)
+            *equal(ENTRIES, **{name: getattr(chosen, name) for name in ("owner", "key_prefix", "status", "method")}),
+            *given(chosen.from_ns, ENTRIES.c.at_ns.__ge__),
+            *given(chosen.to_ns, ENTRIES.c.at_ns.__lt__),
+            *given(before_id, ENTRIES.c.entry_id.__lt__),
         )
-        if chosen.from_ns is not None:
-            statement = statement.where(ENTRIES.c.at_ns >= chosen.from_ns)
-        if chosen.to_ns is not None:
-            statement = statement.where(ENTRIES.c.at_ns < chosen.to_ns)
-        if before_id is not None:
-            statement = statement.where(ENTRIES.c.entry_id < before_id)
         rows = self.connection.execute(statement.order_by(ENTRIES.c.entry_id.desc()).limit(limit))
         return [value_of_row(AuditEntry, row) for row in rows]
 

@@ -5,30 +5,136 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple, TypedDict, Unpack
 
-from sqlalchemy import Connection, Select, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Select, and_, insert, or_, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.locks import Subject, serialise
-from fleet_db.read_once import ReadOnce
-from fleet_db.rows import by_wheelset
+from fleet_db.rows import by_wheelset, table_of
 from fleet_db.session import to_json
-from fleet_db.stores.alert_queries import (
-    ALERTS,
-    EVENTS,
-    AlertChoice,
-    AlertOutline,
-    EventOutline,
-    feed_of,
-    outlines_of,
-    page_of,
-)
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import ReadOnce, Subjects
+from fleet_db.tables.alerts import AlertEventRow, AlertRow
+from fleet_db.tables.registry import MountingRow
+
+ALERTS, EVENTS, MOUNTINGS = table_of(AlertRow), table_of(AlertEventRow), table_of(MountingRow)
+_OPEN = ALERTS.c.closed_ns.is_(None)
+_OF_SCOPE = {
+    AlertScope.WHEELSET: ALERTS.c.wheelset.is_not(None),
+    AlertScope.TRACK_SECTION: ALERTS.c.track_section.is_not(None),
+    AlertScope.FLEET: and_(ALERTS.c.wheelset.is_(None), ALERTS.c.track_section.is_(None)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class AlertChoice:
+    """Filters of a list of alerts; None and False for all."""
+
+    fleet: str | None = None
+    wheelset: str | None = None
+    kind: str | None = None
+    condition: Condition | None = None
+    severity: Severity | None = None
+    scope: AlertScope | None = None
+    fleet_alert_id: int | None = None
+    open_only: bool = False
+
+
+class AlertOutline(NamedTuple):  # made by the hundred at every reading of a list: a tuple is made in C
+    """What of an alert orders a list, says how it is shown, and changes whenever the alert does; and its place.
+
+    Vehicle and axle are those that its wheelset ran under when it was opened; None for an alert of a fleet, and where
+    no mounting of that time is on file.
+    """
+
+    alert_id: int
+    version: int
+    severity: Severity
+    condition: Condition
+    last_seen_ns: int
+    closed_ns: int | None
+    acknowledged_ns: int | None
+    shelved_until_ns: int | None
+    vehicle: str | None
+    axle: int | None
+
+
+class FeedChoice(TypedDict, total=False):
+    """Filters of the feed; left out or empty for all."""
+
+    fleets: Collection[str]
+    kinds: Collection[str]
+    severities: Collection[str]
+
+
+class EventOutline(NamedTuple):
+    """What tells one event from every other; an event never changes."""
+
+    sequence: int
+    alert_id: int
+    recorded_ns: int
+
+
+@cache
+def _outlines() -> Select[Any]:
+    at_opening = (
+        MOUNTINGS.c.wheelset == ALERTS.c.wheelset,
+        MOUNTINGS.c.from_ns <= ALERTS.c.opened_ns,
+        or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > ALERTS.c.opened_ns),
+    )
+    *own, vehicle, axle = AlertOutline._fields
+    # a subquery each, not a join: a mounting that the caller may not see leaves the alert in the list
+    place = (
+        select(MOUNTINGS.c[name]).where(*at_opening).correlate(ALERTS).scalar_subquery() for name in (vehicle, axle)
+    )
+    return select(*(ALERTS.c[name] for name in own), *place)
+
+
+def _page_of(
+    statement: Select[Any], choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool
+) -> Select[Any]:
+    number = ALERTS.c.alert_id
+    if choice.open_only:
+        statement = statement.where(_OPEN)
+    for name in ("fleet", "wheelset", "kind", "condition", "severity"):
+        wanted = getattr(choice, name)
+        if wanted is not None:
+            statement = statement.where(ALERTS.c[name] == str(wanted))
+    if choice.fleet_alert_id is not None:
+        statement = statement.where(ALERTS.c.fleet_alert_id == choice.fleet_alert_id)
+    if choice.scope is not None:
+        statement = statement.where(_OF_SCOPE[choice.scope])
+    if after_id is not None:
+        statement = statement.where(number < after_id if newest_first else number > after_id)
+    return statement.order_by(number.desc() if newest_first else number).limit(limit)
+
+
+def _feed_of(
+    statement: Select[Any],
+    after_sequence: int,
+    fleets: Collection[str] = (),
+    kinds: Collection[str] = (),
+    severities: Collection[str] = (),
+) -> Select[Any]:
+    statement = statement.where(EVENTS.c.sequence > after_sequence, EVENTS.c.in_feed)
+    for column, wanted in ((ALERTS.c.fleet, fleets), (ALERTS.c.kind, kinds)):
+        if wanted:
+            of_them = select(ALERTS.c.alert_id).where(column.in_(sorted(wanted)))
+            statement = statement.where(EVENTS.c.alert_id.in_(of_them))
+    if severities:
+        earlier = EVENTS.alias()
+        has_had = select(earlier.c.sequence).where(
+            earlier.c.alert_id == EVENTS.c.alert_id,
+            earlier.c.sequence <= EVENTS.c.sequence,
+            earlier.c.alert["severity"].as_string().in_(sorted(severities)),
+        )
+        statement = statement.where(has_had.correlate(EVENTS).exists())
+    return statement
+
 
 SEVERITIES = {one.value: one for one in Severity}
 CONDITIONS = {one.value: one for one in Condition}
@@ -53,65 +159,49 @@ class AlertStore:
 
     def all_open(self, wheelset: str | None = None) -> Sequence[Alert]:
         """Return open alerts by number, of one wheelset or of all."""
-        statement = _open() if wheelset is None else _open().where(ALERTS.c.wheelset == wheelset)
-        return self._alerts(statement.order_by(ALERTS.c.alert_id))
+        return self._alerts(_OPEN, *([] if wheelset is None else [ALERTS.c.wheelset == wheelset]))
 
     def open_of(self, wheelsets: Collection[str]) -> Sequence[Alert]:
         """Return the open alerts of some wheelsets, by number."""
-        return self._alerts(_open().where(ALERTS.c.wheelset.in_(wheelsets)).order_by(ALERTS.c.alert_id))
+        return self._alerts(_OPEN, ALERTS.c.wheelset.in_(wheelsets))
 
     def open_in_fleet(self, fleet: str) -> Sequence[Alert]:
         """Return the open alerts of a fleet and of its wheelsets, by number."""
-        return self._alerts(_open().where(ALERTS.c.fleet == fleet).order_by(ALERTS.c.alert_id))
+        return self._alerts(_OPEN, ALERTS.c.fleet == fleet)
 
     def open_of_fleets(self) -> Sequence[Alert]:
         """Return the open alerts that stand for several of a fleet, by number."""
-        of_fleet = (ALERTS.c.wheelset.is_(None), ALERTS.c.track_section.is_(None))
-        return self._alerts(_open().where(*of_fleet).order_by(ALERTS.c.alert_id))
+        return self._alerts(_OPEN, _OF_SCOPE[AlertScope.FLEET])
 
     def open_of_section(self, section: str, kind: str) -> Sequence[Alert]:
         """Return the open alerts of a kind about a track section, of every fleet one at most, by number."""
-        of_section = (ALERTS.c.track_section == section, ALERTS.c.kind == kind)
-        return self._alerts(_open().where(*of_section).order_by(ALERTS.c.alert_id))
+        return self._alerts(_OPEN, ALERTS.c.track_section == section, ALERTS.c.kind == kind)
 
     def members(self, fleet_alert_id: int) -> Sequence[Alert]:
         """Return the alerts that a fleet alert stands for, open and closed, by number."""
-        statement = select(ALERTS).where(ALERTS.c.fleet_alert_id == fleet_alert_id)
-        return self._alerts(statement.order_by(ALERTS.c.alert_id))
+        return self._alerts(ALERTS.c.fleet_alert_id == fleet_alert_id)
 
     def get(self, alert_id: int) -> Alert:
         """Return one alert; raises NotFoundError."""
-        found = self._alerts(select(ALERTS).where(ALERTS.c.alert_id == alert_id))
+        found = self._alerts(ALERTS.c.alert_id == alert_id)
         if not found:
             raise NotFoundError("alert", str(alert_id))
         return found[0]
 
-    def page(
-        self,
-        *,
-        fleet: str | None,
-        wheelset: str | None,
-        kind: str | None,
-        condition: Condition | None,
-        open_only: bool,
-        after_id: int | None,
-        limit: int,
-        scope: AlertScope | None = None,
-        fleet_alert_id: int | None = None,
-        severity: Severity | None = None,
-        newest_first: bool = False,
-    ) -> Sequence[Alert]:
-        """Return at most ``limit`` alerts that match every filter given, by number, from behind ``after_id`` on."""
-        chosen = AlertChoice(fleet, wheelset, kind, condition, severity, scope, fleet_alert_id, open_only=open_only)
-        return self._alerts(page_of(select(ALERTS), chosen, after_id, limit, newest_first=newest_first))
+    def of_wheelset(self, wheelset: str) -> Sequence[Alert]:
+        """Return every alert that there has been of a wheelset, by number."""
+        return self._alerts(ALERTS.c.wheelset == wheelset)
+
+    def wheelsets_of_kind(self, kind: str) -> frozenset[str]:
+        """Return the wheelsets of which there has been an alert of a kind."""
+        chosen = (ALERTS.c.kind == kind, ALERTS.c.wheelset.is_not(None))
+        return frozenset(self.connection.scalars(select(ALERTS.c.wheelset).where(*chosen).distinct()))
 
     def of_kind(self, kind: str, wheelsets: Collection[str]) -> Sequence[Alert]:
         """Return every alert of a kind that there has been of some wheelsets, by number."""
 
         def read(some: Collection[str]) -> Mapping[str, Sequence[Alert]]:
-            chosen = (ALERTS.c.kind == kind, ALERTS.c.wheelset.in_(some))
-            alerts = self._alerts(select(ALERTS).where(*chosen).order_by(ALERTS.c.alert_id))
-            return by_wheelset(alerts, lambda alert: alert)
+            return by_wheelset(self._alerts(ALERTS.c.kind == kind, ALERTS.c.wheelset.in_(some)), lambda alert: alert)
 
         found = self.once.of_wheelsets(f"alerts {kind}", wheelsets, read)
         return sorted((alert for own in found.values() for alert in own), key=lambda alert: alert.alert_id)
@@ -119,8 +209,8 @@ class AlertStore:
     def outlines(
         self, choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool = False
     ) -> Sequence[AlertOutline]:
-        """Return what :meth:`page` does, of each alert only what tells whether it has changed."""
-        rows = self.connection.execute(outlines_of(choice, after_id, limit, newest_first=newest_first))
+        """Return at most ``limit`` alerts behind a number: of each only what tells whether it has changed."""
+        rows = self.connection.execute(_page_of(_outlines(), choice, after_id, limit, newest_first=newest_first))
         return [
             AlertOutline(number, version, SEVERITIES[severity], CONDITIONS[condition], *times)
             for number, version, severity, condition, *times in rows.all()
@@ -128,39 +218,21 @@ class AlertStore:
 
     def some(self, alert_ids: Sequence[int]) -> Mapping[int, Alert]:
         """Return alerts by number; one that is not on file is left out."""
-        found = self._alerts(select(ALERTS).where(ALERTS.c.alert_id.in_(alert_ids)))
-        return {alert.alert_id: alert for alert in found}
+        return {alert.alert_id: alert for alert in self._alerts(ALERTS.c.alert_id.in_(alert_ids))}
 
-    def feed(
-        self,
-        after_sequence: int,
-        limit: int,
-        *,
-        fleets: Collection[str] = (),
-        kinds: Collection[str] = (),
-        severities: Collection[str] = (),
-    ) -> Sequence[AlertEvent]:
+    def feed(self, after_sequence: int, limit: int, **chosen: Unpack[FeedChoice]) -> Sequence[AlertEvent]:
         """Return at most ``limit`` events behind ``after_sequence``, in commit order; none ever appears before it.
 
         Without those of members that were raised with their fleet alert, which stands for them here. With severities
         only of alerts that have had one of these until then: one that was listed is followed to its end.
         """
-        statement = feed_of(select(EVENTS), after_sequence, fleets=fleets, kinds=kinds, severities=severities)
-        return self._events(statement.limit(limit))
+        return self._events(_feed_of(select(EVENTS), after_sequence, **chosen).limit(limit))
 
-    def feed_outlines(
-        self,
-        after_sequence: int,
-        limit: int,
-        *,
-        fleets: Collection[str] = (),
-        kinds: Collection[str] = (),
-        severities: Collection[str] = (),
-    ) -> Sequence[EventOutline]:
+    def feed_outlines(self, after_sequence: int, limit: int, **chosen: Unpack[FeedChoice]) -> Sequence[EventOutline]:
         """Return what :meth:`feed` does, of each event only what tells it from others."""
-        statement = select(EVENTS.c.sequence, EVENTS.c.alert_id, EVENTS.c.recorded_ns)
-        statement = feed_of(statement, after_sequence, fleets=fleets, kinds=kinds, severities=severities)
-        rows = self.connection.execute(statement.order_by(EVENTS.c.sequence).limit(limit))
+        outlines = select(*(EVENTS.c[name] for name in EventOutline._fields))
+        statement = _feed_of(outlines, after_sequence, **chosen).order_by(EVENTS.c.sequence)
+        rows = self.connection.execute(statement.limit(limit))
         return [EventOutline._make(row) for row in rows.all()]
 
     def some_events(self, sequences: Sequence[int]) -> Mapping[int, AlertEvent]:
@@ -257,7 +329,7 @@ class AlertStore:
         if alert.closed_ns is not None:
             return
         statement = select(ALERTS.c.alert_id).where(
-            ALERTS.c.closed_ns.is_(None),
+            _OPEN,
             ALERTS.c.fleet == alert.fleet,
             ALERTS.c.wheelset == alert.wheelset,
             ALERTS.c.track_section == alert.track_section,
@@ -272,9 +344,10 @@ class AlertStore:
                 key=str(other),
             )
 
-    def _alerts(self, statement: Select[Any]) -> Sequence[Alert]:
+    def _alerts(self, *chosen: ColumnElement[bool]) -> Sequence[Alert]:
         if self.writing:
             serialise(self.connection, Subject.ALERTS)
+        statement = select(ALERTS).where(*chosen).order_by(ALERTS.c.alert_id)
         return [_alert(row) for row in self.connection.execute(statement).mappings()]
 
     def _events(self, statement: Select[Any]) -> Sequence[AlertEvent]:
@@ -283,10 +356,6 @@ class AlertStore:
             AlertEvent(row.sequence, AlertEventKind(row.kind), _alert(row.alert), row.recorded_ns, row.actor, row.note)
             for row in rows
         ]
-
-
-def _open() -> Select[Any]:
-    return select(ALERTS).where(ALERTS.c.closed_ns.is_(None))
 
 
 def _subject(alert: Alert) -> str:

@@ -1,20 +1,22 @@
-"""Windows as a set that is made from recordings and registry: which there are, and which go."""
+"""Windows as a set that is made from recordings and registry: which there are, which go, and which are stale."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
-from sqlalchemy import Connection, and_, case, delete, exists, func, select, tuple_, union_all
+from sqlalchemy import Connection, and_, case, delete, exists, func, insert, or_, select, tuple_, union_all, update
 
 from estimation.errors import DamagedError
+from estimation.values.runs import Due
 from estimation.values.windows import HUNTING_SHARE, DueStage, PassedOver, Window, WindowKey, WindowRecord
 from fleet_db.due import OF_SAMPLES, raise_sections, windows_changed, windows_left
-from fleet_db.receipts import ChunkState
-from fleet_db.rows import insert_all_new, replace_all, table_of
+from fleet_db.records import ChunkState
+from fleet_db.rows import equal, given, insert_all_new, replace_all, table_of, value_of_row
 from fleet_db.stores.window_rows import list_for_sums, pass_over, to_window_record, window_values
 from fleet_db.subjects import Subjects
-from fleet_db.tables.recordings import ChunkRow
+from fleet_db.tables.recordings import ChunkRow, StaleSpanRow
 from fleet_db.tables.track import WindowPositionRow
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 from fleet_db.telemetry import WindowFiles
@@ -26,38 +28,23 @@ HAS_TABLE = exists().where(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.sta
 
 @dataclass(frozen=True, slots=True)
 class AssembledWindow:
-    """A window as it was assembled, to be stored.
+    """A window as it was assembled, to be stored."""
 
-    Attributes:
-        window, digest: With its samples; of its content.
-        mileage_km: Of the wheelset since new, at its start.
-        odometer_excess_m: By which odometer and speed differ beyond what they may, m.
-        off_line_m: From the line of its section, by GNSS, m; 0 within the limit.
-    """
-
-    window: Window
-    digest: str
-    mileage_km: float
-    odometer_excess_m: float = 0.0
-    off_line_m: float = 0.0
+    window: Window  # with its samples
+    digest: str  # of its content
+    mileage_km: float  # of the wheelset since new, at its start
+    odometer_excess_m: float = 0.0  # by which odometer and speed differ beyond what they may
+    off_line_m: float = 0.0  # from the line of its section, by GNSS; 0 within the limit
 
 
 @dataclass(frozen=True, slots=True)
 class StoredWindow:
-    """A stored window with what only its storage needs.
-
-    Attributes:
-        record: The window.
-        sample_bytes: Size of its file.
-        samples_purged: Whether its file was purged.
-        untouched: Whether there is no bin table of it, nor was one.
-        odometer_excess_m, off_line_m: As in :class:`AssembledWindow`.
-    """
+    """A stored window with what only its storage needs; distances as in :class:`AssembledWindow`."""
 
     record: WindowRecord
-    sample_bytes: int
+    sample_bytes: int  # size of its file
     samples_purged: bool
-    untouched: bool
+    untouched: bool  # whether there is no bin table of it, nor was one
     odometer_excess_m: float
     off_line_m: float
 
@@ -98,10 +85,7 @@ class AssembledWindowStore:
         ]
 
     def add(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> bool:
-        """Store windows that are not there yet; return False where another transaction has stored one meanwhile.
-
-        What that one has stored stays.
-        """
+        """Store windows that are not there yet; False: another transaction has stored one meanwhile, which stays."""
         rows = [self._row(each, recorded_ns) for each in windows]
         count = insert_all_new(self.connection, WINDOWS, rows)
         self._changed(windows)
@@ -136,7 +120,6 @@ class AssembledWindowStore:
             self.subjects.windows(wheelset, hunting_in)
 
     def _row(self, each: AssembledWindow, recorded_ns: int) -> dict[str, object]:
-        """Return the row of a window whose file is written here."""
         hunts = each.window.quality.hunting.sustained
         self.subjects.windows(each.window.wheelset, each.window.vehicle if hunts else None)
         self.subjects.places(each.window.track_section)
@@ -200,11 +183,7 @@ class AssembledWindowStore:
         return purged
 
     def intact(self, record: WindowRecord, *, verify: bool) -> bool:
-        """Return whether the file of a window is there, or purged; one that is damaged is removed, to be written again.
-
-        Args:
-            verify: Whether the file is read and checked; else only its size is.
-        """
+        """Return whether the file of a window is there, whole if ``verify``, or purged; a damaged one is removed."""
         key = and_(WINDOWS.c.wheelset == record.wheelset, WINDOWS.c.start_ns == record.start_ns)
         row = self.connection.execute(select(WINDOWS.c.sample_bytes, WINDOWS.c.samples_purged_ns).where(key)).first()
         if row is not None and row.samples_purged_ns is not None:
@@ -222,3 +201,89 @@ class AssembledWindowStore:
 
 def _sections(windows: Sequence[AssembledWindow]) -> dict[WindowKey, str | None]:
     return {(each.window.wheelset, each.window.start_ns): each.window.track_section for each in windows}
+
+
+SPANS = table_of(StaleSpanRow)
+
+EARLIEST_NS, LATEST_NS = -(1 << 62), 1 << 62
+"""Ends of a span that is open."""
+
+
+@dataclass(frozen=True, slots=True)
+class StaleSpan:
+    """Windows of a vehicle that overlap ``[from_ns, to_ns)`` are to be assembled again, and why."""
+
+    id: int
+    vehicle: str
+    from_ns: int
+    to_ns: int
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class StaleSpanStore:
+    """Stale spans, in one transaction."""
+
+    connection: Connection
+
+    def add(self, vehicle: str, from_ns: int | None, to_ns: int | None, cause: str) -> None:
+        """Let the windows of a vehicle in ``[from_ns, to_ns)`` be assembled again; None is an open end.
+
+        Called in the transaction that changes what they are made from; the vehicle need not be registered.
+        """
+        begin = EARLIEST_NS if from_ns is None else from_ns
+        end = LATEST_NS if to_ns is None else to_ns
+        if end > begin:
+            self.connection.execute(insert(SPANS).values(vehicle=vehicle, from_ns=begin, to_ns=end, cause=cause))
+
+    def all(self, vehicle: str | None = None) -> Sequence[StaleSpan]:
+        """Return the stale spans, of one vehicle or of all, by vehicle and begin."""
+        statement = select(SPANS).where(*equal(SPANS, vehicle=vehicle))
+        rows = self.connection.execute(statement.order_by(SPANS.c.vehicle, SPANS.c.from_ns, SPANS.c.id))
+        return [value_of_row(StaleSpan, row) for row in rows]
+
+    def due(self, vehicles: Collection[str] | None = None) -> Mapping[str, Due]:
+        """Return the vehicles of which something is stale, by code; of some or of all."""
+        newest = select(SPANS.c.vehicle, func.max(SPANS.c.id).label("newest"))
+        statement = newest.where(*given(vehicles, SPANS.c.vehicle.in_))
+        rows = self.connection.execute(statement.group_by(SPANS.c.vehicle).order_by(SPANS.c.vehicle))
+        return {row.vehicle: Due(row.newest) for row in rows}
+
+    def advance(self, spans: Sequence[StaleSpan], to_ns: int) -> None:
+        """Remove the part of spans before ``to_ns``, in the transaction that stores the windows of that part."""
+        for span in spans:
+            same = SPANS.c.id == span.id
+            if span.to_ns <= to_ns:
+                self.connection.execute(delete(SPANS).where(same))
+            elif span.from_ns < to_ns:
+                self.connection.execute(update(SPANS).where(same).values(from_ns=to_ns))
+
+    def remove(self, spans: Sequence[StaleSpan]) -> None:
+        """Remove spans whose windows have been assembled again, in the transaction that stores those."""
+        self.connection.execute(delete(SPANS).where(SPANS.c.id.in_([span.id for span in spans])))
+
+
+APART_NS = 86_400_000_000_000
+"""Windows that are nearer to each other are made again together, with what is between them."""
+
+
+def make_stale(connection: Connection, section: str, cause: str, *, elsewhere: bool) -> None:
+    """Let the windows on a section be assembled again, and ``elsewhere`` those on none, which may have its new number.
+
+    A window on another registered section stays: its vehicle sent the number of that one.
+    """
+    on_it = WINDOWS.c.track_section == section
+    touched = or_(on_it, WINDOWS.c.track_section.is_(None)) if elsewhere else on_it
+    statement = select(WINDOWS.c.vehicle, WINDOWS.c.start_ns, WINDOWS.c.length_ns).where(touched).distinct()
+    rows = connection.execute(statement.order_by(WINDOWS.c.vehicle, WINDOWS.c.start_ns)).all()
+    stale = StaleSpanStore(connection)
+    for vehicle, windows in groupby(rows, key=lambda row: row.vehicle):
+        spans: list[list[int]] = []
+        for window in windows:
+            end_ns = window.start_ns + window.length_ns
+            if spans and window.start_ns - spans[-1][1] <= APART_NS:
+                spans[-1][1] = max(spans[-1][1], end_ns)
+            else:
+                spans.append([window.start_ns, end_ns])
+        for from_ns, to_ns in spans:
+            stale.add(vehicle, from_ns, to_ns, cause)

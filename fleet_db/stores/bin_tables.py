@@ -29,11 +29,10 @@ from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTa
 from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
-from fleet_db.read_once import ReadOnce
 from fleet_db.rows import by_wheelset, on_sections, put_rows, replace_all, table_of
 from fleet_db.stores.window_rows import keys_given, list_for_sums, to_window_record
 from fleet_db.stores.windows import NOT_PASSED_OVER
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
@@ -64,18 +63,18 @@ class BinTableStore:
     subjects: Subjects
     once: ReadOnce = field(default_factory=ReadOnce)
 
-    def put(self, wheelset: str, start_ns: int, table: BinTable, track_version: int | None, window_digest: str) -> None:
-        """Store the bin table of a window; raises NotFoundError, and ConflictError where its content is other."""
-        self.put_all([WindowTable(wheelset, start_ns, window_digest, table, track_version)])
-
     def put_all(self, tables: Sequence[WindowTable], *, listed: bool = True) -> Sequence[WindowKey]:
-        """Store the bin tables of different windows as :meth:`put` does; where one has been purged it stays summed.
+        """Store the bin tables of different windows; where one has been purged it stays summed.
 
         Args:
             listed: Whether windows with another table are listed to be summed here.
 
         Returns:
             Those windows.
+
+        Raises:
+            NotFoundError: There is no such window.
+            ConflictError: Its content is another.
         """
         windows = self._checked([(one.key, one.window_digest) for one in tables])
         rows = {one.key: _values(one) for one in tables if windows[one.key].table_purged_ns is None}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import builtins
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
 from typing import Any
 
 from sqlalchemy import (
@@ -25,11 +24,10 @@ from sqlalchemy import (
 
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.windows import WindowState
-from fleet_db.receipts import ChunkRecord, ChunkState, RecordingChange
-from fleet_db.rows import columns_of, insert_new, row_of, table_of, value_of_row
+from fleet_db.records import ChunkRecord, ChunkState, RecordingChange
+from fleet_db.rows import columns_of, equal, given, insert_new, row_of, table_of, value_of_row
 from fleet_db.subjects import Subjects
 from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, ChunkRow, RawScrubRow, RecordingChangeRow, of_length
 from fleet_db.tables.registry import MountingRow, VehicleRow
@@ -43,22 +41,15 @@ LOOKED_THROUGH = 5_000
 
 @dataclass(frozen=True, slots=True)
 class ChosenChunks:
-    """Which receipts are listed; None is no filter.
-
-    Attributes:
-        state, vehicle, fleet, code: Of the recording, of its vehicle now, and of its reason. Deleted recordings are
-            listed where their state is asked for only.
-        received_from_ns, received_to_ns: Received in this range, ns of our clock, half-open.
-        measured_from_ns, measured_to_ns: With frames in this range of the vehicle's clock, half-open.
-    """
+    """Which receipts are listed; None is no filter. Deleted recordings are only where their state is asked for."""
 
     state: ChunkState | None = None
     vehicle: str | None = None
-    fleet: str | None = None
-    code: ReasonCode | None = None
-    received_from_ns: int | None = None
+    fleet: str | None = None  # of its vehicle now
+    code: ReasonCode | None = None  # of its reason
+    received_from_ns: int | None = None  # by our clock, half-open with the next
     received_to_ns: int | None = None
-    measured_from_ns: int | None = None
+    measured_from_ns: int | None = None  # with frames in this range of the vehicle's clock, half-open
     measured_to_ns: int | None = None
 
     def conditions(self) -> builtins.list[ColumnElement[bool]]:
@@ -66,14 +57,13 @@ class ChosenChunks:
         of_fleet = None if self.fleet is None else select(VEHICLES.c.code).where(VEHICLES.c.fleet == self.fleet)
         not_deleted = CHUNKS.c.state != ChunkState.DELETED.value
         return [
-            not_deleted if self.state is None else CHUNKS.c.state == self.state.value,
-            *([] if self.vehicle is None else [CHUNKS.c.vehicle == self.vehicle]),
-            *([] if of_fleet is None else [CHUNKS.c.vehicle.in_(of_fleet)]),
-            *([] if self.code is None else [CHUNKS.c.reason_code == self.code.value]),
-            *([] if self.received_from_ns is None else [CHUNKS.c.received_ns >= self.received_from_ns]),
-            *([] if self.received_to_ns is None else [CHUNKS.c.received_ns < self.received_to_ns]),
-            *([] if self.measured_from_ns is None else [CHUNKS.c.last_ns >= self.measured_from_ns]),
-            *([] if self.measured_to_ns is None else [CHUNKS.c.first_ns < self.measured_to_ns]),
+            *([not_deleted] if self.state is None else []),
+            *equal(CHUNKS, state=self.state, vehicle=self.vehicle, reason_code=self.code),
+            *given(of_fleet, CHUNKS.c.vehicle.in_),
+            *given(self.received_from_ns, CHUNKS.c.received_ns.__ge__),
+            *given(self.received_to_ns, CHUNKS.c.received_ns.__lt__),
+            *given(self.measured_from_ns, CHUNKS.c.last_ns.__ge__),
+            *given(self.measured_to_ns, CHUNKS.c.first_ns.__lt__),
         ]
 
 
@@ -121,7 +111,7 @@ class ChunkStore:
         """
         within = {"of_vehicle": vehicle, "from_ns": from_ns, "to_ns": to_ns}
         within |= {f"from_ns_{number}": from_ns - (longest or 0) for number, (_, _, longest) in enumerate(LENGTHS)}
-        found = self._read(_in_span(clock), within)
+        found = self._read(IN_SPAN[clock], within)
         return sorted(found, key=lambda record: (record.first_ns or 0, record.digest))
 
     def overlapping_by_recorder(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[ChunkRecord]:
@@ -165,10 +155,8 @@ class ChunkStore:
     ) -> Sequence[ChunkRecord]:
         """Return receipts that wait for decoding, oldest first, behind (recorded time, digest) of ``after``."""
         place = (CHUNKS.c.recorded_ns, CHUNKS.c.digest)
-        statement = select(CHUNKS).where(UNDECODED, tuple_(*place) > tuple_(*after)).order_by(*place).limit(limit)
-        if vehicle is not None:
-            statement = statement.where(CHUNKS.c.vehicle == vehicle)
-        return self._read(statement)
+        behind = select(CHUNKS).where(UNDECODED, tuple_(*place) > tuple_(*after), *equal(CHUNKS, vehicle=vehicle))
+        return self._read(behind.order_by(*place).limit(limit))
 
     def undecoded_size(self) -> Undecoded:
         """Return how many recordings wait for a worker to decode them, how large they are, and since when."""
@@ -244,7 +232,6 @@ class ChunkStore:
             self.subjects.raised(SubjectKind.VEHICLE, record.vehicle, Facet.RECORDINGS)
 
 
-@cache
 def _in_span(clock: tuple[str, str]) -> CompoundSelect[Any]:
     """Return the statement for decoded recordings in a span of a clock, in the parameters ``from_ns`` and ``to_ns``."""
     first, last = (CHUNKS.c[name] for name in clock)
@@ -256,6 +243,9 @@ def _in_span(clock: tuple[str, str]) -> CompoundSelect[Any]:
         for number, (_, condition, longest) in enumerate(LENGTHS)
     ]
     return union_all(*each)
+
+
+IN_SPAN = {clock: _in_span(clock) for clock in CLOCKS}
 
 
 def _values(record: ChunkRecord) -> dict[str, object]:

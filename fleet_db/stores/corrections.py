@@ -25,15 +25,20 @@ from estimation.vehicle.vehicle_class import (
     class_of_document,
 )
 from fleet_db.locks import Subject, serialise
-from fleet_db.registry_events import Decision, RecordAction, RecordKind
+from fleet_db.records import Decision, RecordAction, RecordKind
 from fleet_db.rows import columns_of, delete_row, row_of, table_of
+from fleet_db.stores.assembled import EARLIEST_NS, LATEST_NS, make_stale
 from fleet_db.stores.registry import RegistryStore
-from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore, stands_voided
-from fleet_db.stores.sensor_changes import SensorChangeStore, sensor_change_of
-from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS, make_stale
+from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore, find_class, stands_voided
 from fleet_db.stores.tracks import TrackStore, give_up_number
-from fleet_db.stores.vehicle_classes import find_class
-from fleet_db.stores.wheelset_events import MEASURED, MOUNTINGS, REPROFILINGS, stored_measurement
+from fleet_db.stores.wheelset_events import (
+    MEASURED,
+    MOUNTINGS,
+    REPROFILINGS,
+    SensorChangeStore,
+    sensor_change_of,
+    stored_measurement,
+)
 from fleet_db.tables.track import TrackSectionRow
 
 SECTIONS = table_of(TrackSectionRow)
@@ -142,7 +147,6 @@ class CorrectionStore:
         return self._taken(key, stored_measurement(self.connection, key.subject, key.at_ns or 0))
 
     def _taken(self, key: RecordKey, row: _Values | None) -> _Values:
-        """Return a dated row of a wheelset that is no mounting, and delete it."""
         if row is None:
             raise NotFoundError(key.kind.value, _name(key))
         delete_row(self.connection, _DATED[key.kind], key.subject, key.at_ns)

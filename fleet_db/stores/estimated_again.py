@@ -1,4 +1,4 @@
-"""What is estimated again after the class of vehicles or the radius of a wheelset has changed, from the windows on."""
+"""What is decoded or estimated again after a bus, the class of vehicles or the radius of a wheelset has changed."""
 
 from __future__ import annotations
 
@@ -8,14 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, and_, delete, exists, func, select
 
+from estimation.errors import ConflictError
 from estimation.values.quantities import Status
-from estimation.values.reasons import ReasonCode
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.runs import SubjectKind, after_failure
 from estimation.values.track import AlignmentSource, TrackAlignment
 from estimation.values.windows import PassedOver
 from estimation.vehicle.vehicle_class import ClassOnFile, same_motion
 from fleet_db.due import positions_forgotten
-from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
+from fleet_db.records import NOTHING_AGAIN, ChunkRecord, ChunkState, EstimatedAgain
 from fleet_db.rows import table_of
+from fleet_db.stores.chunks import ChosenChunks, ChunkStore
+from fleet_db.stores.stage_marks import QuarantineStore
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.window_rows import wait_again
@@ -39,11 +43,7 @@ class Again:
     def class_changed(
         self, vehicles: Sequence[str], before: ClassOnFile | None, after: ClassOnFile | None
     ) -> EstimatedAgain:
-        """Let what rests on the class of vehicles be estimated again: every window where their motion changes.
-
-        Args:
-            before, after: Their class; None where it is not on file.
-        """
+        """Let what rests on the class of vehicles be estimated again: every window where their motion changes."""
         if before is None or after is None:
             return NOTHING_AGAIN if before is after else self.vehicles(vehicles)
         if not same_motion(before.vehicle_class, after.vehicle_class):
@@ -59,11 +59,7 @@ class Again:
         return self._windows((f"wheelset {serial}",), WINDOWS.c.wheelset == serial)
 
     def mounting(self, serial: str, from_ns: int, to_ns: int | None, *, there: bool) -> None:
-        """Let the windows of a wheelset that overlap some time wait again.
-
-        Args:
-            there: Whether the wheelset is where it was then, the same way round.
-        """
+        """Let the windows of a wheelset that overlap some time wait again; ``there``: it is where it was, as it was."""
         within = and_(WINDOWS.c.wheelset == serial, WINDOWS.c.start_ns + WINDOWS.c.length_ns > from_ns)
         ended = within if to_ns is None else and_(within, WINDOWS.c.start_ns < to_ns)
         self._wait(ended, PassedOver.SUPERSEDED if there else PassedOver.RECORD_CHANGED)
@@ -119,7 +115,6 @@ class Again:
 
 
 def _unknown(alignment: TrackAlignment) -> TrackAlignment:
-    """Return the alignment of the same section before anything is known of it."""
     nothing = np.full(len(alignment.s), np.nan)
     zero = np.zeros(len(alignment.s))
     return replace(
@@ -133,3 +128,31 @@ def _unknown(alignment: TrackAlignment) -> TrackAlignment:
         gauge_known=False,
         findings=None,
     )
+
+
+STAGE = "ingest"
+MOST = 1_000_000
+UNDECODED = (
+    (ChunkState.REJECTED, ReasonCode.LOG_DAMAGED),
+    (ChunkState.REJECTED, ReasonCode.CLOCK_IMPLAUSIBLE),
+    (ChunkState.STORED, ReasonCode.WAITS_FOR_TIME),
+)
+"""What becomes of a recording that is read with a wrong bus."""
+
+
+def decode_again(chunks: ChunkStore, record: ChunkRecord, why: str, now_ns: int) -> None:
+    """Let a recording be decoded at the next run of the job or ingest."""
+    error = ConflictError(why, kind="recording", key=record.digest)
+    item = after_failure(None, (SubjectKind.RECORDING, record.digest, STAGE), record.vehicle, error, now_ns)
+    QuarantineStore(chunks.connection).put(item)
+    reason = Reason(item.code, item.error)
+    again = replace(record, state=ChunkState.STORED, reason=reason, first_ns=None, last_ns=None)
+    chunks.update(again)
+
+
+def decode_undecoded(chunks: ChunkStore, vehicle: str, why: str, now_ns: int) -> None:
+    """Let the recordings of a vehicle be decoded again that were rejected, or wait for a time."""
+    for state, code in UNDECODED:
+        for record in chunks.page(ChosenChunks(state=state, vehicle=vehicle, code=code), MOST):
+            if record.purged_ns is None:
+                decode_again(chunks, record, why, now_ns)

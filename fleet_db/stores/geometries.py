@@ -1,4 +1,4 @@
-"""Geometries, as results of their stage, and the bins of each current one as plain rows for queries in SQL."""
+"""Geometries and trends, as results of their stages, and the bins of each current geometry as plain rows for SQL."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from estimation.values.geometry import (
     WheelsetGeometry,
     key_of_part,
     part_of,
-    result_of_geometry,
 )
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import Result, ResultKind
-from fleet_db.read_once import ReadOnce
+from estimation.values.runs import Result, ResultKind
+from estimation.values.trend import TREND, TrendRecord, WearTrend
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultStore
 from fleet_db.stores.window_rows import NOTED_OF, noted_columns, noted_in
+from fleet_db.subjects import ReadOnce
 from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import WheelsetBinRow, WindowBinTableRow
 
@@ -50,13 +50,6 @@ class GeometryStore:
     connection: Connection
     results: ResultStore
     once: ReadOnce = field(default_factory=ReadOnce)
-
-    def put(self, record: GeometryRecord) -> bool:
-        """Put an estimate in force; False if that of its key has the same inputs, parameters and numerics."""
-        news = self.results.put_all(GEOMETRY, [result_of_geometry(record)])
-        if news and record.interval is None:
-            self.show_bins([record.wheelset])
-        return bool(news)
 
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:
         """Return the current geometry of the newest baseline with windows, as it was recorded at ``as_of_ns``.
@@ -89,10 +82,7 @@ class GeometryStore:
         return {wheelset: _record(_newest(results)) for wheelset, results in found.items()}
 
     def version(self, wheelset: str) -> tuple[int, int] | None:
-        """Return what changes whenever :meth:`current` does, at less cost: None where there is no geometry.
-
-        Number and recorded time of the current geometry that was put last, of any baseline.
-        """
+        """Return number and time of the current geometry put last: they change whenever :meth:`current` does."""
         number, recorded_ns = self.results.version(GEOMETRY, wheelset, CURRENT)
         return None if number is None or recorded_ns is None else (number, recorded_ns)
 
@@ -118,11 +108,7 @@ class GeometryStore:
         return _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), _record)
 
     def read_ahead(self, wheelsets: Collection[str]) -> None:
-        """Read together what :meth:`baselines` and :meth:`conicities` are asked for one wheelset after the other.
-
-        Raises:
-            DamagedError: Something of one of them is damaged.
-        """
+        """Read together what :meth:`baselines` and :meth:`conicities` are asked for one by one; raises DamagedError."""
         self.once.of("current geometries", wheelsets, self._baselines)
         self.once.of("conicities", wheelsets, self._conicities)
 
@@ -168,11 +154,7 @@ class GeometryStore:
         return [found for number, found in ahead if number == baseline]
 
     def conicities_of(self, baselines: Mapping[str, int]) -> Mapping[str, Sequence[IntervalConicities]]:
-        """Return the conicities of the intervals of some wheelsets, of one baseline of each.
-
-        Args:
-            baselines: Their numbers, by wheelset.
-        """
+        """Return the conicities of the intervals of some wheelsets, of one baseline of each by its number."""
         found: dict[str, list[IntervalConicities]] = {wheelset: [] for wheelset in baselines}
         for result in self.results.heads(GEOMETRY, list(baselines), _spanned(baselines.values())):
             if key_of_part(result.part)[0] == baselines[result.subject]:
@@ -288,11 +270,7 @@ def _record(result: Result[WheelsetGeometry]) -> GeometryRecord:
 
 
 def _conicities(result: Result[WheelsetGeometry]) -> IntervalConicities:
-    """Return what the head of a geometry says of its conicities: a trend reads hundreds of them, and no bins.
-
-    Raises:
-        DamagedError: It is not one of :func:`result_of_geometry`.
-    """
+    """Return what the head of a geometry says of its conicities: a trend reads hundreds of them, and no bins."""
     head, (baseline, interval) = _head(result), key_of_part(result.part)
     try:
         why = head["no_conicity"]
@@ -314,7 +292,6 @@ def _conicities(result: Result[WheelsetGeometry]) -> IntervalConicities:
 
 
 def _bin_rows(result: Result[WheelsetGeometry], geometry: WheelsetGeometry) -> list[dict[str, Any]]:
-    """Return the bins of a geometry as plain rows."""
     return [
         {
             "wheelset": result.subject,
@@ -337,3 +314,38 @@ def _bin_columns(geometry: WheelsetGeometry, index: int) -> dict[str, Any]:
         columns[f"{name}_std_{unit}"] = null_if_nan(float(values.std[index]))
         columns[f"{name}_status"] = str(values.status[index])
     return columns
+
+
+@dataclass(frozen=True, slots=True)
+class TrendStore:
+    """Trends, append-only."""
+
+    results: ResultStore
+    geometries: GeometryStore
+
+    def version(self, wheelset: str) -> tuple[int | None, ...]:
+        """Return what changes whenever the newest trend or the current geometry does; None for none."""
+        return *self.results.version(TREND, wheelset), *(self.geometries.version(wheelset) or (None, None))
+
+    def of(self, wheelsets: Collection[str]) -> Mapping[str, TrendRecord]:
+        """Return the newest trend of each of some wheelsets that has one, by serial."""
+        newest_first = self.results.in_force(TREND, wheelsets)
+        return {result.subject: _trend_record(result) for result in reversed(newest_first)}
+
+    def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None:
+        """Return the newest trend, as it was recorded at ``as_of_ns``: that of the baseline in force then."""
+        found = self.results.latest(TREND, wheelset, as_of_ns)
+        return None if found is None else _trend_record(found)
+
+
+def _trend_record(result: Result[WearTrend]) -> TrendRecord:
+    assert result.value is not None
+    return TrendRecord(
+        wheelset=result.subject,
+        baseline=int(result.part),
+        trend=result.value,
+        input_digest=result.made_from,
+        code_version=result.numerics,
+        recorded_ns=result.recorded_ns,
+        parameters=result.parameters,
+    )

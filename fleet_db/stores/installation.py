@@ -10,12 +10,11 @@ from sqlalchemy import Connection, delete, func, insert, select, update
 
 from estimation.errors import StorageError
 from fleet_db.locks import Subject, serialise
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.rows import table_of, upsert
 from fleet_db.tables.alerts import AlertEventRow, FeedBranchRow
-from fleet_db.tables.operation import StoredSettingRow
+from fleet_db.tables.operation import ResultRow, StoredSettingRow
 from fleet_db.tables.recordings import ChunkRow, RawMarkRow
-from fleet_db.tables.results import ResultRow
 
 SETTINGS, CHUNKS = table_of(StoredSettingRow), table_of(ChunkRow)
 

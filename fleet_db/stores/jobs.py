@@ -32,8 +32,7 @@ from estimation.errors import AlreadyRunningError, ConflictError, LeaseLostError
 from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger
 from fleet_db.locks import UnendedLease
 from fleet_db.rows import columns_of, table_of, value_of_row
-from fleet_db.tables.operation import JobRunRow, WorkClaimRow, WorkLeaseRow
-from fleet_db.tables.results import ResultRow
+from fleet_db.tables.operation import JobRunRow, ResultRow, WorkClaimRow, WorkLeaseRow
 
 LEASES, CLAIMS = table_of(WorkLeaseRow), table_of(WorkClaimRow)
 PLACE = "schedule", ("scheduler",)

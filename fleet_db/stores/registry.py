@@ -16,16 +16,24 @@ from estimation.values.windows import DueStage
 from estimation.vehicle.vehicle_class import SHIPPED_VERSION, ClassOnFile, VehicleClass, class_document
 from fleet_db.due import list_due
 from fleet_db.locks import Subject, serialise
-from fleet_db.read_once import ReadOnce
-from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
-from fleet_db.registry_events import Decision, RecordAction, RecordKind
-from fleet_db.rows import by_wheelset, columns_of, delete_row, row_of, table_of, upsert, value_of_row
+from fleet_db.records import NOTHING_AGAIN, Decision, EstimatedAgain, RecordAction, RecordKind
+from fleet_db.rows import by_wheelset, columns_of, delete_row, given, row_of, table_of, upsert, value_of_row
+from fleet_db.stores.assembled import StaleSpanStore
 from fleet_db.stores.chunks import ChunkStore
-from fleet_db.stores.decoded_again import decode_undecoded
-from fleet_db.stores.estimated_again import Again
-from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided, stands_voided
-from fleet_db.stores.stale_spans import StaleSpanStore
-from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class, taken_out
+from fleet_db.stores.estimated_again import Again, decode_undecoded
+from fleet_db.stores.registry_history import (
+    Record,
+    RecordKey,
+    RegistryHistoryStore,
+    Shipped,
+    find_class,
+    is_voided,
+    newest_classes,
+    no_class,
+    stands_voided,
+    store_class,
+    taken_out,
+)
 from fleet_db.stores.wheelset_events import (
     MEASURED,
     MOUNTINGS,
@@ -39,7 +47,7 @@ from fleet_db.stores.wheelset_events import (
     store_measured_profiles,
     stored_measurement,
 )
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.registry import FleetRow, VehicleRow, WheelsetRow
 from fleet_db.tables.windows import WindowRow
 
@@ -86,10 +94,8 @@ class RegistryStore:
     def vehicles_page(self, fleet: str | None, after: str | None, limit: int) -> Sequence[VehicleRecord]:
         """Return at most ``limit`` vehicles with a code behind ``after`` that are not voided."""
         statement = _in_fleet(select(VEHICLES), VEHICLES.c.fleet, fleet)
-        statement = statement.where(~is_voided(RecordKind.VEHICLE, VEHICLES.c.code))
-        if after is not None:
-            statement = statement.where(VEHICLES.c.code > after)
-        return self._vehicles(statement.limit(limit))
+        in_force = ~is_voided(RecordKind.VEHICLE, VEHICLES.c.code)
+        return self._vehicles(statement.where(in_force, *given(after, VEHICLES.c.code.__gt__)).limit(limit))
 
     def vehicles(self) -> Sequence[VehicleRecord]:
         """Return all vehicles, those that are voided too, by code."""
@@ -282,12 +288,6 @@ class RegistryStore:
         if was is None or was == record.nominal_radius_m:
             return NOTHING_AGAIN
         return Again(self.connection, self.subjects, recorded_ns).wheelset(record.serial)
-
-    def add_mountings(self, records: Sequence[Mounting], recorded_ns: int | None = None) -> None:
-        """Add or change mountings together: wheelsets may change places. Raises as :meth:`add_mounting`."""
-        before = self.take_out(records)
-        for record in records:
-            self.add_mounting(record, before.get((record.wheelset, record.from_ns)), recorded_ns)
 
     def take_out(self, records: Sequence[Mounting]) -> dict[tuple[str, int], Mounting]:
         """Remove the mountings that others of the same wheelset and start will replace; return them by those."""

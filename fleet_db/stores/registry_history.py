@@ -1,20 +1,22 @@
-"""What was decided on records of the registry, append-only."""
+"""What was decided on records of the registry, append-only, and the versions of vehicle classes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, RowMapping, ScalarSelect, and_, case, func, insert, null, select
+from sqlalchemy import ColumnElement, Connection, Row, RowMapping, ScalarSelect, and_, case, func, insert, null, select
 
+from estimation.errors import DamagedError, ParameterError
 from estimation.values.fields import JsonValue
-from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
-from fleet_db.rows import columns_of, table_of, value_of_row
+from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass, class_digest, class_document, class_of_document
+from fleet_db.records import Decision, RecordAction, RecordKind, RegistryEvent
+from fleet_db.rows import columns_of, equal, given, table_of, value_of_row
 from fleet_db.subjects import Subjects
-from fleet_db.tables.registry import RegistryEventRow, VehicleRow
+from fleet_db.tables.registry import RegistryEventRow, VehicleClassRow, VehicleRow
 
-EVENTS, VEHICLES = table_of(RegistryEventRow), table_of(VehicleRow)
+EVENTS, VEHICLES, CLASSES = table_of(RegistryEventRow), table_of(VehicleRow), table_of(VehicleClassRow)
 Record = Mapping[str, Any] | RowMapping
 """A record by the columns of its table."""
 _VOID_OR_NOT = (RecordAction.VOIDED.value, RecordAction.RESTORED.value)
@@ -64,10 +66,8 @@ class RegistryHistoryStore:
 
     def latest(self, key: RecordKey, action: RecordAction | None = None) -> RegistryEvent | None:
         """Return the last decision on a record, or the last of one action; None where there is none."""
-        chosen = [EVENTS.c.kind == key.kind.value, EVENTS.c.subject == key.subject]
+        chosen = equal(EVENTS, kind=key.kind, subject=key.subject, action=action)
         chosen.append(EVENTS.c.at_ns.is_(None) if key.at_ns is None else EVENTS.c.at_ns == key.at_ns)
-        if action is not None:
-            chosen.append(EVENTS.c.action == action.value)
         row = self.connection.execute(select(EVENTS).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1)).first()
         return None if row is None else value_of_row(RegistryEvent, row)
 
@@ -77,7 +77,6 @@ class RegistryHistoryStore:
             self.note(key, RecordAction.RESTORED, record, decision)
 
     def _raise(self, key: RecordKey, *records: Record | None) -> None:
-        """Let what rests on a record follow."""
         self.subjects.registry()
         if key.kind is RecordKind.SENSOR_CHANGE or key.kind is RecordKind.VEHICLE:
             self.subjects.vehicle_on_file(key.subject)
@@ -101,13 +100,8 @@ class RegistryHistoryStore:
         kind: RecordKind | None = None,
     ) -> Sequence[RegistryEvent]:
         """Return at most ``limit`` decisions, on one wheelset, vehicle, class or section or on all, oldest first."""
-        statement = select(EVENTS).order_by(EVENTS.c.id).limit(limit)
-        if kind is not None:
-            statement = statement.where(EVENTS.c.kind == kind.value)
-        if subject is not None:
-            statement = statement.where(EVENTS.c.subject == subject)
-        if after is not None:
-            statement = statement.where(EVENTS.c.id > after)
+        chosen = [*equal(EVENTS, kind=kind, subject=subject), *given(after, EVENTS.c.id.__gt__)]
+        statement = select(EVENTS).where(*chosen).order_by(EVENTS.c.id).limit(limit)
         return [value_of_row(RegistryEvent, row) for row in self.connection.execute(statement)]
 
 
@@ -132,3 +126,65 @@ def is_voided(kind: RecordKind, subject: ColumnElement[str]) -> ColumnElement[bo
     last = select(func.max(EVENTS.c.id).label("id")).where(decided).group_by(EVENTS.c.subject).subquery()
     voided = select(EVENTS.c.subject).join(last, EVENTS.c.id == last.c.id)
     return subject.in_(voided.where(EVENTS.c.action == RecordAction.VOIDED.value))
+
+
+Shipped = Callable[[str], VehicleClass | None]  # the class of the package by code
+
+
+def no_class(_code: str) -> VehicleClass | None:
+    """Return no class: for a store without classes of the package."""
+    return None
+
+
+def find_class(connection: Connection, code: str, version: int | None) -> ClassOnFile | None:
+    """Return a version of a registered class, None for the newest; None where there is none. Raises DamagedError."""
+    statement = select(CLASSES).where(*equal(CLASSES, code=code, version=version))
+    row = connection.execute(statement.order_by(CLASSES.c.version.desc()).limit(1)).first()
+    return None if row is None else _on_file(row)
+
+
+def newest_classes(connection: Connection, codes: Collection[str] | None = None) -> dict[str, ClassOnFile]:
+    """Return the newest version of classes by code, of some or of all, without voided ones. Raises DamagedError."""
+    newest = select(CLASSES.c.code, func.max(CLASSES.c.version).label("version")).group_by(CLASSES.c.code)
+    if codes is not None:
+        newest = newest.where(CLASSES.c.code.in_(codes))
+    of_newest = newest.subquery()
+    statement = select(CLASSES, last_voided(RecordKind.VEHICLE_CLASS, CLASSES.c.code).label("voided")).join(
+        of_newest, (of_newest.c.code == CLASSES.c.code) & (of_newest.c.version == CLASSES.c.version)
+    )
+    found = {row.code: (_on_file(row), row.voided) for row in connection.execute(statement)}
+    return {code: on_file for code, (on_file, voided) in found.items() if not _is(on_file, voided)}
+
+
+def taken_out(connection: Connection, newest: ClassOnFile) -> bool:
+    """Return whether a class with this newest version was voided and nothing else is in force since."""
+    key = RecordKey(RecordKind.VEHICLE_CLASS, newest.vehicle_class.code)
+    voided = stands_voided(connection, key)
+    return _is(newest, None if voided is None else voided.record)
+
+
+def _is(on_file: ClassOnFile, record: Mapping[str, JsonValue] | None) -> bool:
+    return record is not None and class_digest(class_of_document(record)) == on_file.digest
+
+
+def store_class(connection: Connection, vehicle_class: VehicleClass, recorded_ns: int) -> ClassOnFile:
+    """Store a class as the next version of its code and return that; the content of the newest changes nothing."""
+    newest = find_class(connection, vehicle_class.code, None)
+    if newest is not None and newest.digest == class_digest(vehicle_class):
+        return newest
+    stored = ClassOnFile(vehicle_class, 1 if newest is None else newest.version + 1, recorded_ns)
+    values = {
+        "code": vehicle_class.code,
+        "version": stored.version,
+        "document": class_document(vehicle_class),
+        "recorded_ns": recorded_ns,
+    }
+    connection.execute(insert(CLASSES).values(**values))
+    return stored
+
+
+def _on_file(row: Row[Any]) -> ClassOnFile:
+    try:
+        return ClassOnFile(class_of_document(row.document), row.version, row.recorded_ns)
+    except (KeyError, TypeError, ValueError, ParameterError) as error:
+        raise DamagedError(f"version {row.version} of vehicle class {row.code!r}: {error}") from error

@@ -14,9 +14,9 @@ from estimation.values.roll_up import RolledPart, RollingSums, RollUp, RollUpKey
 from estimation.values.windows import WindowKey
 from fleet_db.fields import fields_of, value_of
 from fleet_db.packed_values import pack_bin_table, pack_rolling_sums, unpack_bin_table, unpack_rolling_sums
-from fleet_db.read_once import ReadOnce
 from fleet_db.rows import by_wheelset, columns_of, put_rows, replace_all, table_of, value_of_row
 from fleet_db.stores.window_rows import keys_given
+from fleet_db.subjects import ReadOnce
 from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 

@@ -15,7 +15,7 @@ from estimation.values.signatures import SIGNATURES as STAGE
 from estimation.values.windows import WindowKey
 from fleet_db.due import list_due, windows_changed
 from fleet_db.packed_values import pack_signatures, unpack_signatures
-from fleet_db.rows import insert_all_new, reason_columns, replace_all, stored_reason, table_of
+from fleet_db.rows import put_rows, reason_columns, stored_reason, table_of
 from fleet_db.subjects import Subjects
 from fleet_db.tables.windows import WearSignatureRow, WindowRow
 
@@ -47,9 +47,7 @@ class SignatureStore:
 
     def put_all(self, found: Sequence[WindowSignatures]) -> None:
         """Store what became of windows, in the place of what was stored of them."""
-        rows = [_values(one) for one in found]
-        if insert_all_new(self.connection, SIGNATURES, rows) < len(rows):
-            replace_all(self.connection, SIGNATURES, rows)
+        put_rows(self.connection, SIGNATURES, [_values(one) for one in found])
         for one in found:
             self.subjects.raised(SubjectKind.WHEELSET, one.wheelset, STAGE)
 
@@ -61,11 +59,7 @@ class SignatureStore:
         return [(row.wheelset, row.vehicle) for row in rows]
 
     def list_other(self, expected: Sequence[tuple[str, str, str]]) -> None:
-        """List the windows whose signatures were not made with these assumptions.
-
-        Args:
-            expected: Wheelset, vehicle, and the digest of what is assumed of the one on the other.
-        """
+        """List the windows whose signatures were not made with the digest expected of their wheelset and vehicle."""
         for first in range(0, len(expected), TOGETHER):
             others = []
             for wheelset, vehicle, assumed in expected[first : first + TOGETHER]:

@@ -1,4 +1,4 @@
-"""What each stage has seen of its subjects, and which of them are others by now."""
+"""What each stage has seen of its subjects, which of them are others by now, and at which it failed."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from sqlalchemy import (
     Connection,
     Insert,
     Select,
+    String,
     and_,
     bindparam,
+    cast,
     delete,
     exists,
     false,
@@ -23,21 +25,22 @@ from sqlalchemy import (
     select,
     tuple_,
     union_all,
+    update,
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.values.results import EVERYTHING, Due, Look, Mark, StageInputs
-from estimation.values.runs import QuarantineState, SubjectKind
+from estimation.values.reasons import ReasonCode
+from estimation.values.runs import EVERYTHING, Due, Look, Mark, Quarantined, QuarantineState, StageInputs, SubjectKind
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
-from fleet_db.on_file import VERSION
-from fleet_db.read_once import ReadOnce
-from fleet_db.rows import table_of
-from fleet_db.stores.stale_spans import SPANS, StaleSpanStore
-from fleet_db.subjects import MOUNTINGS, VERSIONS, Subjects
+from fleet_db.rows import columns_of, equal, given, row_of, table_of, upsert, value_of_row
+from fleet_db.stores.assembled import SPANS, StaleSpanStore
+from fleet_db.subjects import MOUNTINGS, REGISTRY_VERSION, VERSIONS, ReadOnce, Subjects
 from fleet_db.tables.operation import StageMarkRow
-from fleet_db.tables.recordings import QuarantineRow
+from fleet_db.tables.recordings import ChunkRow, QuarantineRow
+from fleet_db.tables.windows import WindowRow
 
-MARKS, HELD = table_of(StageMarkRow), table_of(QuarantineRow)
+MARKS, ITEMS = table_of(StageMarkRow), table_of(QuarantineRow)
+CHUNKS, WINDOWS = table_of(ChunkRow), table_of(WindowRow)
 SUM = func.sum(VERSIONS.c.version)
 
 
@@ -109,7 +112,7 @@ class StageMarkStore:
         own = tuple_(facts.c.kind, facts.c.subject).in_(sorted(subjects))
         mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle.in_(vehicles))
         beside = and_(facts.c.kind == SubjectKind.WHEELSET.value, facts.c.subject.in_(mounted))
-        summed = select(func.sum(facts.c.version).label("now"), VERSION.label("registry"))
+        summed = select(func.sum(facts.c.version).label("now"), REGISTRY_VERSION.label("registry"))
         row = self.connection.execute(summed.where(or_(own, beside), facts.c.facet.in_(facets))).one()
         self.on_file.renew(row.registry)
         return int(row.now or 0)
@@ -122,7 +125,7 @@ class StageMarkStore:
             job: Whose quarantine is looked at.
         """
         of_windows = [inputs for inputs in stages if inputs.kind is SubjectKind.WINDOW]
-        held = exists().where(HELD.c.stage == job, HELD.c.state == QuarantineState.HELD.value)
+        held = exists().where(ITEMS.c.stage == job, ITEMS.c.state == QuarantineState.HELD.value)
         looks = [_look(_DUE, inputs.stage).where(_is_due(inputs, now_ns)) for inputs in stages]
         looks += [_look(_LISTED, inputs.stage).where(_with_settings(inputs).exists()) for inputs in of_windows]
         looks += [
@@ -183,7 +186,6 @@ def _look(what: str, stage: str, seen: ColumnElement[int] | None = None) -> Sele
 
 
 def _is_due(inputs: StageInputs, now_ns: int) -> ColumnElement[bool]:
-    """Return whether something is due of a stage."""
     if inputs.facets and inputs.kind is not SubjectKind.WINDOW:
         return _due(inputs, now_ns, None).exists()
     if inputs.kind is SubjectKind.VEHICLE:
@@ -207,7 +209,7 @@ def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> 
         SUM.label("now"),
         MARKS.c.made_from,
         MARKS.c.again_ns,
-        VERSION.label("registry"),
+        REGISTRY_VERSION.label("registry"),
     )
     statement = select(*columns, func.coalesce(come, false()).label("come")).select_from(
         VERSIONS.outerjoin(MARKS, of_stage)
@@ -233,3 +235,82 @@ def _note(dialect: str) -> Insert:
     changed = {name: noted.excluded[name] for name in names if name not in {"stage", "subject"}}
     statement: Insert = noted.on_conflict_do_update(index_elements=["stage", "subject"], set_=changed)
     return statement
+
+
+Place = tuple[str, str, str]
+"""Kind, key and stage."""
+
+
+@dataclass(frozen=True, slots=True)
+class QuarantineStore:
+    """What failed by itself and is kept apart."""
+
+    connection: Connection
+
+    def get(self, kind: SubjectKind, key: str, stage: str) -> Quarantined | None:
+        """Return what is kept of one thing, held or resolved."""
+        row = row_of(self.connection, ITEMS, kind.value, key, stage)
+        return None if row is None else value_of_row(Quarantined, row)
+
+    def held(self, stage: str | None = None) -> Sequence[Quarantined]:
+        """Return what is held, of one stage or of all, by last failure."""
+        return self._items(select(ITEMS).where(*equal(ITEMS, state=QuarantineState.HELD, stage=stage)))
+
+    def due(self, stage: str, now_ns: int, limit: int) -> Sequence[Quarantined]:
+        """Return what is held of a stage and due for another attempt, at most ``limit``, by last failure."""
+        held = (ITEMS.c.state == QuarantineState.HELD.value, ITEMS.c.stage == stage)
+        return self._items(select(ITEMS).where(*held, ITEMS.c.due_ns <= now_ns).limit(limit))
+
+    def all(self, limit: int) -> Sequence[Quarantined]:
+        """Return what is or was held, at most ``limit``, by last failure."""
+        return self._items(select(ITEMS).limit(limit))
+
+    def page(
+        self,
+        *,
+        kind: SubjectKind | None,
+        state: QuarantineState | None,
+        code: ReasonCode | None,
+        vehicle: str | None,
+        after: Place | None,
+        limit: int,
+    ) -> Sequence[Quarantined]:
+        """Return items behind a place, by kind, key and stage; of a vehicle with its recordings and windows."""
+        place = (ITEMS.c.kind, ITEMS.c.key, ITEMS.c.stage)
+        chosen = [*equal(ITEMS, kind=kind, state=state, code=code), *given(vehicle, _of_vehicle)]
+        if after is not None:
+            chosen.append(tuple_(*place) > tuple_(*after))
+        statement = select(ITEMS).where(*chosen).order_by(*place).limit(limit)
+        return [value_of_row(Quarantined, row) for row in self.connection.execute(statement)]
+
+    def counts(self) -> dict[tuple[SubjectKind, ReasonCode], int]:
+        """Return how many are held, by kind and code."""
+        columns = (ITEMS.c.kind, ITEMS.c.code)
+        statement = select(*columns, func.count()).where(ITEMS.c.state == QuarantineState.HELD.value).group_by(*columns)
+        return {(SubjectKind(kind), ReasonCode(code)): int(n) for kind, code, n in self.connection.execute(statement)}
+
+    def put(self, item: Quarantined) -> None:
+        """Keep a failure, or its end."""
+        upsert(self.connection, ITEMS, columns_of(item))
+
+    def retry(self, kind: SubjectKind | None = None, key: str | None = None) -> Sequence[Quarantined]:
+        """Let what is held be tried at the next run: all, one kind, or one thing; return what that is."""
+        chosen = equal(ITEMS, state=QuarantineState.HELD, kind=kind, key=key)
+        found = self._items(select(ITEMS).where(*chosen))
+        self.connection.execute(update(ITEMS).where(*chosen).values(due_ns=ITEMS.c.last_ns))
+        return found
+
+    def _items(self, statement: Any) -> Sequence[Quarantined]:  # noqa: ANN401 - a select of any shape
+        ordered = statement.order_by(ITEMS.c.last_ns, ITEMS.c.kind, ITEMS.c.key, ITEMS.c.stage)
+        return [value_of_row(Quarantined, row) for row in self.connection.execute(ordered)]
+
+
+def _of_vehicle(vehicle: str) -> ColumnElement[bool]:
+    recordings = select(CHUNKS.c.digest).where(CHUNKS.c.vehicle == vehicle)
+    window_key = WINDOWS.c.wheelset + "@" + cast(WINDOWS.c.start_ns, String)
+    windows = select(window_key).where(WINDOWS.c.vehicle == vehicle)
+    return or_(
+        and_(ITEMS.c.kind == SubjectKind.VEHICLE.value, ITEMS.c.key == vehicle),
+        and_(ITEMS.c.kind == SubjectKind.RECORDING.value, ITEMS.c.key.in_(recordings)),
+        and_(ITEMS.c.kind == SubjectKind.WINDOW.value, ITEMS.c.key.in_(windows)),
+    )

@@ -12,8 +12,7 @@ import numpy as np
 from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.track import (
     AlignmentRecord,
     AlignmentSource,
@@ -26,14 +25,13 @@ from estimation.values.track import (
 from estimation.values.windows import WindowKey, WindowPosition
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
-from fleet_db.read_once import ReadOnce
-from fleet_db.registry_events import Decision, RecordAction, RecordKind
+from fleet_db.records import Decision, RecordAction, RecordKind
 from fleet_db.rows import columns_of, null_if_nan, row_of, table_of, upsert, value_of_row
+from fleet_db.stores.assembled import make_stale
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
-from fleet_db.stores.stale_spans import make_stale
 from fleet_db.stores.track_epochs import EpochStore
-from fleet_db.stores.window_positions import forget_positions, positions_of, put_positions
-from fleet_db.subjects import Subjects
+from fleet_db.stores.window_rows import forget_positions, positions_of, put_positions
+from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.track import (
     TrackAlignmentRow,
     TrackEpochRow,

@@ -9,9 +9,9 @@ from typing import Any
 from sqlalchemy import Connection, Select, delete, func, insert, select, update
 
 from estimation.errors import NotFoundError
-from fleet_db.rows import columns_of, table_of, value_of_row
+from fleet_db.records import Delivery, DeliveryState, DisabledReason, Webhook, WebhookCount, WebhookState
+from fleet_db.rows import columns_of, equal, given, table_of, value_of_row
 from fleet_db.tables.alerts import AlertEventRow, WebhookDeliveryRow, WebhookFleetRow, WebhookRow, WebhookSecretRow
-from fleet_db.webhook_records import Delivery, DeliveryState, DisabledReason, Webhook, WebhookCount, WebhookState
 
 WEBHOOKS, FLEETS = table_of(WebhookRow), table_of(WebhookFleetRow)
 SECRETS, DELIVERIES = table_of(WebhookSecretRow), table_of(WebhookDeliveryRow)
@@ -34,10 +34,7 @@ class WebhookStore:
 
     def page(self, after_id: int | None, limit: int | None) -> Sequence[Webhook]:
         """Return at most ``limit`` webhooks with a number above ``after_id``, by number; None for all."""
-        statement = select(WEBHOOKS).limit(limit)
-        if after_id is not None:
-            statement = statement.where(WEBHOOKS.c.webhook_id > after_id)
-        return self._webhooks(statement)
+        return self._webhooks(select(WEBHOOKS).where(*given(after_id, WEBHOOKS.c.webhook_id.__gt__)).limit(limit))
 
     def active(self) -> Sequence[Webhook]:
         """Return the webhooks that are delivered to, by number."""
@@ -100,12 +97,9 @@ class WebhookStore:
         self, webhook_id: int, before_id: int | None, limit: int, state: DeliveryState | None = None
     ) -> Sequence[Delivery]:
         """Return at most ``limit`` deliveries of a webhook with a number below ``before_id``, newest first."""
-        statement = select(DELIVERIES).where(DELIVERIES.c.webhook_id == webhook_id)
-        if before_id is not None:
-            statement = statement.where(DELIVERIES.c.delivery_id < before_id)
-        if state is not None:
-            statement = statement.where(DELIVERIES.c.state == state.value)
-        found = self.connection.execute(statement.order_by(DELIVERIES.c.delivery_id.desc()).limit(limit))
+        number = DELIVERIES.c.delivery_id
+        chosen = [*equal(DELIVERIES, webhook_id=webhook_id, state=state), *given(before_id, number.__lt__)]
+        found = self.connection.execute(select(DELIVERIES).where(*chosen).order_by(number.desc()).limit(limit))
         return [value_of_row(Delivery, row) for row in found]
 
     def attempted(self, webhook: Webhook, delivery: Delivery, disabled: DisabledReason | None) -> bool:

@@ -1,24 +1,28 @@
-"""What happens to wheelsets: mountings on vehicles, visits to the lathe, measurements of their profiles."""
+"""What happens to wheelsets: mountings, visits to the lathe, measurements of profiles; and to sensors beside them."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import chain
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Table, and_, exists, func, or_, select
+from sqlalchemy import ColumnElement, Connection, Row, Table, and_, delete, exists, func, or_, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.reasons import utc_text
-from estimation.values.registry import Mounting, Reprofiling
+from estimation.values.registry import Mounting, Reprofiling, SensorChange, SensorWork
+from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
-from fleet_db.rows import by_wheelset, row_of, table_of, upsert, value_of_row
+from fleet_db.records import Decision, RecordKind
+from fleet_db.rows import by_wheelset, columns_of, given, row_of, table_of, upsert, value_of_row
+from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
+from fleet_db.subjects import Subjects
 from fleet_db.tables.recordings import StaleSpanRow
-from fleet_db.tables.registry import MeasuredProfilesRow, MountingRow, ReprofilingRow, WheelsetRow
+from fleet_db.tables.registry import MeasuredProfilesRow, MountingRow, ReprofilingRow, SensorChangeRow, WheelsetRow
 from fleet_db.tables.windows import WindowRow
 
 MOUNTINGS, REPROFILINGS = table_of(MountingRow), table_of(ReprofilingRow)
@@ -83,9 +87,8 @@ def _overlapping(connection: Connection, record: Mounting) -> Mounting | None:
         ~same_key,
         or_(table.wheelset == record.wheelset, same_axle),
         or_(table.to_ns.is_(None), table.to_ns > record.from_ns),
+        *given(record.to_ns, table.from_ns.__lt__),
     )
-    if record.to_ns is not None:
-        statement = statement.where(table.from_ns < record.to_ns)
     row = connection.execute(statement.order_by(table.from_ns)).first()
     return None if row is None else value_of_row(Mounting, row)
 
@@ -100,13 +103,9 @@ def newest_measurements(
     connection: Connection, fleet: str | None, from_ns: int | None, to_ns: int | None, limit: int
 ) -> tuple[int, list[tuple[str, int]]]:
     """Return how many measurements there are in ``[from_ns, to_ns)``, and wheelset and time of the newest ``limit``."""
-    wanted: list[ColumnElement[bool]] = []
+    wanted = [*given(from_ns, MEASURED.c.at_ns.__ge__), *given(to_ns, MEASURED.c.at_ns.__lt__)]
     if fleet is not None:
         wanted.append(MEASURED.c.wheelset.in_(select(WHEELSETS.c.serial).where(WHEELSETS.c.fleet == fleet)))
-    if from_ns is not None:
-        wanted.append(MEASURED.c.at_ns >= from_ns)
-    if to_ns is not None:
-        wanted.append(MEASURED.c.at_ns < to_ns)
     total = connection.scalar(select(func.count()).select_from(MEASURED).where(*wanted)) or 0
     newest = select(MEASURED.c.wheelset, MEASURED.c.at_ns).where(*wanted)
     newest = newest.order_by(MEASURED.c.at_ns.desc(), MEASURED.c.wheelset).limit(limit)
@@ -206,3 +205,58 @@ def _parts(keys: Collection[str]) -> Iterator[list[str]]:
     ordered = sorted(keys)
     for begin in range(0, len(ordered), AT_ONCE):
         yield ordered[begin : begin + AT_ONCE]
+
+
+CHANGES = table_of(SensorChangeRow)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorChangeStore:
+    """When the sensors of an axle were exchanged or calibrated."""
+
+    connection: Connection
+    subjects: Subjects
+
+    def list(self, vehicle: str) -> Sequence[SensorChange]:
+        """Return what was done to the sensors of a vehicle, oldest first."""
+        statement = select(CHANGES).where(CHANGES.c.vehicle == vehicle).order_by(CHANGES.c.at_ns)
+        return [sensor_change_of(row) for row in self.connection.execute(statement).mappings()]
+
+    def newest(self, vehicles: Collection[str]) -> Mapping[tuple[str, int], int]:
+        """Return by vehicle and axle when something was done last to the sensors, ns UTC."""
+        axle = (CHANGES.c.vehicle, CHANGES.c.axle)
+        statement = select(*axle, func.max(CHANGES.c.at_ns)).where(CHANGES.c.vehicle.in_(vehicles)).group_by(*axle)
+        return {(vehicle, axle): at_ns for vehicle, axle, at_ns in self.connection.execute(statement)}
+
+    def add(self, record: SensorChange, axles: int, decision: Decision) -> bool:
+        """Add a record, or change the one of that vehicle, axle and time; ConflictError: another axle has one then."""
+        serialise(self.connection, Subject.REGISTRY)
+        if not 1 <= record.axle <= axles:
+            raise ParameterError(f"vehicle {record.vehicle!r} has axles 1 to {axles}, not {record.axle}", field="axle")
+        was = self.stored(record.vehicle, record.at_ns)
+        if was is not None and was["axle"] != record.axle:
+            place = f"axle {was['axle']} of vehicle {record.vehicle!r}"
+            reason = f"{place} has one of {utc_text(record.at_ns)}; give another time"
+            raise ConflictError(reason, kind="sensor change", key=record.vehicle)
+        values = columns_of(record)
+        if not upsert(self.connection, CHANGES, values):
+            return False
+        key = RecordKey(RecordKind.SENSOR_CHANGE, record.vehicle, record.at_ns)
+        RegistryHistoryStore(self.connection, self.subjects).note_change(key, was, values, decision)
+        return True
+
+    def remove(self, vehicle: str, at_ns: int) -> None:
+        """Remove the record of a vehicle and time, if there is one."""
+        self.connection.execute(delete(CHANGES).where(CHANGES.c.vehicle == vehicle, CHANGES.c.at_ns == at_ns))
+
+    def stored(self, vehicle: str, at_ns: int) -> dict[str, Any] | None:
+        """Return the row of a vehicle and time; None where there is none."""
+        statement = select(CHANGES).where(CHANGES.c.vehicle == vehicle, CHANGES.c.at_ns == at_ns)
+        row = self.connection.execute(statement).mappings().first()
+        return None if row is None else dict(row)
+
+
+def sensor_change_of(values: Mapping[Any, Any]) -> SensorChange:
+    """Return the value of a row, or of what the history keeps of one."""
+    record = SensorChange(**{str(name): value for name, value in values.items()})
+    return replace(record, work=SensorWork(record.work))

@@ -1,4 +1,4 @@
-"""Rows of windows: read and written, and the states of many at once."""
+"""Rows of windows: read and written, the states of many at once, and where they were along their sections."""
 
 from __future__ import annotations
 
@@ -33,14 +33,26 @@ from estimation.values.windows import (
     Window,
     WindowKey,
     WindowMark,
+    WindowPosition,
     WindowQuality,
     WindowRecord,
     WindowState,
 )
 from fleet_db.due import BATCH, estimated, list_due, list_to_estimate, list_waiting
-from fleet_db.rows import nan_if_null, null_if_nan, reason_columns, replace_all, stored_reason, table_of
+from fleet_db.rows import (
+    columns_of,
+    nan_if_null,
+    null_if_nan,
+    put_rows,
+    reason_columns,
+    replace_all,
+    stored_reason,
+    table_of,
+    value_of_row,
+)
 from fleet_db.subjects import Subjects
 from fleet_db.tables.registry import WheelsetRow
+from fleet_db.tables.track import WindowPositionRow
 from fleet_db.tables.windows import DOUBTED, PASSED_OVER, REFUSED, WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
@@ -74,11 +86,7 @@ def noted_in(row: Row[Any]) -> frozenset[str]:
 
 
 def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
-    """Return the condition that the key of a row is among the parameters ``keys``.
-
-    Args:
-        table: With the columns ``wheelset`` and ``start_ns``.
-    """
+    """Return the condition that wheelset and start of a row are among the parameters ``keys``."""
     return tuple_(table.c.wheelset, table.c.start_ns).in_(bindparam("keys", expanding=True))
 
 
@@ -91,10 +99,7 @@ def mark_all(
 ) -> list[WindowMark]:
     """Set states of windows; those that are refused lose their bin tables. Return those that have their states now.
 
-    A window whose samples have been purged stays as it is; that it was to change is noted.
-
-    Raises:
-        NotFoundError: There is no such window.
+    A window whose samples have been purged stays as it is; that it was to change is noted. NotFoundError: one is gone.
     """
     held, changed, gone = [], [], []
     for mark in marks:
@@ -128,12 +133,7 @@ def mark_all(
 
 
 def wait_again(subjects: Subjects, chosen: ColumnElement[bool], what: PassedOver) -> None:
-    """Let windows wait to be estimated again; those without samples stay as they are, and that is noted.
-
-    Args:
-        chosen: Condition on the table of windows, but for their states.
-        what: Would have changed those that stay.
-    """
+    """Let chosen windows wait to be estimated again; those without samples stay, and ``what`` is noted of them."""
     of = select(WINDOWS.c.wheelset, WINDOWS.c.track_section).where(chosen).distinct()
     for wheelset, section in subjects.connection.execute(of):
         subjects.tables(wheelset)
@@ -206,11 +206,7 @@ def to_window_record(row: Row[Any]) -> WindowRecord:
 
 
 def implausible_reason(row: Any) -> Reason | None:  # noqa: ANN401 - a row of windows, whatever was selected
-    """Return why the mileage of a row of windows is not believed; None where it is.
-
-    Args:
-        row: With the columns ``implausible`` and ``implausible_code``.
-    """
+    """Return why the mileage of a row of windows is not believed; None where it is."""
     return None if row.implausible_code is None else Reason(ReasonCode(row.implausible_code), row.implausible)
 
 
@@ -244,3 +240,38 @@ def window_values(window: Window, mileage_km: float) -> dict[str, object]:
         "state": WindowState.PENDING.value,
         **reason_columns(None),
     }
+
+
+POSITIONS = table_of(WindowPositionRow)
+OF_WINDOWS = select(POSITIONS).where(keys_given(POSITIONS))
+
+
+def positions_of(connection: Connection, keys: Sequence[WindowKey]) -> Mapping[WindowKey, WindowPosition]:
+    """Return by wheelset and start where those of some windows were that have been looked at."""
+    found = {}
+    for first in range(0, len(keys), BATCH):
+        for row in connection.execute(OF_WINDOWS, {"keys": keys[first : first + BATCH]}):
+            found[row.wheelset, row.start_ns] = value_of_row(WindowPosition, row)
+    return found
+
+
+def put_positions(
+    connection: Connection, positions: Sequence[WindowPosition]
+) -> Mapping[WindowKey, WindowPosition | None]:
+    """Store where windows were, in the place of what was known; return that of those of which it has changed."""
+    before = positions_of(connection, [(one.wheelset, one.start_ns) for one in positions])
+    changed = {
+        (one.wheelset, one.start_ns): one for one in positions if before.get((one.wheelset, one.start_ns)) != one
+    }
+    put_rows(connection, POSITIONS, [columns_of(changed[key]) for key in sorted(changed)])
+    return {key: before.get(key) for key in changed}
+
+
+def forget_positions(connection: Connection, keys: Sequence[WindowKey]) -> set[str | None]:
+    """Forget where some windows were; return the sections that they are on."""
+    sections: set[str | None] = set()
+    for first in range(0, len(keys), BATCH):
+        given = {"keys": keys[first : first + BATCH]}
+        sections.update(connection.scalars(select(WINDOWS.c.track_section).where(keys_given(WINDOWS)), given))
+        connection.execute(delete(POSITIONS).where(keys_given(POSITIONS)), given)
+    return sections

@@ -37,16 +37,7 @@ from estimation.values.windows import (
     WindowState,
 )
 from fleet_db.due import BATCH, list_due, list_for_alignment, positions_forgotten, windows_changed, windows_left
-from fleet_db.read_once import ReadOnce
-from fleet_db.rows import (
-    by_wheelset,
-    insert_new,
-    key_given,
-    key_of,
-    on_sections,
-    replace,
-    table_of,
-)
+from fleet_db.rows import by_wheelset, insert_new, key_given, key_of, on_sections, replace, table_of
 from fleet_db.stores.window_rows import (
     NOTED_OF,
     keys_given,
@@ -60,7 +51,7 @@ from fleet_db.stores.window_rows import (
     wait_again,
     window_values,
 )
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.registry import MountingRow, WheelsetRow
 from fleet_db.tables.track import WindowPositionRow
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
@@ -203,11 +194,7 @@ class WindowStore:
         return self.files.load(row.content_digest)
 
     def samples(self, record: WindowRecord) -> Window:
-        """Return the window of a record that this transaction has read.
-
-        Raises:
-            PurgedError, DamagedError: As :meth:`load`.
-        """
+        """Return the window of a record that this transaction has read; raises as :meth:`load`."""
         if record.samples_purged:
             raise _purged(record.wheelset, record.start_ns)
         return self.files.load(record.content_digest)

@@ -7,30 +7,183 @@ one wheelset the second waits, and then reads what the first has committed. Noth
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from dataclasses import replace as replaced
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, delete, exists, insert, select, tuple_
+from sqlalchemy import (
+    Column,
+    ColumnElement,
+    Connection,
+    ScalarSelect,
+    Select,
+    delete,
+    exists,
+    insert,
+    select,
+    tuple_,
+)
 
-from estimation.errors import NotFoundError
-from estimation.values.alerts import Severity, Urgency, WorklistRow
+from estimation.errors import DamagedError, NotFoundError
+from estimation.values.alerts import MileageNow, OpenAlert, Severity, Urgency, WorklistRow
+from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Status
-from estimation.values.reasons import Reason
-from estimation.values.results import EVERYTHING
-from estimation.values.runs import code_of_error, first_line
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import WheelsetRecord
+from estimation.values.runs import EVERYTHING, code_of_error, first_line
+from estimation.values.trend import TREND
+from estimation.values.windows import WindowState
+from estimation.vehicle.vehicle_class import VehicleClass
 from estimation.worklist.row import FORM, STAGE, WorklistInputs, distance_key, urgency_key, worklist_row
 from fleet_db.packed_values import to_document
-from fleet_db.rows import insert_new, replace_all, table_of
+from fleet_db.records import RecordKind
+from fleet_db.rows import equal, insert_new, replace_all, table_of, value_of_row
+from fleet_db.stores.geometries import GeometryStore, TrendStore
+from fleet_db.stores.registry import RegistryStore
+from fleet_db.stores.registry_history import is_voided
 from fleet_db.stores.stage_marks import MARKS
-from fleet_db.stores.worklist_inputs import WorklistReader, not_voided
-from fleet_db.subjects import Subjects
+from fleet_db.stores.window_counts import refused_by_code
+from fleet_db.subjects import REGISTRY_VERSION, Subjects
+from fleet_db.tables.alerts import AlertRow
+from fleet_db.tables.operation import WorklistAlertRow, WorklistEntryRow
 from fleet_db.tables.registry import WheelsetRow
-from fleet_db.tables.results import WorklistAlertRow, WorklistEntryRow
+from fleet_db.tables.windows import WindowRow
 
-ENTRIES, KINDS, WHEELSETS = table_of(WorklistEntryRow), table_of(WorklistAlertRow), table_of(WheelsetRow)
+Stored = TypeVar("Stored")
+ALERTS, WINDOWS, WHEELSETS = table_of(AlertRow), table_of(WindowRow), table_of(WheelsetRow)
+
+
+@dataclass(frozen=True, slots=True)
+class WorklistReader:
+    """Reads what is stored of wheelsets, in one transaction; locks nothing."""
+
+    connection: Connection
+    registry: RegistryStore
+    geometries: GeometryStore
+    trends: TrendStore
+    classes: dict[str, VehicleClass | None] = field(default_factory=dict)
+
+    def read(self, serials: Sequence[str]) -> list[WorklistInputs]:
+        """Return what is stored of some hundred wheelsets that are not voided, by serial; the others are left out."""
+        windows, alerts = self._windows_and_alerts(serials)
+        records = self.registry.wheelsets_of(serials, voided=False)
+        serials = [record.serial for record in records]
+        if not serials:
+            return []
+        self.geometries.read_with([TREND], serials)
+        geometries, trends = _readable(self.geometries.current_of, serials), _readable(self.trends.of, serials)
+        found = []
+        vehicles = self.registry.vehicles_of({one.mounting.vehicle for one in records if one.mounting is not None})
+        damaged = [serial for serial in serials if isinstance(trends.get(serial), Reason)]
+        refused = self._refused(records, {**geometries, **{serial: trends[serial] for serial in damaged}})
+        for record in records:
+            serial, mounting = record.serial, record.mounting
+            vehicle = None if mounting is None else vehicles[mounting.vehicle]
+            last_ns, mileage = windows[serial]
+            if mileage is None and mounting is not None:
+                mileage = MileageNow(mounting.wheelset_mileage_km, mounting.from_ns)
+            current, trend = geometries.get(serial), trends.get(serial)
+            failure = next((one for one in (current, trend) if isinstance(one, Reason)), None)
+            geometry = None if failure is not None or isinstance(current, Reason) else current
+            found.append(
+                WorklistInputs(
+                    wheelset=record,
+                    vehicle=vehicle,
+                    vehicle_class=None if vehicle is None else self._class(vehicle.vehicle_class),
+                    geometry=geometry,
+                    trend=None if failure is not None or isinstance(trend, Reason) else trend,
+                    last_window_ns=last_ns,
+                    mileage=mileage,
+                    alerts=alerts.get(serial, ()),
+                    failure=failure,
+                    refused=refused.get(serial, {}),
+                )
+            )
+        return found
+
+    def _refused(
+        self, wheelsets: Sequence[WheelsetRecord], geometries: Mapping[str, object]
+    ) -> Mapping[str, Mapping[ReasonCode, int]]:
+        """Return what the newest windows of wheelsets are refused for that have no geometry of their profile."""
+        without = {}
+        for wheelset in wheelsets:
+            found = geometries.get(wheelset.serial)
+            turned = wheelset.reprofilings
+            if not (isinstance(found, GeometryRecord) and found.geometry.windows and found.baseline == len(turned)):
+                without[wheelset.serial] = max((one.at_ns for one in turned), default=None)
+        return refused_by_code(self.connection, without)
+
+    def _class(self, code: str) -> VehicleClass | None:
+        """Return a class; None where it is not on file or damaged, which stops nobody from storing."""
+        if code not in self.classes:
+            try:
+                found = self.registry.vehicle_class(code)
+            except DamagedError:
+                found = None
+            self.classes[code] = None if found is None else found.vehicle_class
+        return self.classes[code]
+
+    def _windows_and_alerts(
+        self, serials: Sequence[str]
+    ) -> tuple[Mapping[str, tuple[int | None, MileageNow | None]], Mapping[str, Sequence[OpenAlert]]]:
+        """Return end of the newest usable window, newest mileage believed, open alerts; renew the registry."""
+        rows = self.connection.execute(_WINDOWS_AND_ALERTS.where(WHEELSETS.c.serial.in_(serials))).all()
+        self.registry.once.renew(rows[0].registry if rows else None)
+        windows: dict[str, tuple[int | None, MileageNow | None]] = {}
+        alerts: dict[str, list[OpenAlert]] = {}
+        for row in rows:
+            windows[row.serial] = (
+                None if row.start_ns is None else row.start_ns + row.length_ns,
+                None if row.read_ns is None else MileageNow(row.mileage_km, row.read_ns),
+            )
+            if row.alert_id is not None:
+                alert = value_of_row(OpenAlert, row, acknowledged=row.acknowledged_ns is not None)
+                alerts.setdefault(row.serial, []).append(alert)
+        return windows, alerts
+
+
+def _readable(
+    read: Callable[[Sequence[str]], Mapping[str, Stored]], serials: Sequence[str]
+) -> Mapping[str, Stored | Reason]:
+    """Return what is stored of wheelsets, by serial; where it cannot be read, why."""
+    try:
+        return dict(read(serials))
+    except DamagedError as error:
+        if len(serials) == 1:
+            return {serials[0]: Reason(code_of_error(error), first_line(error))}
+        return {serial: record for one in serials for serial, record in _readable(read, [one]).items()}
+
+
+def _newest(column: Column[int] | Column[float], chosen: ColumnElement[bool]) -> ScalarSelect[float]:
+    statement = select(column).where(WINDOWS.c.wheelset == WHEELSETS.c.serial, chosen)
+    return statement.order_by(WINDOWS.c.start_ns.desc()).limit(1).correlate(WHEELSETS).scalar_subquery()
+
+
+USABLE, BELIEVED = WINDOWS.c.state != WindowState.REFUSED.value, WINDOWS.c.implausible_code.is_(None)
+_ALERT = ("alert_id", "kind", "severity", "condition", "opened_ns", "acknowledged_ns", "shelved_until_ns")
+_WINDOWS_AND_ALERTS = (
+    select(
+        WHEELSETS.c.serial,
+        _newest(WINDOWS.c.start_ns, USABLE).label("start_ns"),
+        _newest(WINDOWS.c.length_ns, USABLE).label("length_ns"),
+        _newest(WINDOWS.c.start_ns, BELIEVED).label("read_ns"),
+        _newest(WINDOWS.c.mileage_km, BELIEVED).label("mileage_km"),
+        REGISTRY_VERSION.label("registry"),
+        *(ALERTS.c[name] for name in _ALERT),
+    )
+    .outerjoin(ALERTS, (ALERTS.c.wheelset == WHEELSETS.c.serial) & ALERTS.c.closed_ns.is_(None))
+    .order_by(ALERTS.c.alert_id)
+)
+
+
+def not_voided(connection: Connection, serials: Sequence[str]) -> list[str]:
+    """Return the wheelsets that are on file and not voided, by serial."""
+    chosen = (WHEELSETS.c.serial.in_(serials), ~is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial))
+    return list(connection.scalars(select(WHEELSETS.c.serial).where(*chosen).order_by(WHEELSETS.c.serial)))
+
+
+ENTRIES, KINDS = table_of(WorklistEntryRow), table_of(WorklistAlertRow)
 AT_ONCE = 500
 ALL = 2**31 - 1
 _log = logging.getLogger(__name__)
@@ -88,14 +241,6 @@ class WorklistEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class _Before:
-    """What a row said."""
-
-    document: str
-    with_alerts: bool
-
-
-@dataclass(frozen=True, slots=True)
 class WorklistStore:
     """Rows of the worklist, in one transaction."""
 
@@ -112,13 +257,7 @@ class WorklistStore:
         *,
         descending: bool = False,
     ) -> Sequence[WorklistEntry]:
-        """Return at most ``limit`` rows behind a place; what is not known comes last in either direction.
-
-        Args:
-            order: What they are ordered by; ties by serial, in the same direction.
-            after: Place of the last row of the page before.
-            limit: How many rows at most.
-        """
+        """Return at most ``limit`` rows behind a place, ties by serial; what is not known comes last either way."""
         base = _chosen(select(ENTRIES.c.wheelset, ENTRIES.c.document), chosen)
         key = KEYS.get(order)
         if key is None:
@@ -138,24 +277,16 @@ class WorklistStore:
         return [entry.document for entry in self.page(chosen, WorklistOrder.SERIAL, None, ALL)]
 
     def row(self, serial: str) -> str:
-        """Return the document of one wheelset.
-
-        Raises:
-            NotFoundError: There is none of that serial.
-        """
-        statement = select(ENTRIES.c.wheelset, ENTRIES.c.document).where(ENTRIES.c.wheelset == serial)
-        found = self._entries(statement)
-        if not found:
+        """Return the document of one wheelset; raises NotFoundError."""
+        of_wheelset = select(ENTRIES.c.document).where(ENTRIES.c.wheelset == serial)
+        document: str | None = self.connection.scalar(of_wheelset)
+        if document is None:
             raise NotFoundError("wheelset", serial)
-        return found[0].document
+        return document
 
     def refresh(self, serials: Sequence[str]) -> None:
-        """Make the rows of wheelsets again; to be the last thing that a transaction does.
-
-        Args:
-            serials: In their order, so that no two transactions wait for each other in a circle.
-        """
-        for part in _parts(serials):
+        """Make the rows of wheelsets again, in their order: the last thing that a transaction does."""
+        for part in (serials[first : first + AT_ONCE] for first in range(0, len(serials), AT_ONCE)):
             before = self._locked(part)
             rows = [_row(inputs) for inputs in self.reader.read(sorted(before))]
             self._store(rows, before)
@@ -169,42 +300,37 @@ class WorklistStore:
         for serial in self.connection.scalars(select(WHEELSETS.c.serial)):
             self.subjects.show(serial)
 
-    def _locked(self, serials: Sequence[str]) -> Mapping[str, _Before]:
-        """Lock the rows of wheelsets and return what they say; a row that is missing is added."""
+    def _locked(self, serials: Sequence[str]) -> Mapping[str, tuple[str, str | None]]:
+        """Lock the rows of wheelsets; return document and worst severity of each. A row that is missing is added."""
         columns = (ENTRIES.c.wheelset, ENTRIES.c.document, ENTRIES.c.worst_severity)
         locking = select(*columns).where(ENTRIES.c.wheelset.in_(serials)).order_by(ENTRIES.c.wheelset).with_for_update()
-        before = {
-            row.wheelset: _Before(row.document, with_alerts=row.worst_severity is not None)
-            for row in self.connection.execute(locking)
-        }
+        before = {wheelset: (document, severity) for wheelset, document, severity in self.connection.execute(locking)}
         missing = [serial for serial in serials if serial not in before]
         added = not_voided(self.connection, missing) if missing else ()
         for serial in added:
             insert_new(self.connection, ENTRIES, {**_EMPTY, "wheelset": serial})
         if added:  # the first rows are of this form
             insert_new(self.connection, MARKS, _OF_FORM)
-        return before | dict.fromkeys(added, _Before("", with_alerts=False))
+        return before | dict.fromkeys(added, ("", None))
 
-    def _store(self, rows: Sequence[WorklistRow], before: Mapping[str, _Before]) -> None:
-        """Store rows whose entries are there, with the kinds of their alerts, where they are others now."""
+    def _store(self, rows: Sequence[WorklistRow], before: Mapping[str, tuple[str, str | None]]) -> None:
         changed, kinds = [], []
         for row in rows:
             values = _values(row)
-            if before[row.wheelset.serial].document != values["document"]:
+            if before[row.wheelset.serial][0] != values["document"]:
                 changed.append(values)
                 alerts = dict.fromkeys(one.kind for one in row.state.alerts)
                 kinds += [{"kind": kind, "wheelset": row.wheelset.serial} for kind in alerts]
-        if changed:
-            replace_all(self.connection, ENTRIES, changed)
-        had = [one["wheelset"] for one in changed if before[one["wheelset"]].with_alerts]
+        replace_all(self.connection, ENTRIES, changed)
+        had = [one["wheelset"] for one in changed if before[one["wheelset"]][1] is not None]
         if had:
             self.connection.execute(delete(KINDS).where(KINDS.c.wheelset.in_(had)))
         if kinds:
             self.connection.execute(insert(KINDS), kinds)
 
     def _entries(self, statement: Select[Any]) -> list[WorklistEntry]:
-        rows = self.connection.execute(statement).all()
-        return [WorklistEntry(row.document, WorklistPlace(_key(row), row.wheelset)) for row in rows]
+        rows = self.connection.execute(statement).mappings().all()
+        return [WorklistEntry(row["document"], WorklistPlace(row.get("key"), row["wheelset"])) for row in rows]
 
 
 _EMPTY = {
@@ -225,21 +351,12 @@ def _row(inputs: WorklistInputs) -> WorklistRow:
     except Exception as error:  # noqa: BLE001 - the transaction stores what it is there for, whatever the row says
         _log.exception("worklist: the results of wheelset %s cannot be used", inputs.wheelset.serial)
         failure = Reason(code_of_error(error), first_line(error))
-        return worklist_row(replaced(inputs, geometry=None, trend=None, failure=failure))
+        return worklist_row(replace(inputs, geometry=None, trend=None, failure=failure))
 
 
 def _chosen(statement: Select[Any], chosen: WorklistFilter) -> Select[Any]:
-    wanted = {
-        "fleet": chosen.fleet,
-        "vehicle": chosen.vehicle,
-        "vehicle_class": chosen.vehicle_class,
-        "status": chosen.status,
-        "urgency": chosen.urgency,
-        "worst_severity": chosen.alert_severity,
-    }
-    for name, value in wanted.items():
-        if value is not None:
-            statement = statement.where(ENTRIES.c[name] == str(value))
+    wanted = {name: getattr(chosen, name) for name in ("fleet", "vehicle", "vehicle_class", "status", "urgency")}
+    statement = statement.where(*equal(ENTRIES, **wanted, worst_severity=chosen.alert_severity))
     if chosen.alert_kind is not None:
         statement = statement.where(
             exists().where(KINDS.c.kind == chosen.alert_kind, KINDS.c.wheelset == ENTRIES.c.wheelset)
@@ -257,11 +374,6 @@ def _behind(
         place = tuple_(after.serial) if key is None else tuple_(after.key, after.serial)
         statement = statement.where(ours < place if descending else ours > place)
     return statement.order_by(*(column.desc() if descending else column for column in columns))
-
-
-def _key(row: Row[Any]) -> float | int | None:
-    found: float | int | None = row._mapping.get("key")  # noqa: SLF001 - SQLAlchemy's public name for the columns
-    return found
 
 
 def _values(row: WorklistRow) -> dict[str, Any]:
@@ -282,7 +394,3 @@ def _values(row: WorklistRow) -> dict[str, Any]:
         "last_data_ns": state.last_data_ns,
         "document": to_document(row),
     }
-
-
-def _parts(serials: Sequence[str]) -> Iterator[Sequence[str]]:
-    return (serials[first : first + AT_ONCE] for first in range(0, len(serials), AT_ONCE))

@@ -6,8 +6,8 @@ from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.alerts import AlertEventKind, Condition, Severity
+from fleet_db.records import DeliveryState, DisabledReason, WebhookState
 from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Real, Serial, one_of, partial_index
-from fleet_db.webhook_records import DeliveryState, DisabledReason, WebhookState
 
 OPEN = text("closed_ns IS NULL")
 OF_FLEET = text("wheelset IS NULL AND track_section IS NULL AND closed_ns IS NULL")

@@ -8,7 +8,7 @@ from sqlalchemy import CheckConstraint, Index, String, TextClause, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.runs import QuarantineState, SubjectKind
-from fleet_db.receipts import ChunkState, RecordingAction
+from fleet_db.records import ChunkState, RecordingAction
 from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Serial, one_of, partial_index
 
 UNDECODED = text("reason_code = 'waits_for_decoding'")

@@ -8,7 +8,7 @@ from sqlalchemy import CheckConstraint, ForeignKey, Index, String, UniqueConstra
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.registry import SensorWork
-from fleet_db.registry_events import RecordAction, RecordKind
+from fleet_db.records import RecordAction, RecordKind
 from fleet_db.tables.base import Base, Code, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
 
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from estimation.errors import InputError
 from estimation.values.reasons import utc_text
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
-from fleet_db.receipts import EstimatedAgain
-from fleet_db.registry_events import Decision
+from fleet_db.records import Decision, EstimatedAgain
 from ingest.input_file import Location
 
 if TYPE_CHECKING:  # the help of a command that names rules does not wait for the numerics
@@ -90,17 +89,13 @@ class RecordName:
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """What is said against a record.
-
-    Attributes:
-        others: The records and windows that it contradicts; none where it is impossible by itself.
-    """
+    """What is said against a record."""
 
     rule: Rule
     record: RecordName
     field: str
     reason: str
-    others: tuple[RecordName, ...] = ()
+    others: tuple[RecordName, ...] = ()  # that it contradicts; none where it is impossible by itself
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,8 @@ import api_fleet
 
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobOutcome, JobTrigger
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState, Webhook, WebhookState
 from fleet_db.storage import SqlStorage
-from fleet_db.webhook_records import Webhook, WebhookState
 
 FLEET, VEHICLE, WHEELSET, ALERT = "own", "OWN-V", "OWN-WS", "own alert"
 FOREIGN_ALERT = "foreign alert"

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bench.put_values import put_geometry, put_trend
 from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
@@ -28,8 +29,7 @@ from estimation.values.opinions import (
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
-from estimation.values.results import Result
-from estimation.values.runs import JobOutcome, JobTrigger, Quarantined, QuarantineState, SubjectKind
+from estimation.values.runs import JobOutcome, JobTrigger, Quarantined, QuarantineState, Result, SubjectKind
 from estimation.values.signatures import (
     ANSWERS,
     Basis,
@@ -405,10 +405,10 @@ def populate(storage: Storage) -> None:
         unit.tracks.add_report(track_report("S-2", None, Status.UNESTIMATED))
         for index in range(WINDOWS):
             unit.windows.put(window(index), 9000.0 + index, RECORDED + index)
-        unit.geometries.put(geometry_record(RECORDED, 0.1875))
-        unit.geometries.put(geometry_record(RECORDED + DAY, 0.25))
-        unit.trends.put(trend_record(RECORDED, 0.1875))
-        unit.trends.put(trend_record(RECORDED + DAY, 0.25))
+        put_geometry(unit, geometry_record(RECORDED, 0.1875))
+        put_geometry(unit, geometry_record(RECORDED + DAY, 0.25))
+        put_trend(unit, trend_record(RECORDED, 0.1875))
+        put_trend(unit, trend_record(RECORDED + DAY, 0.25))
         unit.results.put_all(ANSWERS, [signature_record()])
         _put_dampers(unit)
         for finding in suspension_findings():

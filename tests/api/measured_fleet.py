@@ -7,6 +7,7 @@ from dataclasses import replace
 import api_fleet as fleet
 import numpy as np
 
+from bench.put_values import put_geometry
 from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.contact.wear import TreadWear, worn
 from estimation.storage import Storage
@@ -28,7 +29,7 @@ def measure(storage: Storage) -> None:
         for serial, conicity in ((SERIAL, 0.26), (OTHER, 0.60)):
             unit.windows.put(replace(fleet.window(0), wheelset=serial), 9300.0, fleet.RECORDED)
             unit.windows.mark(serial, fleet.window(0).start_ns, WindowState.ESTIMATED)
-            unit.geometries.put(replace(estimated(serial, conicity), from_ns=fleet.window(0).start_ns))
+            put_geometry(unit, replace(estimated(serial, conicity), from_ns=fleet.window(0).start_ns))
         for serial in (SERIAL, OTHER, BARE):
             unit.registry.add_measured_profiles(MeasuredProfiles(serial, LATER, 9500.0, WORN, NEW, 0.125e-3))
 

@@ -23,7 +23,7 @@ from uploading import Upload, answer_of, connected, raw_files, storage_in, uploa
 from api.settings import Settings
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import VehicleRecord
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 
 OCTETS = {"Content-Type": "application/octet-stream"}

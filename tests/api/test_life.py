@@ -13,6 +13,7 @@ from running_service import running
 
 from api.factory import open_store
 from api.settings import Settings
+from bench.put_values import put_geometry
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowState
 
@@ -30,7 +31,7 @@ def client(storage_url: str, tmp_path: Path) -> Iterator[httpx.Client]:
             record = fleet.geometry_record(fleet.RECORDED, 0.2 + 0.01 * place)
             from_ns = fleet.START + place * fleet.DAY
             km = 1000.0 * place + 500.0
-            unit.geometries.put(replace(record, baseline=baseline, interval=interval, mileage_km=km, from_ns=from_ns))
+            put_geometry(unit, replace(record, baseline=baseline, interval=interval, mileage_km=km, from_ns=from_ns))
         late = replace(fleet.window(0), start_ns=fleet.window(0).start_ns + 299 * fleet.DAY)
         unit.windows.put(late, 20_000.0, fleet.RECORDED)
         for index in range(4):

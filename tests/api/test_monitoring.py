@@ -26,8 +26,7 @@ from api.terminal.live import live_measures
 from estimation.values.registry import FleetRecord
 from estimation.values.windows import WindowState
 from fleet_db.migrate import upgrade
-from fleet_db.receipts import ChunkRecord, ChunkState
-from fleet_db.webhook_records import WebhookState
+from fleet_db.records import ChunkRecord, ChunkState, WebhookState
 from ingest.live.status import LiveStatus
 
 ROOT = Path(__file__).parents[2]

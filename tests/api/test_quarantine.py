@@ -12,7 +12,7 @@ from running_service import Service
 
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.runs import SubjectKind
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 
 
 def listed(client: httpx.Client, query: str = "") -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ import pytest
 from api.raw_stores import open_raw_store
 from api.settings import Settings, load_settings
 from estimation.errors import ParameterError, PassingFaultError
-from fleet_db.raw_files import FileRawStore
+from fleet_db.raw import FileRawStore
 from fleet_db.raw_s3 import S3RawStore
 from fleet_db.s3_bucket import S3Place
 

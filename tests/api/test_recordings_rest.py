@@ -12,7 +12,7 @@ from running_service import Service
 
 from api.times import to_rfc3339
 from estimation.values.reasons import Reason, ReasonCode
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 
 SECOND = 1_000_000_000
 DAY = 86_400 * SECOND

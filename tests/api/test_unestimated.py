@@ -16,6 +16,7 @@ from running_service import Service, running
 from api.factory import open_store
 from api.settings import Settings
 from api.window_reasons import WindowReasons
+from bench.put_values import put_geometry
 from estimation.errors import NotFoundError
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -23,7 +24,7 @@ from estimation.values.registry import FleetRecord, Mounting, Reprofiling, Vehic
 from estimation.values.runs import JobOutcome, JobTrigger, Quarantined, SubjectKind
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
 from estimation.values.windows import WindowPosition, WindowState
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.window_counts import COUNTED, _grouped
 from ingest.vehicle_class_schema import shipped_class
@@ -311,7 +312,7 @@ def test_a_geometry_without_a_number_says_what_became_of_the_windows_and_a_misma
         starts = put(unit, 5)
         refuse(unit, starts[1:], ReasonCode.CLIPPED)
         unit.windows.mark(SERIAL, starts[0], WindowState.ESTIMATED)
-        unit.geometries.put(record)
+        put_geometry(unit, record)
     found = got(service, f"{AT}/geometry")
     assert (found["status"], found["reason"]) == ("unestimated", few.text)
     assert reasons(found["unestimated_because"]) == [("refused", "clipped", 4), ("estimated", "too_few_blocks", 1)]
@@ -319,7 +320,7 @@ def test_a_geometry_without_a_number_says_what_became_of_the_windows_and_a_misma
     assert (then["unestimated_because"], then["reason"]) == (None, few.text)
     contradicted = fleet.geometry().mismatched(Reason(ReasonCode.ROLLING_RADIUS_DIFFERS, "405 mm for 450 mm"))
     with service.storage.write() as unit:
-        unit.geometries.put(replace(record, geometry=contradicted, input_digest="e" * 64))
+        put_geometry(unit, replace(record, geometry=contradicted, input_digest="e" * 64))
     found = got(service, f"{AT}/geometry")
     assert (found["status"], found["reason"]) == ("model_mismatch", "405 mm for 450 mm")
     assert found["unestimated_because"] is None

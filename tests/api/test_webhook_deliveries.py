@@ -33,11 +33,11 @@ from api.webhooks.sending import MOST_ANSWER_BYTES, Sender
 from api.webhooks.targets import Network, Targets, networks_of
 from estimation.errors import StorageError
 from estimation.values.registry import FleetRecord, WheelsetRecord
+from fleet_db.locks import sending_alone
 from fleet_db.migrate import upgrade
-from fleet_db.process_locks import sending_alone
+from fleet_db.records import Delivery, DeliveryState, DisabledReason, Failure, Webhook, WebhookState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.webhook_records import Delivery, DeliveryState, DisabledReason, Failure, Webhook, WebhookState
 
 LOOPBACK = networks_of("127.0.0.0/8, ::1/128")
 SECOND, DAY_S = 1_000_000_000, 86_400

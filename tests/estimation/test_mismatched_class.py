@@ -17,8 +17,9 @@ from smooth_wheelset import SmoothTable
 from api.comparison.current_geometry import geometry_by
 from api.factory import create_app
 from api.settings import Settings
+from bench.put_values import put_geometry
 from bench.standing_clock import StandingClock
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.contact.conicity import equivalent_conicity
 from estimation.jobs.catalogue import job_named
@@ -158,7 +159,7 @@ def test_a_doubt_on_the_radius_lives_with_the_geometry(sqlite_storage: SqlStorag
         stored, geometry=stored.geometry.against(doubt), parameters={**stored.parameters, **stated(doubt)}
     )
     with sqlite_storage.write() as unit:
-        unit.geometries.put(replace(doubted, input_digest="0" * 64, recorded_ns=doubted.recorded_ns + 1))
+        put_geometry(unit, replace(doubted, input_digest="0" * 64, recorded_ns=doubted.recorded_ns + 1))
         kept = former(unit, "W1", stored.baseline, None)
         assert remembered(kept) == doubt
         assert kept is not None

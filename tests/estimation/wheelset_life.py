@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from paper_class import paper_class
 
+from bench.put_values import put_geometry
 from estimation.storage import Storage
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status
@@ -135,10 +136,11 @@ def wear(storage: Storage, wheelset: str, days: int, *, rate: float = 0.003, bas
         for day in range(first, first + days, 4):
             noise = 0.008 * float(rng.standard_normal())
             conicity = 0.15 + rate * (day - first) + noise
-            unit.geometries.put(geometry_record(wheelset, day, day, conicity, baseline=baseline))
+            put_geometry(unit, geometry_record(wheelset, day, day, conicity, baseline=baseline))
         last = first + days - 1
-        unit.geometries.put(
-            geometry_record(wheelset, None, last, 0.15 + rate * (last - first), baseline=baseline, recorded_ns=last)
+        put_geometry(
+            unit,
+            geometry_record(wheelset, None, last, 0.15 + rate * (last - first), baseline=baseline, recorded_ns=last),
         )
 
 

@@ -7,11 +7,12 @@ from dataclasses import replace
 import sqlalchemy
 import stored_values as make
 
+from bench.put_values import put_geometry, put_table
 from estimation.values.alerts import AlertEventKind
 from estimation.values.runs import JobTrigger
 from estimation.values.windows import WindowState
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkState
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from fleet_db.tables import Base
 
@@ -30,12 +31,12 @@ def fill(storage: SqlStorage) -> None:
             unit.windows.put(window, 100.0 + index, make.START)
             stored = unit.windows.get("WS-1", window.start_ns)
             assert stored is not None
-            unit.tables.put("WS-1", window.start_ns, make.bin_table(index), None, stored.content_digest)
+            put_table(unit, "WS-1", window.start_ns, make.bin_table(index), None, stored.content_digest)
             unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED)
         unit.tracks.add_alignment(make.alignment(3))
         unit.tracks.add_layout(make.layout(1))
         unit.registry.add_measured_profiles(make.measured_profiles(make.START))
-        unit.geometries.put(make.geometry_record())
+        put_geometry(unit, make.geometry_record())
         unit.jobs.start("refresh_geometry", JobTrigger.CLI, 5)
         member = unit.alerts.save(make.ALERT, [AlertEventKind.RAISED], 5)
         fleet = replace(make.ALERT, wheelset=None, kind="limit_forecast")

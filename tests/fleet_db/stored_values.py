@@ -28,7 +28,7 @@ from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, Whe
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
 from estimation.values.trend import TrendRecord, WearTrend
 from estimation.values.windows import Window, WindowQuality
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 
 SECOND = 1_000_000_000
 LENGTH = 20 * SECOND

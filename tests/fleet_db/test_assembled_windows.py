@@ -7,6 +7,7 @@ from dataclasses import replace
 import sqlalchemy
 import stored_values as make
 
+from bench.put_values import put_table
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import PassedOver, Window, WindowPosition, WindowState
 from fleet_db.session import sqlite_file
@@ -84,13 +85,14 @@ def test_a_window_is_as_stored_only_with_its_file_mileage_and_doubts(fleet: SqlS
     with fleet.write() as unit:
         unit.assembled.add([now], 50)
         (before,) = stored(unit)
-        assert (before.sample_bytes, before.samples_purged) == (unit.files.path(now.digest).stat().st_size, False)
+        size = unit.assembled.files.path(now.digest).stat().st_size
+        assert (before.sample_bytes, before.samples_purged) == (size, False)
         assert unit.assembled.is_as_stored(before, now)
         assert not unit.assembled.is_as_stored(before, replace(now, mileage_km=10.5))
         assert not unit.assembled.is_as_stored(before, replace(now, odometer_excess_m=0.0))
         assert not unit.assembled.is_as_stored(before, replace(now, off_line_m=0.0))
         assert not unit.assembled.is_as_stored(before, assembled(make.window(seed=1), 10.0, 1.0, 60.0))
-        unit.files.path(now.digest).unlink()
+        unit.assembled.files.path(now.digest).unlink()
         assert not unit.assembled.is_as_stored(before, now)
         assert unit.assembled.is_as_stored(replace(before, samples_purged=True), now)
 
@@ -99,7 +101,7 @@ def test_windows_with_a_bin_table_and_those_of_wheelsets_elsewhere_are_known(fle
     window = make.window()
     with fleet.write() as unit:
         unit.assembled.add([assembled(window)], 50)
-        unit.tables.put("WS-1", window.start_ns, make.bin_table(0), 3, window_digest(window))
+        put_table(unit, "WS-1", window.start_ns, make.bin_table(0), 3, window_digest(window))
         assert [one.untouched for one in stored(unit)] == [False]
         assert stored(unit, "V-2") == []
         assert len(unit.assembled.in_span("V-2", {"WS-1", "WS-2"}, make.START, END)) == 1

@@ -15,13 +15,14 @@ from full_storage import RECORDING, contents, fill
 from in_process_command import Run
 from stored_raw import installation, raw_of
 
+from bench.put_values import put_geometry
 from estimation.errors import ConflictError, InputError, MigrationError
 from estimation.values.runs import JobTrigger
 from fleet_db.keeping.backup import BackupPlan, back_up, read_manifest, write_manifest
 from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.restore import CAUSE, restore
+from fleet_db.locks import keeping_alone
 from fleet_db.migrate import upgrade
-from fleet_db.process_locks import keeping_alone
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from fleet_db.tables.windows import WheelsetBinRow
@@ -218,8 +219,8 @@ def test_a_baseline_that_was_emptied_is_no_damage(full: SqlStorage) -> None:
     """As after a reprofiling that was entered by mistake and voided."""
     empty = replace(make.geometry_record(9).geometry, windows=0)
     with full.write() as unit:
-        unit.geometries.put(make.geometry_record(8, baseline=1))
-        unit.geometries.put(make.geometry_record(9, baseline=1, geometry=empty))
+        put_geometry(unit, make.geometry_record(8, baseline=1))
+        put_geometry(unit, make.geometry_record(9, baseline=1, geometry=empty))
     assert check_deep(full, raw_of(full), quietly).findings == ()
     with full.engine.begin() as connection:
         connection.execute(sqlalchemy.update(WheelsetBinRow).values(geometry_id=2))

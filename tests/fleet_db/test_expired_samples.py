@@ -10,6 +10,7 @@ import pytest
 import stored_values as make
 from stored_raw import raw_of
 
+from bench.put_values import put_table
 from estimation.errors import DamagedError, ParameterError, PurgedError
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import EpochMember, FoldState, TrackEpoch
@@ -40,7 +41,7 @@ def put(storage: SqlStorage, index: int, reason: ReasonCode | None = None, *, pe
         if reason is not None:
             unit.windows.mark("WS-1", window.start_ns, WindowState.REFUSED, Reason(reason, "why"))
         elif not pending:
-            unit.tables.put("WS-1", window.start_ns, make.bin_table(index), None, record.content_digest)
+            put_table(unit, "WS-1", window.start_ns, make.bin_table(index), None, record.content_digest)
             unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED)
             due = unit.due.of_wheelset(DueStage.SUMS, "WS-1")
             unit.due.settle_all(DueStage.SUMS, {("WS-1", start): version for start, version in due.items()})
@@ -83,7 +84,7 @@ def test_samples_of_what_is_estimated_or_refused_for_good_go(fleet: SqlStorage) 
 def test_a_table_that_is_not_summed_keeps_the_samples(fleet: SqlStorage) -> None:
     record = put(fleet, 0)
     with fleet.write() as unit:
-        unit.tables.put("WS-1", record.start_ns, make.bin_table(7), None, record.content_digest)
+        put_table(unit, "WS-1", record.start_ns, make.bin_table(7), None, record.content_digest)
     assert purged(fleet).items == 0
 
 

@@ -6,6 +6,7 @@ import pytest
 import sqlalchemy
 import stored_values as make
 
+from bench.put_values import put_geometry
 from estimation.values.geometry import COMBINATIONS, BinStatus
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -18,8 +19,8 @@ STATUS = sqlalchemy.text("SELECT status FROM results ORDER BY recorded_ns")
 def test_it_is_stored_and_no_other_status_is(fleet: SqlStorage) -> None:
     wrong = make.geometry(1).mismatched(WHY)
     with fleet.write() as unit:
-        unit.geometries.put(make.geometry_record(0, 100))
-        unit.geometries.put(make.geometry_record(1, 200, geometry=wrong))
+        put_geometry(unit, make.geometry_record(0, 100))
+        put_geometry(unit, make.geometry_record(1, 200, geometry=wrong))
         found = unit.geometries.current("WS-1")
         assert found is not None
         assert make.same(found.geometry, wrong)

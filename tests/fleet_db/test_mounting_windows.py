@@ -9,7 +9,7 @@ import pytest
 import stored_values as make
 
 from estimation.values.windows import WindowState
-from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
 

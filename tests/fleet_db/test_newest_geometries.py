@@ -11,6 +11,7 @@ import pytest
 import stored_values as make
 from sqlalchemy import insert, select, union_all
 
+from bench.put_values import put_geometry, put_trend
 from estimation.values.geometry import GeometryRecord, interval_conicities
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.results import RESULTS
@@ -43,8 +44,8 @@ def newest(records: Sequence[GeometryRecord], as_of_ns: int, *, current: bool) -
 def test_the_newest_of_each_baseline_and_interval(fleet: SqlStorage, seed: int) -> None:
     records = drawn(seed, 60)
     with fleet.write() as unit:
-        assert all(unit.geometries.put(record) for record in records)
-        unit.geometries.put(replace(records[0], wheelset="WS-2", baseline=9, interval=5))
+        assert all(put_geometry(unit, record) for record in records)
+        put_geometry(unit, replace(records[0], wheelset="WS-2", baseline=9, interval=5))
     with fleet.read() as unit:
         for as_of_ns in (0, 100, 250, 480, EVER):
             intervals = unit.geometries.intervals("WS-1", None, as_of_ns)
@@ -59,7 +60,7 @@ def test_the_newest_of_each_baseline_and_interval(fleet: SqlStorage, seed: int) 
 
 def test_who_is_bound_to_another_fleet_sees_none(fleet: SqlStorage) -> None:
     with fleet.write() as unit:
-        unit.geometries.put(make.geometry_record(interval=1))
+        put_geometry(unit, make.geometry_record(interval=1))
     for fleets, count in ((frozenset({"F-1"}), 1), (frozenset({"another"}), 0)):
         with fleet.seen_by(fleets).read() as unit:
             assert len(unit.geometries.intervals("WS-1")) == count
@@ -69,9 +70,9 @@ def put_all(storage: SqlStorage) -> None:
     make.populate(storage)
     with storage.write() as unit:
         for record in drawn(1, 40):
-            unit.geometries.put(record)
+            put_geometry(unit, record)
         for seed in range(40):
-            unit.trends.put(make.trend_record(seed, 100 + seed))
+            put_trend(unit, make.trend_record(seed, 100 + seed))
 
 
 def repeat_what_was_superseded(unit: SqlUnitOfWork, times: int) -> None:

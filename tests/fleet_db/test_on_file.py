@@ -10,8 +10,8 @@ import pytest
 from sqlalchemy import insert
 
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
-from fleet_db.on_file import BRANCHES, KeptRecords
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.subjects import BRANCHES, KeptRecords
 from tests.executed_statements import executed_statements
 
 RADIUS_M = 0.46

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import sqlalchemy
 
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.session import sqlite_file
 from fleet_db.storage import SqlStorage
 

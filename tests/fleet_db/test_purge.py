@@ -11,19 +11,20 @@ import sqlalchemy
 import stored_values as make
 from stored_raw import raw_of
 
+from bench.put_values import put_geometry, put_trend
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.runs import JobOutcome, JobTrigger
+from fleet_db.atomic_files import unlink_old
 from fleet_db.keeping import purge as purge_module
 from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.kept_files import LEAST_AGE_S, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.purge import Purged, purge, purged_before
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
-from fleet_db.process_locks import keeping_alone
-from fleet_db.raw_files import FileRawStore, unlink_old
-from fleet_db.receipts import ChunkState
+from fleet_db.locks import keeping_alone
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkState, Delivery, DeliveryState, Failure, Webhook, WebhookState
 from fleet_db.storage import SqlStorage
 from fleet_db.tables.recordings import PurgeRow
-from fleet_db.webhook_records import Delivery, DeliveryState, Failure, Webhook, WebhookState
 
 NOW = 2_000 * DAY_NS
 NOTHING = dict.fromkeys((kind.value for kind in Kept), None)
@@ -77,8 +78,8 @@ def test_estimates_that_were_replaced_go_and_as_of_stays_true(fleet: SqlStorage)
     times = [1, 100, 1500, 1990]
     with fleet.write() as unit:
         for seed, day in enumerate(times):
-            unit.geometries.put(make.geometry_record(seed, day * DAY_NS))
-            unit.geometries.put(make.geometry_record(seed + 50, day * DAY_NS, interval=3))
+            put_geometry(unit, make.geometry_record(seed, day * DAY_NS))
+            put_geometry(unit, make.geometry_record(seed + 50, day * DAY_NS, interval=3))
     asked = [1270 * DAY_NS, 1600 * DAY_NS, NOW]
     with fleet.read() as unit:
         before = [
@@ -99,7 +100,7 @@ def test_trends_that_were_replaced_go(fleet: SqlStorage) -> None:
 
     with fleet.write() as unit:
         for seed, day in enumerate((1, 2, 1999)):
-            unit.trends.put(TrendRecord("WS-1", 0, make.trend(seed), f"{seed:064x}", "1", day * DAY_NS))
+            put_trend(unit, TrendRecord("WS-1", 0, make.trend(seed), f"{seed:064x}", "1", day * DAY_NS))
     assert purged(fleet, superseded_estimates=100.0) == {"superseded_estimates": 1}
     with fleet.read() as unit:
         assert unit.trends.latest("WS-1", NOW - 100 * DAY_NS) is not None
@@ -110,9 +111,9 @@ def test_of_each_old_day_the_last_estimate_stays(fleet: SqlStorage, monkeypatch:
     hour = DAY_NS // 24
     with fleet.write() as unit:
         for seed, at in enumerate(day * DAY_NS + n * hour for day in (1900, 1901, 1969, 1999) for n in (1, 9, 23)):
-            unit.geometries.put(make.geometry_record(seed, at))
-            unit.geometries.put(make.geometry_record(seed + 50, at, interval=3))
-            unit.trends.put(make.trend_record(seed, at))
+            put_geometry(unit, make.geometry_record(seed, at))
+            put_geometry(unit, make.geometry_record(seed + 50, at, interval=3))
+            put_trend(unit, make.trend_record(seed, at))
     ends = [day * DAY_NS - 1 for day in (1901, 1902, 1930, 1970, 2000)]
 
     def seen() -> tuple[object, ...]:
@@ -220,7 +221,7 @@ def test_a_clock_of_ours_that_is_400_days_ahead_makes_no_data_old(fleet: SqlStor
         unit.chunks.put(replace(make.CHUNK, digest=digest, state=ChunkState.DECODED, received_ns=right - 300 * DAY_NS,
                                 first_ns=right - 1, last_ns=right))  # fmt: skip
         for seed, day in enumerate((1, 2)):
-            unit.geometries.put(make.geometry_record(seed, right - (500 - day) * DAY_NS))
+            put_geometry(unit, make.geometry_record(seed, right - (500 - day) * DAY_NS))
         unit.idempotency.put("key", "d" * 64, 200, "{}", right)
     kept = {"recordings": 302.0, "superseded_estimates": 730.0, "track_reports": 730.0}
     assert purged(fleet, **kept, idempotency_keys=7.0) == {**dict.fromkeys(kept, 0), "idempotency_keys": 1}

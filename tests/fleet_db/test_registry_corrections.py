@@ -8,10 +8,11 @@ import pytest
 from due_geometries import INPUTS, see_geometries
 from stored_values import measured_profiles, same
 
+from bench.put_values import put_mountings
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
-from fleet_db.registry_events import Decision, RecordAction, RecordKind
+from fleet_db.records import Decision, RecordAction, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
 
@@ -95,12 +96,12 @@ def test_two_mountings_that_were_exchanged_are_put_right_together(known: SqlStor
     exchanged = [replace(MOUNTING, axle=2), replace(second, axle=1)]
     with known.write() as unit:
         unit.registry.add_mounting(second)
-        unit.registry.add_mountings(exchanged)
+        put_mountings(unit, exchanged)
         assert [unit.registry.mounting_at("V1", axle, LATER) for axle in (2, 1)] == exchanged
-        unit.registry.add_mountings([MOUNTING, second])
+        put_mountings(unit, [MOUNTING, second])
         assert [unit.registry.mounting_at("V1", axle, LATER) for axle in (1, 2)] == [MOUNTING, second]
     with pytest.raises(ConflictError, match="overlaps"), known.write() as unit:
-        unit.registry.add_mountings([replace(MOUNTING, axle=2)])
+        put_mountings(unit, [replace(MOUNTING, axle=2)])
 
 
 def test_reprofilings_and_measurements_are_voided_and_restored_as_they_were(known: SqlStorage) -> None:

@@ -20,10 +20,10 @@ from estimation.values.registry import (
     VehicleRecord,
     WheelsetRecord,
 )
-from estimation.values.results import Facet
+from estimation.values.runs import Facet
 from estimation.values.track import TrackSectionRecord
 from estimation.vehicle.vehicle_class import class_digest
-from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
 from fleet_db.subjects import VERSIONS

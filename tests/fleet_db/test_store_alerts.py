@@ -12,22 +12,14 @@ import sqlalchemy
 import stored_values as make
 from sqlalchemy.exc import IntegrityError
 
-from estimation.alerts.rules.book import ALERT_RULES
+from estimation.alerts.rule_book import ALERT_RULES
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Severity
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.alerts import AlertChoice
 from fleet_db.tables.alerts import AlertRow
 
 RAISED, UPDATED, CLOSED = AlertEventKind.RAISED, AlertEventKind.UPDATED, AlertEventKind.CLOSED
-EVERYTHING: dict[str, Any] = {
-    "fleet": None,
-    "wheelset": None,
-    "kind": None,
-    "condition": None,
-    "open_only": False,
-    "after_id": None,
-    "limit": 100,
-}
 
 
 def save(storage: SqlStorage, alert: Alert, *events: AlertEventKind) -> Alert:
@@ -166,12 +158,13 @@ def test_pages_by_filter(fleet: SqlStorage) -> None:
     third = save(fleet, replace(make.ALERT, kind="no_data", closed_ns=70), CLOSED)
     with fleet.read() as unit:
 
-        def page(**filters: object) -> list[Alert]:
-            return list(unit.alerts.page(**(EVERYTHING | filters)))
+        def page(after_id: int | None = None, limit: int = 100, **filters: Any) -> list[Alert]:  # noqa: ANN401
+            numbers = [one.alert_id for one in unit.alerts.outlines(AlertChoice(**filters), after_id, limit)]
+            return list(map(unit.alerts.some(numbers).__getitem__, numbers))
 
         assert page() == [first, second, third]
         assert page(limit=1) == [first]
-        assert page(after_id=first.alert_id, limit=1) == [second]
+        assert page(first.alert_id, limit=1) == [second]
         assert page(wheelset="WS-2") == page(condition=Condition.UNKNOWN) == [second]
         assert page(kind="no_data") == [third]
         assert page(open_only=True) == [first, second]
@@ -194,7 +187,7 @@ def test_bad_alerts_leave_nothing(fleet: SqlStorage) -> None:
     with pytest.raises((ParameterError, ValueError)):
         save(fleet, replace(make.ALERT, evidence={"value": float("nan")}), RAISED)
     with fleet.read() as unit:
-        assert unit.alerts.feed(0, 10) == unit.alerts.page(**EVERYTHING) == []
+        assert unit.alerts.feed(0, 10) == unit.alerts.all_open() == []
 
 
 def test_a_reader_of_the_feed_misses_nothing(fleet: SqlStorage) -> None:

@@ -8,6 +8,7 @@ import pytest
 import stored_values as make
 from due_geometries import due_geometries, see_geometries
 
+from bench.put_values import put_geometry
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from fleet_db.storage import SqlStorage
@@ -28,7 +29,7 @@ def test_what_was_stored_comes_back(fleet: SqlStorage) -> None:
 def test_a_repeat_changes_nothing(fleet: SqlStorage) -> None:
     with fleet.write() as unit:
         for wheelset in unit.registry.wheelsets():
-            unit.geometries.put(make.geometry_record(wheelset=wheelset.serial))
+            put_geometry(unit, make.geometry_record(wheelset=wheelset.serial))
         see_geometries(unit)
     make.populate(fleet)
     with fleet.read() as unit:

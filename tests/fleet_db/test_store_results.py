@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import stored_values as make
 
+from bench.put_values import put_geometry, put_trend
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.geometry import COMBINATIONS, BinStatus, GeometryRecord
 from estimation.values.runs import JobOutcome, JobTrigger
 from estimation.values.trend import TREND
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.results import _as_of
 
@@ -22,7 +23,7 @@ HOUR = 3600 * 10**9
 
 def put(storage: SqlStorage, *records: GeometryRecord) -> list[bool]:
     with storage.write() as unit:
-        return [unit.geometries.put(record) for record in records]
+        return [put_geometry(unit, record) for record in records]
 
 
 def test_a_geometry_comes_back_bit_for_bit(fleet: SqlStorage) -> None:
@@ -93,7 +94,7 @@ def recorded(fleet: SqlStorage) -> list[int]:
 def put_all(fleet: SqlStorage, day: int, recorded_ns: int) -> None:
     put(fleet, make.geometry_record(day, recorded_ns), make.geometry_record(day, recorded_ns, interval=4))
     with fleet.write() as unit:
-        unit.trends.put(make.trend_record(day, recorded_ns))
+        put_trend(unit, make.trend_record(day, recorded_ns))
 
 
 @pytest.mark.parametrize("wrong_by", [1, HOUR, 400 * DAY])
@@ -153,13 +154,8 @@ def test_nan_in_the_parameters_is_refused(fleet: SqlStorage) -> None:
 def test_trends_are_appended_and_reproducible(fleet: SqlStorage) -> None:
     old, new, turned = (make.trend_record(1, 100), make.trend_record(2, 200), make.trend_record(3, 300, baseline=1))
     with fleet.write() as unit:
-        put_trend = unit.trends.put
-        assert [put_trend(one) for one in (old, replace(old, recorded_ns=150), new, turned)] == [
-            True,
-            False,
-            True,
-            True,
-        ]
+        trends = (old, replace(old, recorded_ns=150), new, turned)
+        assert [put_trend(unit, one) for one in trends] == [True, False, True, True]
     with fleet.read() as unit:
         assert unit.trends.latest("WS-1", 99) is None
         assert make.same(unit.trends.latest("WS-1", 199), old)
@@ -173,12 +169,12 @@ def test_a_trend_of_another_quantity_is_the_newest_once_put_whatever_the_clock_s
     of_another = replace(at_3_mm.trend, quantity=quantity)
     other = replace(at_3_mm, trend=of_another, input_digest="d" * 64, recorded_ns=100)
     with fleet.write() as unit:
-        assert [unit.trends.put(one) for one in (at_3_mm, other)] == [True, True]
+        assert [put_trend(unit, one) for one in (at_3_mm, other)] == [True, True]
         latest = unit.trends.latest("WS-1")
         assert latest is not None
         assert (latest.trend.quantity, latest.recorded_ns) == (quantity, 200)
-        assert not unit.trends.put(other)
-        assert unit.trends.put(at_3_mm)  # and back again
+        assert not put_trend(unit, other)
+        assert put_trend(unit, at_3_mm)  # and back again
         assert make.same(unit.trends.latest("WS-1"), at_3_mm)
 
 

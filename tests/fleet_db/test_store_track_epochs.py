@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 import stored_values as make
 
+from bench.put_values import put_table
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import OPEN_NS, EpochMember, FoldState, FoundOfVehicles, TrackEpoch
 from estimation.values.windows import DueStage, WindowPosition, WindowState
@@ -129,7 +130,7 @@ def test_windows_that_an_epoch_lets_go_are_listed(epochs: SqlStorage) -> None:
 def estimated(storage: SqlStorage, start_ns: int, version: int | None) -> None:
     with storage.write() as unit:
         (record,) = (one for one in unit.windows.list("WS-1") if one.start_ns == start_ns)
-        unit.tables.put("WS-1", start_ns, make.bin_table(), version, record.content_digest)
+        put_table(unit, "WS-1", start_ns, make.bin_table(), version, record.content_digest)
         unit.windows.mark("WS-1", start_ns, WindowState.ESTIMATED)
 
 

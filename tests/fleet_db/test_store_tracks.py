@@ -9,6 +9,7 @@ import pytest
 import stored_values as make
 from waiting_windows import waiting_windows
 
+from bench.put_values import put_table
 from estimation.errors import ConflictError
 from estimation.values.geometry import TableKey
 from estimation.values.quantities import Status
@@ -188,7 +189,7 @@ def test_tables_are_found_by_what_they_were_made_with(fleet: SqlStorage) -> None
             unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED)
             record = unit.windows.get("WS-1", window.start_ns)
             assert record is not None
-            unit.tables.put("WS-1", window.start_ns, make.bin_table(), version, record.content_digest)
+            put_table(unit, "WS-1", window.start_ns, make.bin_table(), version, record.content_digest)
         (key,) = unit.tables.parameter_keys(["S-7"])
         assert unit.tables.parameter_keys(["S-8", ""]) == []
         assert key == TableKey("WS-1", "V-1", make.bin_table().parameter_key)

@@ -10,12 +10,12 @@ import stored_values as make
 from due_geometries import due_geometries, see_geometries
 from sqlalchemy import text
 
+from bench.put_values import put_table
 from estimation.errors import DamagedError
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import WindowPosition, WindowState
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import (
     SHIPPED_VERSION,
     Arrangement,
@@ -23,10 +23,11 @@ from estimation.vehicle.vehicle_class import (
     SensorChannel,
     SensorLayout,
     VehicleClass,
+    VehicleParameters,
     class_document,
     class_of_document,
 )
-from fleet_db.receipts import NOTHING_AGAIN
+from fleet_db.records import NOTHING_AGAIN
 from fleet_db.storage import SqlStorage
 
 COACH = VehicleClass(
@@ -55,7 +56,7 @@ def put(unit, window) -> None:  # type: ignore[no-untyped-def] # noqa: ANN001 - 
     unit.windows.put(window, 1.0, 1)
     key = (window.wheelset, window.start_ns)
     record = unit.windows.get(*key)
-    unit.tables.put(*key, make.bin_table(), 1, record.content_digest)
+    put_table(unit, *key, make.bin_table(), 1, record.content_digest)
     unit.windows.mark(*key, WindowState.ESTIMATED)
     unit.tracks.put_positions([WindowPosition(*key, record.content_digest, 1)])
 

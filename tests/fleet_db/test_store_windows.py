@@ -13,6 +13,7 @@ from same_values import same_values
 from waiting_windows import waiting_windows
 
 from api.schemas import windows
+from bench.put_values import put_geometry, put_table
 from estimation.errors import ConflictError, NotFoundError, StorageError
 from estimation.values.geometry import WindowTable
 from estimation.values.reasons import Reason, ReasonCode
@@ -34,7 +35,7 @@ def estimate(storage: SqlStorage, index: int, seed: int = 0) -> None:
     window = make.window(index)
     with storage.write() as unit:
         digest = window_digest(window)
-        unit.tables.put("WS-1", window.start_ns, make.bin_table(seed), 3, digest)
+        put_table(unit, "WS-1", window.start_ns, make.bin_table(seed), 3, digest)
         unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED)
 
 
@@ -56,7 +57,7 @@ def mark_estimated(storage: SqlStorage) -> None:
     """Record a geometry of every stale wheelset."""
     with storage.write() as unit:
         for serial in due_geometries(unit):
-            unit.geometries.put(make.geometry_record(wheelset=serial))
+            put_geometry(unit, make.geometry_record(wheelset=serial))
         see_geometries(unit)
 
 
@@ -242,7 +243,7 @@ def test_a_window_that_is_held_is_not_replaced_until_the_transaction_has_ended(f
 def test_a_bin_table_of_replaced_content_is_refused(fleet: SqlStorage) -> None:
     put(fleet, 0)
     with pytest.raises(ConflictError, match="was replaced while it was estimated"), fleet.write() as unit:
-        unit.tables.put("WS-1", make.START, make.bin_table(), None, "0" * 64)
+        put_table(unit, "WS-1", make.START, make.bin_table(), None, "0" * 64)
 
 
 def test_a_refused_window_loses_its_bin_table(fleet: SqlStorage) -> None:
@@ -289,7 +290,7 @@ def test_the_unknown_is_named(fleet: SqlStorage) -> None:
     with pytest.raises(NotFoundError, match="no window 'WS-1@5'"), fleet.write() as unit:
         unit.windows.mark("WS-1", 5, WindowState.REFUSED, SLOW)
     with pytest.raises(NotFoundError, match="no window 'WS-1@5'"), fleet.write() as unit:
-        unit.tables.put("WS-1", 5, make.bin_table(), None, "")
+        put_table(unit, "WS-1", 5, make.bin_table(), None, "")
     with fleet.read() as unit:
         assert unit.windows.counts() == {"pending": 0, "estimated": 0, "refused": 0}
 

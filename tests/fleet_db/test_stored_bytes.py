@@ -14,6 +14,7 @@ from full_storage import RECORDING, fill
 from in_process_command import Run
 from stored_raw import raw_of
 
+from bench.put_values import put_trend
 from fleet_db.keeping import stored_bytes as module
 from fleet_db.keeping.retention import Kept, Retention
 from fleet_db.keeping.stored_bytes import OTHER, TABLES, StoredKind, database_size, stored_bytes
@@ -84,7 +85,7 @@ def test_a_sample_of_a_large_table_is_about_right(tmp_path: Path) -> None:
             for number in range(3000):
                 unit.idempotency.put(f"key-{number}", "d" * 64, 200, "{}" * (number % 90), number)
                 if number % 5 == 0:
-                    unit.trends.put(replace(make.trend_record(number % 7), recorded_ns=number))
+                    put_trend(unit, replace(make.trend_record(number % 7), recorded_ns=number))
         with storage.engine.connect() as connection:
             exact, sampled = database_size(connection).tables, database_size(connection, exact_bytes=0).tables
     for name in ("idempotency_keys", "results"):

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 import stored_values as make
 
+from bench.put_values import put_geometry
 from estimation.errors import AlreadyRunningError, ConflictError, StorageError
 from estimation.values.registry import FleetRecord
 from estimation.values.runs import JobTrigger
@@ -28,6 +29,7 @@ OPEN = """
 import sys
 from pathlib import Path
 import stored_values as make
+from bench.put_values import put_geometry
 from estimation.values.alerts import AlertEventKind
 from estimation.values.registry import FleetRecord
 from estimation.values.runs import JobTrigger
@@ -40,7 +42,7 @@ with storage.write() as unit:
     for index in range(30):
         unit.windows.put(make.window(index), 1.0, 1)
     unit.alerts.save(make.ALERT, [AlertEventKind.RAISED], 1)
-    unit.geometries.put(make.geometry_record())
+    put_geometry(unit, make.geometry_record())
     print("in the middle", flush=True)
     sys.stdin.read()
 """
@@ -86,7 +88,7 @@ def test_an_exception_leaves_nothing(fleet: SqlStorage) -> None:
     def write_and_stumble() -> None:
         with fleet.write() as unit:
             unit.windows.put(make.window(), 1.0, 1)
-            unit.geometries.put(make.geometry_record())
+            put_geometry(unit, make.geometry_record())
             raise RuntimeError("on purpose")
 
     with pytest.raises(RuntimeError, match="on purpose"):

@@ -13,6 +13,7 @@ import sqlalchemy
 import stored_values as make
 
 from api.factory import SystemClock
+from bench.put_values import put_geometry, put_trend
 from estimation.errors import NotFoundError
 from estimation.jobs.evaluate_alerts import WORKLIST
 from estimation.jobs.job import JobContext
@@ -25,7 +26,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.windows import WindowRecord, WindowState
 from fleet_db.packed_values import from_document
-from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
 from fleet_db.stores.worklist import WorklistFilter, WorklistOrder, WorklistPlace
@@ -96,7 +97,7 @@ class Happening:
         if status == 1:
             found = found.mismatched(Reason(ReasonCode.YAW_SPRING_DIFFERS, "as on another spring"))
         fields = {"baseline": len(self.record.reprofilings), "geometry": found, "to_ns": self.at_ns}
-        unit.geometries.put(make.geometry_record(self.step, self.at_ns, wheelset=self.serial, **fields))
+        put_geometry(unit, make.geometry_record(self.step, self.at_ns, wheelset=self.serial, **fields))
 
     def trend(self, unit: SqlUnitOfWork) -> None:
         drawn = self.random.uniform(0, 400_000) + np.sort(self.random.uniform(0, 100_000, 3))
@@ -108,7 +109,7 @@ class Happening:
             status=Status.ESTIMATED if self.random.random() < 0.8 else Status.UNESTIMATED,
         )
         fields = {"baseline": len(self.record.reprofilings), "trend": found}
-        unit.trends.put(make.trend_record(self.step, self.at_ns, wheelset=self.serial, **fields))
+        put_trend(unit, make.trend_record(self.step, self.at_ns, wheelset=self.serial, **fields))
 
     def window(self, unit: SqlUnitOfWork) -> None:
         found = make.window(self.step, samples=16, wheelset=self.serial, vehicle="V-0", track_section=None)
@@ -344,7 +345,7 @@ def test_two_transactions_on_one_wheelset_lose_nothing_of_each_other(storage: Sq
 def test_what_cannot_be_read_says_so_and_keeps_nobody_from_storing(storage: SqlStorage) -> None:
     drawn_fleet(storage)
     with storage.write() as unit:
-        unit.trends.put(make.trend_record(1, 1, wheelset=SERIALS[1]))
+        put_trend(unit, make.trend_record(1, 1, wheelset=SERIALS[1]))
         unit.connection.execute(sqlalchemy.text("UPDATE results SET value = :value"), {"value": b"TWPK?"})
     with storage.write() as unit:
         alert = replace(make.ALERT, fleet="alpha", wheelset=SERIALS[1], kind="hunting")

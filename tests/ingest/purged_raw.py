@@ -6,7 +6,7 @@ from stored_raw import raw_of
 
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.retention import DAY_NS, Retention
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 
 LATER_NS = 40_000 * DAY_NS

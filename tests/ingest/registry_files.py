@@ -12,7 +12,7 @@ import pytest
 
 from estimation.values.reasons import utc_text
 from estimation.values.windows import Window, WindowQuality
-from fleet_db.registry_events import Decision
+from fleet_db.records import Decision
 from fleet_db.storage import SqlStorage
 from ingest.registry_entry.contents import Entry, RegistryRefusedError, Rule
 from ingest.registry_file import load_registry

@@ -26,7 +26,7 @@ from uploading import Upload, storage_in, upload
 from vehicle_bus import VEHICLE, register
 
 from fleet_db.raw import MARK_NAME
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 
 

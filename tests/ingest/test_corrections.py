@@ -13,8 +13,8 @@ from estimation.errors import ConflictError, LogFileError, NotFoundError
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import SubjectKind
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkState, RecordingAction
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkState, RecordingAction
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables.windows import WindowRow

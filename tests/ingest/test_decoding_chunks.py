@@ -16,13 +16,12 @@ from vehicle_bus import CATALOGUE, SECOND_NS, START_NS, VEHICLE, Run, register
 from estimation.errors import StoppedError
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.runs import SubjectKind
-from fleet_db.process_locks import decoding_locks
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkState
+from fleet_db.locks import decoding_locks
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import DecodedChunks, decode_received
-from ingest.intake.store import Arrival, ChunkStorage, Stored
-from ingest.receipts import Chunk
+from ingest.receipts import Arrival, Chunk, ChunkStorage, Stored
 from ingest.receiver import Receiver
 
 LENGTH_S = 5.0
@@ -115,7 +114,7 @@ def test_a_vehicle_that_another_worker_decodes_is_left_to_it(storage: SqlStorage
     with storage.write() as unit:
         register(unit)
     hand_in(storage, *runs(tmp_path, 2))
-    with decoding_locks(storage, "another") as try_vehicle, try_vehicle(VEHICLE) as locked:
+    with decoding_locks(storage.engine, "another") as try_vehicle, try_vehicle(VEHICLE) as locked:
         assert locked
         assert decode(storage) == DecodedChunks(0, 0)
     assert decode(storage) == DecodedChunks(2, 0)

@@ -20,7 +20,7 @@ from estimation.errors import ConflictError, ExchangeError
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import ACCELERATIONS, Window
 from fleet_db.migrate import upgrade
-from fleet_db.raw_files import FileRawStore
+from fleet_db.raw import FileRawStore
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue

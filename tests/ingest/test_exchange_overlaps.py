@@ -10,7 +10,7 @@ from exchange_runs import EXAMPLE, register, true_run, write_csv
 
 from estimation.errors import ConflictError
 from estimation.values.arrays import FloatArray
-from fleet_db.raw_files import FileRawStore
+from fleet_db.raw import FileRawStore
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.chunks import ChosenChunks
 from ingest.catalogue import default_catalogue

@@ -17,10 +17,10 @@ from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
 from api.cli import build
 from estimation.errors import InputError, ParameterError
 from fleet_db.migrate import upgrade
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
-from ingest.bus import open_bus, send
+from ingest.live.listening import open_bus, send
 from ingest.logs import write_blf
 
 STORED_WITHIN_S = 60.0

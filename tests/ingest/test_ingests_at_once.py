@@ -13,8 +13,8 @@ import pytest
 import sqlalchemy
 from vehicle_bus import SECOND_NS, VEHICLE, Run, register
 
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkRecord
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkRecord
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.catalogue import default_catalogue

@@ -20,8 +20,7 @@ from fleet_db.keeping.purge import purge
 from fleet_db.keeping.restore import Installation, restore
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.keeping.stored_bytes import stored_bytes
-from fleet_db.raw import MARK_NAME, PREFIX
-from fleet_db.raw_files import check_raw_store
+from fleet_db.raw import MARK_NAME, PREFIX, check_raw_store
 from fleet_db.storage import SqlStorage
 from ingest.corrections import Author, RecordingCorrections
 

@@ -12,10 +12,10 @@ from test_receiver import files_of
 from vehicle_bus import VEHICLE, Run, register
 
 from estimation.values.runs import SubjectKind
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.held import ASSEMBLY
+from ingest.reassembly import ASSEMBLY
 from ingest.receiver import Receiver
 
 

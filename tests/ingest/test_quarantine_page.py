@@ -11,7 +11,7 @@ from in_process_command import Run as Command
 from vehicle_bus import OFFSETS_M, SECOND_NS, START_NS, Run, register
 
 from estimation.values.registry import VehicleRecord
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.chunks import ChosenChunks

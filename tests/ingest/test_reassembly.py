@@ -13,6 +13,7 @@ import pytest
 from test_receiver import CountingClock, content, files_of
 from vehicle_bus import OFFSETS_M, SECOND_NS, SECTION, START_NS, VEHICLE, Run, register
 
+from bench.put_values import put_mountings
 from estimation.errors import NotFoundError, StoppedError, StorageError
 from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
@@ -21,8 +22,8 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import WindowPosition, WindowState
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkState
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest import reassembly
@@ -136,11 +137,11 @@ def test_wheelsets_that_were_swapped_in_the_registry_get_their_own_windows(
     bare(storage)
     with storage.write() as unit:
         unit.tracks.add_section(SECTION_RECORD)
-        unit.registry.add_mountings([mounting(1, "WS-2"), mounting(2, "WS-1")])  # each under the other's name
+        put_mountings(unit, [mounting(1, "WS-2"), mounting(2, "WS-1")])  # each under the other's name
     receiver = received(storage, tmp_path, pieces_of(Run(), 11.0))
     assert made_of(storage) != expected
     with storage.write() as unit:
-        unit.registry.add_mountings([mounting(1), mounting(2)])
+        put_mountings(unit, [mounting(1), mounting(2)])
     assert receiver.reassembler.work_off() == SpanChanges(changed=6)
     assert made_of(storage) == expected
 
@@ -261,7 +262,7 @@ def test_a_long_span_is_worked_off_in_pieces_of_which_a_crash_costs_one(
     receiver = received(sqlite_storage, tmp_path, pieces_of(Run(seconds=62.0), 11.0, 20.0, 33.0, 34.0, 52.0))
     with sqlite_storage.write() as unit:
         unit.tracks.add_section(SECTION_RECORD)
-        unit.registry.add_mountings([mounting(1), mounting(2)])
+        put_mountings(unit, [mounting(1), mounting(2)])
     monkeypatch.setattr(reassembly, "MOST_FRAMES", 12_000)  # some ten seconds
 
     class Crash(BaseException):

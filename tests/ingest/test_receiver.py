@@ -19,8 +19,8 @@ from waiting_windows import waiting_windows
 from estimation.errors import ConflictError, LogFileError, NotFoundError
 from estimation.storage import UnitOfWork
 from estimation.values.windows import WindowState
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkState
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.assembly import WAITING
 from ingest.catalogue import ACCELERATION, SYNC_ID, TIME_ID, default_catalogue

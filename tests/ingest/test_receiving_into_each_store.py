@@ -14,9 +14,9 @@ from vehicle_bus import VEHICLE, register
 from estimation.errors import PassingFaultError
 from estimation.values.runs import SubjectKind
 from fleet_db.keeping.checks import check_deep
-from fleet_db.receipts import ChunkState
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.held import ASSEMBLY
+from ingest.reassembly import ASSEMBLY
 
 
 @pytest.fixture

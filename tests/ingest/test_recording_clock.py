@@ -10,8 +10,8 @@ from vehicle_bus import VEHICLE, Run, register
 
 from estimation.errors import LogFileError
 from estimation.values.reasons import ReasonCode
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkState
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
 from ingest.corrections import Author, RecordingCorrections

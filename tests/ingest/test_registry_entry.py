@@ -11,7 +11,7 @@ import pytest
 from registry_files import DAY_NS, FILE, MOUNTED_NS, NOW_NS, at, load, refused, written
 
 from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
-from fleet_db.registry_events import Decision
+from fleet_db.records import Decision
 from fleet_db.storage import SqlStorage
 from ingest.registry_entry.contents import RegistryRefusedError, Rule
 from ingest.vehicle_class_schema import class_of_package

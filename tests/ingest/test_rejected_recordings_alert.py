@@ -12,8 +12,8 @@ from estimation.jobs import evaluate_alerts
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import JobSettings
 from estimation.values.alerts import Alert
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkState
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
 from ingest.corrections import Author, RecordingCorrections

@@ -14,7 +14,7 @@ from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
 from waiting_windows import waiting_windows
 
 from estimation.values.windows import WindowPosition, WindowState
-from fleet_db.raw_files import FileRawStore
+from fleet_db.raw import FileRawStore
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.assembled import AssembledWindowStore, StoredWindow
 from ingest.catalogue import default_catalogue

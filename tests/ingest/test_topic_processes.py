@@ -30,8 +30,8 @@ from vehicle_bus import VEHICLE, register
 
 from api.settings import Settings
 from api.terminal.live import _Stores
-from fleet_db.raw_files import FileRawStore
-from fleet_db.receipts import ChunkState
+from fleet_db.raw import FileRawStore
+from fleet_db.records import ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 

@@ -22,7 +22,7 @@ from estimation.jobs.catalogue import run_all
 from estimation.values.geometry import GeometryRecord
 from estimation.values.runs import JobRun, JobTrigger
 from fleet_db.packed_values import pack_geometry
-from fleet_db.receipts import ChunkRecord
+from fleet_db.records import ChunkRecord
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from fleet_db.tables import Base

@@ -7,6 +7,7 @@ from dataclasses import replace
 import api_fleet
 import measured_fleet
 
+from bench.put_values import put_geometry, put_trend
 from estimation.storage import Storage
 from estimation.values.opinions import CellFriction, LeftOut, SectionAdhesion
 from estimation.values.quantities import Estimate
@@ -37,8 +38,8 @@ def populate(storage: Storage) -> None:
             conicity=(api_fleet.estimate(0.2),) * 2 + (api_fleet.estimate(0.25),),
             reported_amplitude=3e-3,
         )
-        unit.geometries.put(replace(geometry, wheelset=KNOWN, baseline=0, geometry=at_3_mm))
-        unit.trends.put(replace(api_fleet.trend_record(api_fleet.RECORDED, 0.25), wheelset=KNOWN, baseline=0))
+        put_geometry(unit, replace(geometry, wheelset=KNOWN, baseline=0, geometry=at_3_mm))
+        put_trend(unit, replace(api_fleet.trend_record(api_fleet.RECORDED, 0.25), wheelset=KNOWN, baseline=0))
         unit.registry.add_wheelset(WheelsetRecord(REFUSED, "alpha", "P8", 0.4375, None, ()))
         for index in range(5):
             unit.windows.put(api_fleet.window(index, REFUSED), 100.0, api_fleet.RECORDED)

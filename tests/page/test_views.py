@@ -12,7 +12,7 @@ from playwright.sync_api import Page, expect
 from service_process import ServiceProcess
 
 from estimation.values.reasons import Reason, ReasonCode
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 
 VIEWS = (

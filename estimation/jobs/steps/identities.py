@@ -8,10 +8,9 @@ from functools import lru_cache
 import numpy as np
 
 from estimation.accuracy.wheel_contact import RailShare
-from estimation.alerts.rules.contradicted_registry import MOUNTED
-from estimation.rails.parameters import conicity_on_rails, designed_wheel
+from estimation.alerts.rules.sensor_data import MOUNTED
+from estimation.rails.cell import conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
-from estimation.trend.steps import StepSurroundings
 from estimation.values.alerts import Alert
 from estimation.values.geometry import IntervalConicities
 from estimation.values.registry import Mounting, WheelsetRecord
@@ -21,13 +20,12 @@ from estimation.values.trend import (
     IDENTITY,
     TREND,
     IdentityChange,
+    StepSurroundings,
     TrendRecord,
     TrendStep,
     baseline_part,
     latest_identity_change,
 )
-
-_ALL = 1000
 
 
 def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
@@ -54,16 +52,7 @@ def identity_changes(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, I
 
 def suspected(unit: UnitOfWork) -> frozenset[str]:
     """Return the wheelsets with an identity alert, open or closed: all others have had no identity change."""
-    found: set[str] = set()
-    after = None
-    while True:
-        alerts = unit.alerts.page(
-            fleet=None, wheelset=None, kind=IDENTITY, condition=None, open_only=False, after_id=after, limit=_ALL
-        )
-        found.update(alert.wheelset for alert in alerts if alert.wheelset is not None)
-        if len(alerts) < _ALL:
-            return frozenset(found)
-        after = alerts[-1].alert_id
+    return unit.alerts.wheelsets_of_kind(IDENTITY)
 
 
 def _still_there(alert: Alert, mountings: Sequence[Mounting]) -> bool:

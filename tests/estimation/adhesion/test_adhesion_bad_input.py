@@ -52,7 +52,7 @@ def replaced(unit: SqlUnitOfWork, record: WindowRecord, change: Callable[[Window
 
 def of(storage: SqlStorage, records: Sequence[WindowRecord]) -> list[WindowAdhesion | None]:
     with storage.read() as unit:
-        return [unit.adhesion.window(record.wheelset, record.start_ns) for record in records]
+        return [next(iter(unit.adhesion.of_wheelset(one.wheelset, one.start_ns - 1, 1)), None) for one in records]
 
 
 def passed(unit: SqlUnitOfWork, section: str) -> Sequence[WindowAdhesion]:

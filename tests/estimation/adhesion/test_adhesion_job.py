@@ -17,9 +17,9 @@ from api.factory import create_app
 from api.settings import Settings
 from api.times import to_rfc3339
 from bench.adhesion_fleet import true_friction
-from estimation.adhesion.parameters import FileErrors, FrictionParameters
-from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.low_adhesion import LowAdhesionRule
+from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
+from estimation.alerts.rule_book import RuleBook
+from estimation.alerts.rules.running_gear import LowAdhesionRule
 from estimation.jobs import refresh_adhesion
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import JobContext, run_job
@@ -92,8 +92,7 @@ def test_every_window_has_forces_and_none_waits(deployed: Deployed) -> None:
         for record in windows:
             if record.reason is not None:  # it had no geometry to be compared with
                 continue
-            found = unit.adhesion.window(record.wheelset, record.start_ns)
-            assert found is not None
+            (found,) = unit.adhesion.of_wheelset(record.wheelset, record.start_ns - 1, 1)
             assert found.status is Status.ESTIMATED
             assert found.yaw_creep.value is not None
             assert 300.0 < found.yaw_creep.value < 8000.0

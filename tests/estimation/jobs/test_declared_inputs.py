@@ -12,7 +12,8 @@ import pytest
 from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, sample_window, wear
 
-from estimation.alerts.rules.book import RuleBook
+from bench.put_values import put_geometry, put_trend
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.jobs.catalogue import ALL_STAGES
 from estimation.jobs.job import JobContext
@@ -26,7 +27,7 @@ from estimation.values.geometry import GEOMETRY
 from estimation.values.opinions import CELLS, CREEP, FRICTION
 from estimation.values.quantities import with_interval
 from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
-from estimation.values.results import EVERYTHING, Facet, Mark, Result
+from estimation.values.runs import EVERYTHING, Facet, Mark, Result
 from estimation.values.signatures import ANSWERS, SIGNATURES
 from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import (
@@ -54,7 +55,7 @@ READS: Mapping[str, str] = {
     "registry.measured_wheelsets": Facet.REGISTRY,
     "registry.measured_profiles_of": Facet.REGISTRY,
     "tracks.sections": Facet.REGISTRY,
-    "alerts.page": Facet.RESTARTS,
+    "alerts.wheelsets_of_kind": Facet.RESTARTS,
     "trends.latest": TREND.name,
     "geometries.interval_digests": GEOMETRY.stage,
     "roll_ups.state": GEOMETRY.stage,
@@ -145,7 +146,7 @@ def lived(storage: Storage) -> None:
         wear(storage, serial, 40)
         run_windows(storage, serial, 39.5, 3)
     with storage.write() as unit:
-        unit.trends.put(trend_with_step("W1", 20))
+        put_trend(unit, trend_with_step("W1", 20))
 
 
 def trend_with_step(wheelset: str, day: int) -> TrendRecord:
@@ -175,7 +176,7 @@ def test_every_read_is_declared(storage: Storage, stage: AnyStage) -> None:
 
 
 def a_geometry(unit: UnitOfWork) -> None:
-    unit.geometries.put(geometry_record("W2", 41, 41, 0.27, recorded_ns=2))
+    put_geometry(unit, geometry_record("W2", 41, 41, 0.27, recorded_ns=2))
 
 
 def a_reprofiling(unit: Any) -> None:  # noqa: ANN401 - the unit of fleet_db has more than jobs see
@@ -211,7 +212,7 @@ def a_window(unit: Any) -> None:  # noqa: ANN401 - the same
 
 
 def a_step_beside(unit: UnitOfWork) -> None:
-    unit.trends.put(trend_with_step("W3", 21))
+    put_trend(unit, trend_with_step("W3", 21))
 
 
 def a_section(unit: Any) -> None:  # noqa: ANN401 - the same

@@ -12,6 +12,7 @@ from one_database import on_sqlite
 from test_wear_jobs import feed, feed_of, open_alert, run_jobs
 from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, register, run_windows
 
+from bench.put_values import put_geometry
 from estimation.alerts.identity import Mistake, Observation, identity_events
 from estimation.jobs.steps.identities import identity_change
 from estimation.storage import Storage
@@ -128,8 +129,8 @@ def stored(storage: Storage, serial: str, history: Sequence[Observation]) -> Non
     """Store a history as interval geometries, and its last as the current one, a day each."""
     with storage.write() as unit:
         for day, item in enumerate(history, start=1):
-            unit.geometries.put(_record(serial, day, day, item))
-        unit.geometries.put(_record(serial, None, len(history), history[-1]))
+            put_geometry(unit, _record(serial, day, day, item))
+        put_geometry(unit, _record(serial, None, len(history), history[-1]))
     run_windows(storage, serial, len(history) - 0.5, 20)
 
 

@@ -25,7 +25,7 @@ from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.windows import WindowStore
-from fleet_db.tables.results import ResultRow
+from fleet_db.tables.operation import ResultRow
 from fleet_db.tables.track import TrackAlignmentRow
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 

@@ -18,7 +18,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import VehicleClass
-from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.registry_history import RecordKey
 

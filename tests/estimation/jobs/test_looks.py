@@ -11,8 +11,9 @@ from executed_statements import executed_statements
 from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, wear
 
+from bench.put_values import put_geometry
 from estimation.alerts.life_cycle import acknowledge
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.jobs import evaluate_alerts, refresh_trends
 from estimation.jobs.job import Job, JobContext, run_job
@@ -86,12 +87,12 @@ def test_where_nothing_has_changed_no_wheelset_is_read(
 
 def a_geometry(storage: Storage) -> None:
     with storage.write() as unit:
-        unit.geometries.put(geometry_record("W2", 101, 101, 0.27, recorded_ns=2))
+        put_geometry(unit, geometry_record("W2", 101, 101, 0.27, recorded_ns=2))
 
 
 def a_geometry_again(storage: Storage) -> None:
     with storage.write() as unit:
-        unit.geometries.put(replace(geometry_record("W2", 97, 97, 0.28), input_digest="another", recorded_ns=2))
+        put_geometry(unit, replace(geometry_record("W2", 97, 97, 0.28), input_digest="another", recorded_ns=2))
 
 
 def a_window(storage: Storage) -> None:

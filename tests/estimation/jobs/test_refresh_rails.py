@@ -13,6 +13,7 @@ from one_database import on_sqlite
 from section_runs import RUNS, SECONDS
 from smooth_wheelset import mems_windows, run
 
+from bench.put_values import put_geometry
 from bench.standing_clock import StandingClock
 from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.errors import DamagedError
@@ -23,7 +24,7 @@ from estimation.jobs.steps import rail_cells
 from estimation.jobs.steps.membership import Membership
 from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors
 from estimation.jobs.steps.rolling import Rolled, rolled
-from estimation.rails.parameters import RailsParameters
+from estimation.rails.cell import RailsParameters
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS, RailPart, RailsReference, WheelsFinding
 from estimation.values.quantities import Estimate
@@ -33,7 +34,7 @@ from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import Window
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.geometries import GeometryStore
-from fleet_db.stores.rails import RailsStore
+from fleet_db.stores.opinions import RailsStore
 
 WEAR = 0.04  # what the rails of S2 add to every conicity
 EVERYWHERE, ONLY_WORN = (0, 1, 2), 4
@@ -285,7 +286,7 @@ def test_cells_of_an_interval_whose_geometry_is_refused_by_now_are_not_used(rece
     why = rail_cells.Reason(ReasonCode.YAW_SPRING_DIFFERS, "another spring")
     with received.write() as unit:
         (record,) = unit.geometries.intervals("W1")
-        unit.geometries.put(replace(record, geometry=record.geometry.mismatched(why), input_digest="f" * 64))
+        put_geometry(unit, replace(record, geometry=record.geometry.mismatched(why), input_digest="f" * 64))
     assert refresh(received)["cells"] == 2
     with received.read() as unit:
         assert {one.reason for one in unit.rails.cells(["W1"])} == {why}

@@ -15,6 +15,7 @@ from paper_class import PAPER_CLASS, WINDOWS
 from section_runs import windows
 from smooth_wheelset import alignment, track
 
+from bench.put_values import put_table
 from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.jobs.steps import rolling
 from estimation.jobs.steps.membership import Membership, membership
@@ -81,7 +82,7 @@ class Life:
         unit.windows.put(window, 1.2 * step if mileage_km is None else mileage_km, 1)
         record = unit.windows.get("W1", window.start_ns)
         assert record is not None
-        unit.tables.put("W1", window.start_ns, self.dice.choice(self.tables), None, record.content_digest)
+        put_table(unit, "W1", window.start_ns, self.dice.choice(self.tables), None, record.content_digest)
         unit.windows.mark("W1", window.start_ns, WindowState.ESTIMATED)
         self.there.add(step)
 
@@ -100,7 +101,7 @@ class Life:
         for step in self.some():
             record = unit.windows.get("W1", step * MINUTE)
             assert record is not None
-            unit.tables.put("W1", step * MINUTE, self.dice.choice(self.tables), 2, record.content_digest)
+            put_table(unit, "W1", step * MINUTE, self.dice.choice(self.tables), 2, record.content_digest)
 
     def newest_again(self, unit: UnitOfWork) -> None:
         if self.there:

@@ -8,7 +8,8 @@ import pytest
 from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows
 
-from estimation.alerts.rules.book import RuleBook
+from bench.put_values import put_geometry
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.alerts.rules.sensor_data import NoDataRule, SensorFaultRule
@@ -49,8 +50,8 @@ def _came_in(storage: Storage, day: int) -> None:
     if day >= FAULTY_FROM:
         return
     with storage.write() as unit:
-        unit.geometries.put(geometry_record("W1", day, day, conicity, baseline=baseline))
-        unit.geometries.put(geometry_record("W1", None, day, conicity, baseline=baseline, recorded_ns=day))
+        put_geometry(unit, geometry_record("W1", day, day, conicity, baseline=baseline))
+        put_geometry(unit, geometry_record("W1", None, day, conicity, baseline=baseline, recorded_ns=day))
 
 
 def on_file(storage: Storage, serial: str) -> list[Alert]:

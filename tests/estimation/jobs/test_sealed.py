@@ -12,6 +12,7 @@ from paper_class import PAPER_CLASS
 from stored_raw import raw_of
 from test_rolling import MINUTE, SETTINGS, Life, exact, made_again, register, tables
 
+from bench.put_values import put_geometry, put_mountings, put_table
 from estimation.errors import ConflictError
 from estimation.jobs.steps import rolling
 from estimation.values.geometry import PASSED_OVER, BinTable, GeometryRecord
@@ -25,7 +26,7 @@ from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.packed_values import pack_geometry
-from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.registry_history import RecordKey
 
@@ -111,7 +112,7 @@ def test_sums_without_tables_give_the_same_geometry_bit_for_bit(life: Life) -> N
     found = exact(sqlite_storage)
     assert [value[1:] for value in found.values()] == [value[1:] for value in sums.values()]
     with sqlite_storage.write() as unit:
-        unit.geometries.put(replace(before[0], input_digest="0" * 64))
+        put_geometry(unit, replace(before[0], input_digest="0" * 64))
         unit.subjects.tables("W1")
     assert refresh(sqlite_storage) == 1
     assert pack_geometry(geometries(sqlite_storage)[0].geometry) == pack_geometry(before[0].geometry)
@@ -157,7 +158,7 @@ def test_a_window_that_is_late_for_sums_without_tables_is_in_them_once(
                 life.put(unit, 40)
             record = unit.windows.get("W1", 40 * MINUTE)
             assert record is not None
-            unit.tables.put("W1", 40 * MINUTE, table, 2, record.content_digest)
+            put_table(unit, "W1", 40 * MINUTE, table, 2, record.content_digest)
         refresh(sqlite_storage)
         with sqlite_storage.read() as unit:
             assert sum(one.windows for one in unit.roll_ups.of("W1")) == 130
@@ -203,7 +204,7 @@ def removed(storage: SqlStorage, _: Life) -> None:
 
 def turned_round(storage: SqlStorage, _: Life) -> None:
     with storage.write() as unit:
-        unit.registry.add_mountings([Mounting("W1", "V1", 1, 0, None, 0.0, 0.0, reversed=True)], 2)
+        put_mountings(unit, [Mounting("W1", "V1", 1, 0, None, 0.0, 0.0, reversed=True)], 2)
 
 
 def turned_on_a_lathe(storage: SqlStorage, _: Life) -> None:

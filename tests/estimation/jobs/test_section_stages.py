@@ -12,6 +12,7 @@ from paper_class import paper_class
 from queried_news import first_changed, placed
 from sqlalchemy import update
 
+from bench.put_values import put_table
 from bench.standing_clock import StandingClock
 from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.jobs import estimate_windows, refresh_alignment
@@ -24,11 +25,11 @@ from estimation.jobs.steps.epoch_inputs import FileLookup, changed_from
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling
-from estimation.values.results import Mark
+from estimation.values.runs import Mark
 from estimation.values.track import EpochMember, TrackLayout
 from estimation.values.windows import DueStage, WindowState
 from fleet_db.due import WINDOWS
-from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.assembled import AssembledWindow
 from fleet_db.stores.registry_history import RecordKey
@@ -143,7 +144,7 @@ def _put_found(unit: SqlUnitOfWork) -> None:
 
 def _put_table(unit: SqlUnitOfWork) -> None:
     record, table, _ = next(unit.tables.stream("W0", 0, None))
-    unit.tables.put(*record.key, table, None, record.content_digest)
+    put_table(unit, *record.key, table, None, record.content_digest)
 
 
 def _start_again(unit: SqlUnitOfWork) -> None:

@@ -13,8 +13,8 @@ from test_wear_jobs import feed, open_alert, run_jobs
 from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, register, run_windows
 
 from api.schemas.trend import trend as served_trend
-from estimation.alerts.rules.contradicted_registry import UnregisteredChangeRule
-from estimation.alerts.rules.near_limit import LimitForecastRule, limit_forecast_finding
+from bench.put_values import put_geometry
+from estimation.alerts.rules.trend import LimitForecastRule, UnregisteredChangeRule, limit_forecast_finding
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.identities import last_change
 from estimation.jobs.steps.wheelset_facts import facts_of
@@ -34,9 +34,9 @@ def stored(storage: Storage, conicities: Sequence[float], *, baseline: int = 0, 
     with storage.write() as unit:
         for day, conicity in enumerate(conicities, start=first):
             record = geometry_record("W1", day, day, conicity, baseline=baseline)
-            unit.geometries.put(replace(record, geometry=geometry_of(conicity=conicity, std=0.03)))
+            put_geometry(unit, replace(record, geometry=geometry_of(conicity=conicity, std=0.03)))
         last = first + len(conicities) - 1
-        unit.geometries.put(geometry_record("W1", None, last, conicities[-1], baseline=baseline, recorded_ns=last))
+        put_geometry(unit, geometry_record("W1", None, last, conicities[-1], baseline=baseline, recorded_ns=last))
     run_windows(storage, "W1", last - 0.5, 20)
 
 

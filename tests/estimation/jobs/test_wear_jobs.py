@@ -9,8 +9,9 @@ import pytest
 from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, wear
 
+from bench.put_values import put_geometry
 from estimation.alerts.life_cycle import acknowledge
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.jobs import evaluate_alerts, refresh_trends
 from estimation.jobs.job import JobContext, run_job
@@ -78,7 +79,7 @@ def test_geometries_become_trends_and_a_repeat_changes_nothing(storage: Storage)
     again, _ = run_jobs(storage, 40.6)
     assert again.counts["unchanged"] == 2
     with storage.write() as unit:
-        unit.geometries.put(geometry_record("W1", 41, 41, 0.27))
+        put_geometry(unit, geometry_record("W1", 41, 41, 0.27))
     third, _ = run_jobs(storage, 41.5)
     assert (third.counts["refreshed"], third.counts["unchanged"]) == (1, 1)
 
@@ -94,7 +95,7 @@ def test_intervals_that_were_followed_by_empty_ones_are_as_if_they_had_never_bee
     for record in (None, wrong, gone):
         with storage.write() as unit:
             if record is not None:
-                unit.geometries.put(record)
+                put_geometry(unit, record)
         run_jobs(storage, 41.5)
         with storage.read() as unit:
             latest = unit.trends.latest("W1")
@@ -147,7 +148,7 @@ def test_a_dead_sensor_makes_wear_unknown_and_is_reported_itself(storage: Storag
     assert not {CLEARED, CLOSED} & {kind for kind, _ in feed_of(storage)}
     run_windows(storage, "W1", 141, 20)
     with storage.write() as unit:
-        unit.geometries.put(geometry_record("W1", None, 141.1, 0.46, recorded_ns=99))
+        put_geometry(unit, geometry_record("W1", None, 141.1, 0.46, recorded_ns=99))
     run_jobs(storage, 141.2)
     assert open_alert(storage, "W1", "conicity_limit").condition is Condition.ACTIVE
     assert (CLEARED, "no_data") in feed_of(storage)
@@ -213,7 +214,7 @@ def test_an_exchange_closes_and_the_wheelset_is_judged_again_where_it_runs(stora
         assert unit.alerts.all_open("W1") == []  # nothing measured since it came back
     run_windows(storage, "W1", 104, 20)
     with storage.write() as unit:
-        unit.geometries.put(geometry_record("W1", None, 104.1, 0.46, recorded_ns=99))
+        put_geometry(unit, geometry_record("W1", None, 104.1, 0.46, recorded_ns=99))
     run_jobs(storage, 104.5)
     assert open_alert(storage, "W1", "conicity_limit").opened_ns == START_NS + round(104.1 * DAY_NS)
 
