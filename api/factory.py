@@ -14,11 +14,11 @@ from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, TypeVar
+from urllib.parse import unquote, urlsplit
 
-from api.raw_stores import open_raw_store
+from api.logs import traced
 from api.rules_file import load_rules
 from api.settings import PREFIX, Settings, known_sections, load_retention
-from api.tracing import traced
 from estimation.alerts.rules.book import RuleBook
 from estimation.errors import InputError, MigrationError, ParameterError, StorageError
 from estimation.jobs.catalogue import ALL_JOBS
@@ -31,6 +31,7 @@ from fleet_db.keeping.purge import purge_job
 from fleet_db.keeping.retention import Retention
 from fleet_db.migrate import check_head
 from fleet_db.raw import RawStore
+from fleet_db.raw_files import FileRawStore
 from fleet_db.session import ServerLimits, database_engine
 from fleet_db.storage import SqlStorage
 from ingest.assemble_windows import assemble_windows
@@ -175,8 +176,13 @@ def open_store(settings: Settings) -> SqlStorage:
 
 
 def raw_store(settings: Settings) -> RawStore:
-    """Return where raw recordings are kept; refuses where :func:`open_raw_store` does."""
-    return open_raw_store(settings)
+    """Return where raw recordings are kept; a bucket is not asked yet, but its credentials must be there."""
+    place = urlsplit(settings.raw_store or "")
+    if place.scheme in {"", "file"}:
+        return FileRawStore(Path(unquote(place.path)) if place.path else settings.data_dir / "raw")
+    from api.bucket import bucket_store  # noqa: PLC0415 - most deployments have none
+
+    return bucket_store(settings)
 
 
 def job_context(

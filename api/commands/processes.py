@@ -60,8 +60,7 @@ def schedule(
 
     from api.factory import job_context, process_name, scheduled_jobs, upkeep_jobs
     from api.settings import load_settings
-    from api.terminal.store import begun, store_once_it_answers
-    from api.workers.on_dask import executor_of
+    from api.terminal.store import begun, executor_of, store_once_it_answers
     from estimation.jobs.scheduler import serve_jobs
 
     settings = load_settings(workers=workers, dask_scheduler=dask_scheduler)

@@ -14,8 +14,7 @@ from api.access.key_ring import Wanted, make_key
 from api.answers import answer
 from api.asking import CODE, AskedDep, AskedListDep, require_order
 from api.problems import described
-from api.schemas.common import Body, Links, Page
-from api.schemas.derived import Derived
+from api.schemas.common import Body, Derived, Links, Page
 from api.services import ServicesDep, writer_slot
 from api.times import Moment
 from fleet_db.access_records import ApiKey, AuditEntry

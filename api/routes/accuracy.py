@@ -16,12 +16,11 @@ from api.asking import AskedDep, FleetFilter, MeasuredFrom, MeasuredTo, Serial, 
 from api.contract import TABLE, Accepted
 from api.problems import described
 from api.routes.design_contact import ProfileContact, comparison_reader, profile_contact
-from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain, why
-from api.schemas.derived import Derived
+from api.schemas.common import Derived, Links, Representation, Uncertain, finite, finite_list, uncertain, why
 from api.schemas.geometry import MM, Bins, bin_table
 from api.schemas.registry import segment
+from api.services import require_known
 from api.times import Moment, Timestamp, to_rfc3339
-from api.visible_objects import require_known
 from estimation.accuracy.fleet_accuracy import (
     Comparison,
     ConicityPair,

@@ -18,8 +18,7 @@ from api.feed.watch import CATCH_UP, EVENT_STREAM, EventStream, FeedStream, Feed
 from api.middleware import turn_of
 from api.problems import described
 from api.schemas import alerts
-from api.services import Services, ServicesDep
-from api.visible_objects import require_known
+from api.services import Services, ServicesDep, require_known
 from fleet_db.storage import SqlUnitOfWork
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])

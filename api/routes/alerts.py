@@ -15,8 +15,7 @@ from api.asking import AskedChange, AskedDep, AskedListDep, ChangeDep, FleetFilt
 from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Body, Page
-from api.services import ServicesDep, writer_slot
-from api.visible_objects import require_known
+from api.services import ServicesDep, require_known, writer_slot
 from estimation.alerts.life_cycle import acknowledge, link, shelve, unshelve
 from estimation.values.alerts import Alert, AlertScope, Condition, Severity, Transition
 from fleet_db.storage import SqlUnitOfWork

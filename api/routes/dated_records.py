@@ -14,8 +14,7 @@ from api.asking import AskedListDep, ChangeDep, Code, Serial
 from api.problems import described, invalid, pointer
 from api.registry_changes import MOST_TEXT, BodySource, Key, Kilometres, Note, RegistryChange, RegistryRequest
 from api.schemas import registry
-from api.schemas.common import Body, Page, Representation
-from api.schemas.derived import Derived
+from api.schemas.common import Body, Derived, Page, Representation
 from api.schemas.registry import MountingPeriod
 from api.services import writer_slot
 from api.times import Moment

@@ -12,8 +12,7 @@ from api.answers import answer_payload, table_payload
 from api.asking import AskedDep, Serial
 from api.contract import TABLE, Accepted
 from api.problems import described
-from api.schemas.common import Links, Representation, finite, finite_list, uncertain
-from api.schemas.derived import Derived
+from api.schemas.common import Derived, Links, Representation, finite, finite_list, uncertain
 from api.schemas.geometry import MM, ConicityAtAmplitude
 from api.schemas.registry import segment
 from api.services import Services

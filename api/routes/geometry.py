@@ -22,9 +22,9 @@ from api.contract import TABLE, Accepted
 from api.problems import described
 from api.schemas import geometry, trend, windows
 from api.schemas.common import Page
+from api.schemas.windows import WindowReasons
 from api.services import Services
 from api.times import to_rfc3339
-from api.window_reasons import WindowReasons
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord

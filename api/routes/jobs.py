@@ -14,12 +14,10 @@ from api.access.caller import Caller, CallerDep, Scope, requires
 from api.answers import IdempotencyKey, answer
 from api.asking import CODE, AskedDep, AskedListDep, Code, Number, idempotent_post
 from api.problems import described
-from api.schemas.common import Links, Page, Representation, without_folders
-from api.schemas.derived import Derived
+from api.schemas.common import Derived, Links, Page, Representation, without_folders
 from api.schemas.registry import segment
-from api.services import Services, ServicesDep, writer_slot
+from api.services import Services, ServicesDep, require_known, writer_slot
 from api.times import Timestamp, to_rfc3339
-from api.visible_objects import require_known
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobRun as JobRunValue
 from estimation.values.runs import Quarantined, QuarantineState, SubjectKind

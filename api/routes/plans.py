@@ -10,13 +10,11 @@ from pydantic import Field
 from api.answers import answer
 from api.asking import FleetFilter, VehicleFilter
 from api.problems import described
-from api.schemas.common import Links, Representation, finite
-from api.schemas.derived import Derived
+from api.schemas.common import Derived, Links, Representation, finite
 from api.schemas.registry import segment
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
-from api.services import ServicesDep
+from api.services import ServicesDep, require_known
 from api.times import Timestamp, to_rfc3339
-from api.visible_objects import require_known
 from estimation.values.alerts import Urgency, WorklistRow, WorklistState
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.worklist.turning_plan import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan

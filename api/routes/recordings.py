@@ -26,12 +26,10 @@ from api.asking import (
     require_order,
 )
 from api.problems import described
-from api.schemas.common import Body, Links, Page, Representation, without_folders
-from api.schemas.derived import Derived
+from api.schemas.common import Body, Derived, Links, Page, Representation, without_folders
 from api.schemas.registry import segment
-from api.services import Services, ServicesDep, writer_slot
+from api.services import Services, ServicesDep, require_known, writer_slot
 from api.times import Moment
-from api.visible_objects import require_known
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.windows import WindowState

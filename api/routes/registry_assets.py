@@ -17,8 +17,7 @@ from api.problems import ProblemError, described, invalid
 from api.registry_changes import MOST_TEXT, TEXT, BodySource, Key, RegistryChange, RegistryRequest
 from api.routes import vehicles
 from api.schemas import registry
-from api.services import writer_slot
-from api.visible_objects import require_known
+from api.services import require_known, writer_slot
 from estimation.errors import ConflictError, InputError, NotFoundError
 from estimation.values.registry import SPEED_IN_FILES, VehicleRecord, WheelsetRecord
 from estimation.vehicle.vehicle_class import VehicleClass

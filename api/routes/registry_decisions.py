@@ -19,8 +19,7 @@ from api.registry_changes import TEXT, UNNAMED, Key
 from api.routes import tracks, vehicles
 from api.routes.dated_records import SensorChangeRecord
 from api.schemas import registry
-from api.schemas.common import Body, Page, Representation
-from api.schemas.derived import Derived
+from api.schemas.common import Body, Derived, Page, Representation
 from api.services import writer_slot
 from api.times import Moment, Timestamp, to_rfc3339
 from estimation.contact.profiles import MeasuredProfiles

@@ -10,8 +10,7 @@ from pydantic import Field, JsonValue
 
 from api.asking import AskedDep, AskedListDep, Code
 from api.problems import described
-from api.schemas.common import Links, Page, Representation, finite, finite_list
-from api.schemas.derived import Derived
+from api.schemas.common import Derived, Links, Page, Representation, finite, finite_list
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
 from estimation.errors import NotFoundError

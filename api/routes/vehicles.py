@@ -12,11 +12,10 @@ from pydantic import Field
 from api.asking import AskedDep, AskedListDep, Code, FleetFilter
 from api.problems import described
 from api.schemas import registry
-from api.schemas.common import Links, Page, Representation, finite
-from api.schemas.derived import Derived
+from api.schemas.common import Derived, Links, Page, Representation, finite
 from api.schemas.registry import segment
+from api.services import require_known
 from api.times import Timestamp, to_rfc3339
-from api.visible_objects import require_known
 from estimation.errors import NotFoundError
 from estimation.trend.suspension import SuspensionParameters, suspension_changes
 from estimation.values.opinions import GearDamper

@@ -19,11 +19,9 @@ from api.feed.watch import TRY_AGAIN
 from api.middleware import turn_of
 from api.problems import ProblemError, described, invalid
 from api.schemas.alerts import KnownKind
-from api.schemas.common import Body, Links, Page, Representation
-from api.schemas.derived import Derived
-from api.services import Services, ServicesDep, writer_slot
+from api.schemas.common import Body, Derived, Links, Page, Representation
+from api.services import Services, ServicesDep, require_known, writer_slot
 from api.times import Moment, Timestamp, to_rfc3339
-from api.visible_objects import require_known
 from api.webhooks.cloud_events import new_secret, trial_of
 from api.webhooks.making import Wanted, handled_up_to, in_state, make_webhook, place_of
 from api.webhooks.sending import TRIALS, Sender

@@ -16,11 +16,10 @@ from api.asking import CODE, AskedDep, AskedListDep, FleetFilter, Serial, Vehicl
 from api.problems import described
 from api.schemas import registry
 from api.schemas.alerts import AlertKind, KnownKind
-from api.schemas.common import Page, Representation, Uncertain
-from api.schemas.derived import Derived
+from api.schemas.common import Derived, Page, Representation, Uncertain
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
+from api.services import require_known
 from api.times import Timestamp, to_rfc3339
-from api.visible_objects import require_known
 from estimation.values.alerts import AxlePosition, OpenAlert, Severity, Urgency, WorklistRow, WorklistState
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode

@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, WithJsonSchema
 
-from api.schemas.common import Body, Links, Representation
-from api.schemas.derived import Derived
+from api.schemas.common import Body, Derived, Links, Representation
 from api.schemas.evidence import AnyEvidence, evidence_of
 from api.schemas.registry import segment
 from api.times import Moment

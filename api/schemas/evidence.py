@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args, get_o
 from pydantic import BaseModel, create_model
 from pydantic import Field as Described
 
-from api.schemas.common import Href, Representation, Uncertain
-from api.schemas.derived import MODELS, Derived, fields_of
+from api.schemas.common import MODELS, Derived, Href, Representation, Uncertain, fields_of
 from api.schemas.trend import DateForecast, DistanceForecast, forecast_of
 from api.times import Timestamp, to_rfc3339
 from estimation.alerts.fleet_alerts import FleetAlertEvidence

@@ -6,8 +6,7 @@ from urllib.parse import quote
 
 from pydantic import Field
 
-from api.schemas.common import Links
-from api.schemas.derived import Derived
+from api.schemas.common import Derived, Links
 from api.times import to_rfc3339
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord

@@ -21,9 +21,9 @@ from api.factory import (
     raw_store,
     receiver,
 )
-from api.progress import counted
 from api.settings import load_settings
 from api.terminal.ingest import vehicle_in_name
+from api.terminal.progress import counted
 from api.terminal.store import begun, store_once_it_answers
 from estimation.errors import InputError, MigrationError, PassingFaultError, StoppedError, StorageError
 from estimation.jobs.stop_signals import stop_on_signals

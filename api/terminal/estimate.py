@@ -14,13 +14,13 @@ from rich.table import Table
 
 from api import logs
 from api.factory import job_context, open_store, process_name, scheduled_jobs
-from api.progress import bar
+from api.logs import start_tracing
 from api.routes.worklist import WheelsetRow, row_of_document
+from api.schemas.windows import SHOWN, WindowReasons, same_reason
 from api.settings import Settings
+from api.terminal.progress import bar
+from api.terminal.store import executor_of
 from api.times import from_rfc3339, to_rfc3339
-from api.tracing import start_tracing
-from api.window_reasons import SHOWN, WindowReasons, same_reason
-from api.workers.on_dask import executor_of
 from estimation.errors import ParameterError
 from estimation.jobs.estimate_windows import REFUSED, refusals
 from estimation.jobs.job import Job, JobContext, run_job

@@ -14,13 +14,13 @@ from rich.table import Table
 
 from api import factory, logs
 from api.factory import SystemClock, open_store, publishing
-from api.progress import bar
+from api.logs import start_tracing
+from api.schemas.windows import WindowReasons
 from api.settings import load_settings
 from api.terminal.estimate import line_of
+from api.terminal.progress import bar
 from api.terminal.store import print_line, user_name
 from api.times import to_rfc3339
-from api.tracing import start_tracing
-from api.window_reasons import WindowReasons
 from estimation.errors import InputError, ParameterError, TreadwatchError
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlStorage

@@ -17,11 +17,11 @@ from rich.console import Console
 
 from api import factory, logs
 from api.factory import SystemClock, open_store, publisher
+from api.logs import start_tracing
 from api.measures import counter, gauge, reference_measures
 from api.settings import Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes
-from api.tracing import start_tracing
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.migrate import check_head
 from fleet_db.storage import SqlStorage

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from api.feed import pages as feed_cursors
 from api.feed.pages import LATEST, FeedFilter
 from api.problems import ProblemError
-from api.visible_objects import require_known
+from api.services import require_known
 from api.webhooks.cloud_events import new_secret
 from estimation.errors import ConflictError
 from fleet_db.storage import SqlUnitOfWork

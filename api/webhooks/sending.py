@@ -84,10 +84,6 @@ class Sender:
         except TimeoutError:
             raise RefusedTargetError(Failure.UNKNOWN_HOST, "no name server answers") from None
 
-    def close(self) -> None:
-        """End."""
-        self.targets.close()
-
     async def _post(self, target: Target, headers: Mapping[str, str], body: bytes) -> tuple[int, str | None]:
         """Return status and ``Retry-After`` of the answer at the first address that accepts a connection."""
         *others, last = target.addresses[:ADDRESSES]

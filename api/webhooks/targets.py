@@ -130,10 +130,6 @@ class Targets:
         check(url, found, self.networks)
         return Target(url, tuple(found))
 
-    def close(self) -> None:
-        """Look nothing up any more."""
-        self._threads.shutdown(wait=False, cancel_futures=True)
-
 
 def _look_up(host: str, port: int) -> list[Address]:
     found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)

@@ -472,9 +472,7 @@ def test_https_goes_to_the_checked_address_under_the_name_of_the_url(
     monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
 
     async def sent(url: str) -> tuple[int | None, Failure | None]:
-        sender = Sender(Targets(LOOPBACK), 5.0)
-        outcome = await sender.send(url, {}, b"{}")
-        sender.close()
+        outcome = await Sender(Targets(LOOPBACK), 5.0).send(url, {}, b"{}")
         return outcome.status_code, outcome.failure
 
     with receiving(context) as right, receiving(of_another) as wrong:
