@@ -37,7 +37,13 @@ def contracts_of(document: Mapping[str, Any]) -> Contracts:
     """Return the contract of every operation of an OpenAPI document, by path template and upper-case method."""
     return {
         (path, method.upper()): OperationContract(
-            _media_types(operation),
+            tuple(
+                media_type
+                for status, response in operation["responses"].items()
+                if status.startswith("2")
+                for media_type in response.get("content", {})
+                if media_type != PROBLEM_MEDIA_TYPE
+            ),
             frozenset(entry["name"] for entry in _in_query(operation)),
             frozenset(entry["name"] for entry in _in_query(operation) if _is_list(entry["schema"])),
             tuple(operation.get("requestBody", {}).get("content", ())) or (JSON,),
@@ -53,16 +59,6 @@ def _in_query(operation: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
 
 def _is_list(schema: Mapping[str, Any]) -> bool:
     return any(one.get("type") == "array" for one in (schema, *schema.get("anyOf", ())))
-
-
-def _media_types(operation: Mapping[str, Any]) -> tuple[str, ...]:
-    return tuple(
-        media_type
-        for status, response in operation["responses"].items()
-        if status.startswith("2")
-        for media_type in response.get("content", {})
-        if media_type != PROBLEM_MEDIA_TYPE
-    )
 
 
 def _refuse_unknown_parameters(request: Request, contract: OperationContract) -> None:
@@ -83,13 +79,6 @@ def _refuse_unknown_parameters(request: Request, contract: OperationContract) ->
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "invalid-request", detail, items)
 
 
-def _refuse_other_body(request: Request, taken: Sequence[str]) -> None:
-    given = request.headers.get("content-type", taken[0]).split(";", maxsplit=1)[0].strip().lower()
-    if request.method in {HTTPMethod.POST, HTTPMethod.PUT, HTTPMethod.PATCH} and given not in taken:
-        detail = f"send {' or '.join(taken)}"
-        raise ProblemError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", detail)
-
-
 async def media_type(request: Request) -> str:
     """Return the media type that the client accepts best of what the operation offers (else 406, 415, 422)."""
     contracts: Contracts = request.app.state.contracts
@@ -101,7 +90,10 @@ async def media_type(request: Request) -> str:
     if chosen is None:
         offered = ", ".join(contract.media_types)
         raise ProblemError(HTTPStatus.NOT_ACCEPTABLE, "not-acceptable", f"offered: {offered}")
-    _refuse_other_body(request, contract.body_types)
+    given = request.headers.get("content-type", contract.body_types[0]).split(";", maxsplit=1)[0].strip().lower()
+    if request.method in {HTTPMethod.POST, HTTPMethod.PUT, HTTPMethod.PATCH} and given not in contract.body_types:
+        detail = f"send {' or '.join(contract.body_types)}"
+        raise ProblemError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", detail)
     _refuse_unknown_parameters(request, contract)
     request.state.media_type = chosen
     return chosen

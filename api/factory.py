@@ -53,7 +53,6 @@ if TYPE_CHECKING:
     from fastapi import FastAPI
 
     from api.services import Services
-    from api.uploads import Uploads
 
 
 Client = TypeVar("Client")
@@ -269,13 +268,19 @@ def open_services(settings: Settings) -> Services:
     # the receiver and the scheduler are built in this module too and do not wait for the web framework
     from api.answers import RepresentationCache  # noqa: PLC0415 - the same
     from api.services import PATIENCE_S, JobRunner, Services, WriterSlots  # noqa: PLC0415 - the same
+    from api.uploads import UploadLimits, Uploads  # noqa: PLC0415 - the same
 
     storage = replace(open_store(settings), patience_s=PATIENCE_S)
     context = job_context(settings, storage)
     one_reader = not settings.on_server
     references = publisher(settings, lambda: storage)
+    raw, announce = raw_store(settings), to_nobody if references is None else references.publish
+    chunks = ChunkStorage(replace(storage, patience_s=RECEIPT_PATIENCE_S), raw, context.clock, announce)
+    limits = UploadLimits(
+        settings.max_chunk_mb * MEGABYTE, settings.max_uploads, settings.upload_timeout_s, settings.body_timeout_s
+    )
     return Services(
-        raw=raw_store(settings),
+        raw=raw,
         storage=storage,
         clock=context.clock,
         jobs={job.name: job for job in (*scheduled_jobs(settings), *upkeep_jobs(settings))},
@@ -284,7 +289,7 @@ def open_services(settings: Settings) -> Services:
         close=storage.close,
         writers=WriterSlots(1 if one_reader else WRITERS, PATIENCE_S),
         cache=RepresentationCache(),
-        uploads=_uploads(settings, storage, context.clock, references),
+        uploads=Uploads(raw, chunks, backlog_watch(settings, storage, raw), limits),
         references=references,
         one_reader=one_reader,
     )
@@ -294,18 +299,6 @@ def backlog_watch(settings: Settings, storage: SqlStorage, raw: RawStore) -> Bac
     """Return what says whether more chunks may come, which are received where ``raw`` wants them."""
     limits = BacklogLimits(settings.backlog_chunks, settings.backlog_mb * MEGABYTE, settings.free_disk_mb * MEGABYTE)
     return BacklogWatch(storage, raw.receiving, limits)
-
-
-def _uploads(settings: Settings, storage: SqlStorage, clock: Clock, references: Publisher | None) -> Uploads:
-    from api.uploads import UploadLimits, Uploads  # noqa: PLC0415 - the same
-
-    patient = replace(storage, patience_s=RECEIPT_PATIENCE_S)
-    limits = UploadLimits(
-        settings.max_chunk_mb * MEGABYTE, settings.max_uploads, settings.upload_timeout_s, settings.body_timeout_s
-    )
-    raw, announce = raw_store(settings), to_nobody if references is None else references.publish
-    chunks = ChunkStorage(patient, raw, clock, announce)
-    return Uploads(raw, chunks, backlog_watch(settings, storage, raw), limits)
 
 
 def create_app(settings: Settings) -> FastAPI:

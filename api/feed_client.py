@@ -151,17 +151,14 @@ class Follower:
         try:
             return ask()
         except OtherHistoryError as error:
-            self._begin_again(error)
+            try:
+                self.taker.restored(str(error), self._open_now(), error.cursor)
+            except httpx.HTTPError as failed:
+                raise UnreachableError(f"{self.http.base_url}: {failed or type(failed).__name__}") from None
+            self.cursor = error.cursor
             return True
         except httpx.HTTPError as error:
             raise UnreachableError(f"{self.http.base_url}: {error or type(error).__name__}") from None
-
-    def _begin_again(self, error: OtherHistoryError) -> None:
-        try:
-            self.taker.restored(str(error), self._open_now(), error.cursor)
-        except httpx.HTTPError as failed:
-            raise UnreachableError(f"{self.http.base_url}: {failed or type(failed).__name__}") from None
-        self.cursor = error.cursor
 
     def _parameters(self, **more: int) -> httpx.QueryParams:
         given: list[tuple[str, str | int | float | bool | None]] = [*self.query, *more.items()]
@@ -197,15 +194,12 @@ class Follower:
                 self._silent_streams = 0
                 self._delays.succeeded()
                 if block.identity is not None:
-                    self._take(block.identity, block.data)
+                    if block.data is None:
+                        self.taker.moved(block.identity)
+                    else:
+                        self.taker.event(orjson.loads(block.data), block.identity)
+                    self.cursor = block.identity
         return True
-
-    def _take(self, cursor: str, data: str | None) -> None:
-        if data is None:
-            self.taker.moved(cursor)
-        else:
-            self.taker.event(orjson.loads(data), cursor)
-        self.cursor = cursor
 
     def _open_now(self) -> list[Event]:
         """Return the alerts that are open: what a client holds and is not among them is to be dropped."""

@@ -71,8 +71,11 @@ def stored_measures(services: Services | None) -> list[Metric]:
     measures: list[Metric] = []
     try:
         if services is not None:
+            with services.storage.read() as unit:
+                counts = unit.windows.counts()
+            numbers = {state.value: counts.get(state.value, 0) for state in WindowState}
             measures = [
-                _windows(services),
+                gauge("treadwatch_windows", "Windows by state.", "state", numbers),
                 _alerts(services),
                 *_runs(services),
                 _quarantined(services),
@@ -83,13 +86,6 @@ def stored_measures(services: Services | None) -> list[Metric]:
         _log.warning("the database does not answer: %s", error)
     up.add_metric([], 1.0 if measures else 0.0)
     return [up, *measures]
-
-
-def _windows(services: Services) -> Metric:
-    with services.storage.read() as unit:
-        counts = unit.windows.counts()
-    numbers = {state.value: counts.get(state.value, 0) for state in WindowState}
-    return gauge("treadwatch_windows", "Windows by state.", "state", numbers)
 
 
 def _quarantined(services: Services) -> Metric:
@@ -125,41 +121,33 @@ def upload_measures(services: Services | None) -> list[Metric]:
     """Return the measures of this process's uploads, and of the backlog of all."""
     if services is None:
         return []
-    measures = _counted(services)
-    try:
-        measures += _backlog(services)
-    except TreadwatchError as error:
-        _log.warning("the backlog of chunks cannot be measured: %s", error)
-    return measures
-
-
-def _counted(services: Services) -> list[Metric]:
     uploads = services.uploads
     ended = {outcome.value: uploads.ended[outcome] for outcome in Taken}
     limits = (*(one.value for one in Limit), UPLOADS_FULL, NO_STORAGE)
     refused = {limit: uploads.refused[limit] for limit in limits}
     text = "Bytes of new chunks that have their receipt."
-    return [
+    measures = [
         GaugeMetricFamily("treadwatch_uploads_running", "Chunks that are being received.", value=uploads.running),
         counter("treadwatch_uploads", "Uploads by how they ended.", "outcome", ended),
         counter("treadwatch_uploads_behind", "Uploads refused with 503.", "limit", refused),
         CounterMetricFamily("treadwatch_upload_bytes", text, value=uploads.bytes_stored),
     ]
-
-
-def _backlog(services: Services) -> list[Metric]:
-    watch = services.uploads.backlog
-    with watch.storage.read() as unit:
-        found = unit.chunks.undecoded_size()
-    values = {
-        "treadwatch_chunks_waiting": ("Chunks with a receipt that wait to be decoded.", found.count),
-        "treadwatch_chunks_waiting_bytes": ("Their size.", found.size_bytes),
-        "treadwatch_chunks_waiting_limit": ("How many may.", watch.limits.chunks),
-        "treadwatch_chunks_waiting_limit_bytes": ("How large they may be.", watch.limits.size_bytes),
-        "treadwatch_raw_free_bytes": ("Room on the disk on which chunks are received.", free_bytes(watch.folder)),
-        "treadwatch_raw_free_limit_bytes": ("How much of it stays free.", watch.limits.free_bytes),
-    }
-    return [GaugeMetricFamily(name, text, value=value) for name, (text, value) in values.items()]
+    try:
+        watch = services.uploads.backlog
+        with watch.storage.read() as unit:
+            found = unit.chunks.undecoded_size()
+        values = {
+            "treadwatch_chunks_waiting": ("Chunks with a receipt that wait to be decoded.", found.count),
+            "treadwatch_chunks_waiting_bytes": ("Their size.", found.size_bytes),
+            "treadwatch_chunks_waiting_limit": ("How many may.", watch.limits.chunks),
+            "treadwatch_chunks_waiting_limit_bytes": ("How large they may be.", watch.limits.size_bytes),
+            "treadwatch_raw_free_bytes": ("Room on the disk on which chunks are received.", free_bytes(watch.folder)),
+            "treadwatch_raw_free_limit_bytes": ("How much of it stays free.", watch.limits.free_bytes),
+        }
+        measures += [GaugeMetricFamily(name, text, value=value) for name, (text, value) in values.items()]
+    except TreadwatchError as error:
+        _log.warning("the backlog of chunks cannot be measured: %s", error)
+    return measures
 
 
 def webhook_measures(storage: SqlStorage) -> list[Metric]:

@@ -231,18 +231,14 @@ def from_error(error: Exception) -> ProblemError:
     return next(describe(error) for kind, describe in _TABLE if isinstance(error, kind))
 
 
-def _allowed(request: Request, headers: Mapping[str, str]) -> str:
-    named = next((value for name, value in headers.items() if name.lower() == "allow"), "")
-    return allowed_methods(request.app.state.contracts, request.scope["path"], named)
-
-
 def install(app: FastAPI) -> None:
     """Answer every error of this app with a problem."""
 
     async def respond(request: Request, error: Exception) -> Response:
         problem = from_error(error)
         if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:
-            problem.headers["Allow"] = _allowed(request, problem.headers)
+            named = next((value for name, value in problem.headers.items() if name.lower() == "allow"), "")
+            problem.headers["Allow"] = allowed_methods(request.app.state.contracts, request.scope["path"], named)
         if problem.status >= HTTPStatus.INTERNAL_SERVER_ERROR:
             _log.error("request failed: %s", request.scope.get("path"), exc_info=error)
         return problem_response(request, problem)

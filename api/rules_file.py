@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -181,7 +181,9 @@ def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
     everywhere = _with(book, _Layer(None, None, given, ()), file)
     layers = list(_layers(given, file))
     books = {}
-    for scope in _scopes(layers):
+    fleets = [None, *dict.fromkeys(one.fleet for one in layers if one.fleet is not None)]
+    classes = [None, *dict.fromkeys(one.vehicle_class for one in layers if one.vehicle_class is not None)]
+    for scope in product(fleets, classes) if layers else ():
         found = everywhere
         for layer in layers:
             if layer.holds(*scope):
@@ -229,13 +231,6 @@ def _layers(given: Any, file: InputFile) -> Iterator[_Layer]:  # noqa: ANN401 - 
     yield from sorted(seen.values(), key=lambda one: (one.fleet is not None, one.vehicle_class is not None))
 
 
-def _scopes(layers: Sequence[_Layer]) -> list[tuple[str | None, str | None]]:
-    """Return every pair of a fleet and a class that are named, or any other."""
-    fleets = [None, *dict.fromkeys(one.fleet for one in layers if one.fleet is not None)]
-    classes = [None, *dict.fromkeys(one.vehicle_class for one in layers if one.vehicle_class is not None)]
-    return list(product(fleets, classes)) if layers else []
-
-
 def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
     rules = []
     for rule in book.rules:
@@ -251,14 +246,11 @@ def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
             wrong = contradiction(found)
             if wrong is not None:
                 where, reason = wrong
-                raise file.error(reason + _of(layer), (*layer.location, rule.kind, *where))
+                scope = f", for {layer.named}" if layer.named else ""
+                raise file.error(reason + scope, (*layer.location, rule.kind, *where))
         rules.append(found)
     flood = changed(book.alarm_flood, getattr(layer.tables, _ALARM_FLOOD, None))
     return replace(book, rules=tuple(rules), alarm_flood=flood)
-
-
-def _of(layer: _Layer) -> str:
-    return f", for {layer.named}" if layer.named else ""
 
 
 def resolved(book: RuleBook) -> Mapping[str, RuleBook]:

@@ -79,7 +79,15 @@ class JobRunner:
     def start(self, job: Job) -> JobRun:
         """Start a run and return its record as soon as it is committed; refused while it, or another one here, runs."""
         with self._starting:
-            self._refuse_second(job)
+            if self._running is not None and not self._running.done():
+                raise ConflictError("a job that was started here is still running", kind="job", key=job.name)
+            with self._storage.read() as unit:
+                latest = unit.jobs.page(job.name, None, 1)
+            for run in latest:
+                if run.outcome is JobOutcome.RUNNING:
+                    raise ConflictError(
+                        f"job {job.name} is running (run {run.run_id})", kind="job-run", key=str(run.run_id)
+                    )
             begun: Future[JobRun] = Future()
             self._running = self._executor.submit(self._run, job, begun)
             wait([begun, self._running], return_when=FIRST_COMPLETED)
@@ -89,17 +97,6 @@ class JobRunner:
         with self._storage.owned(JobTrigger.API, self._holder, self._context.lease_s) as owned:
             patient = replace(owned, patience_s=BUSY_TIMEOUT_MS / 1000)  # requests do not wait for the job
             return run_job(job, replace(self._context, storage=patient), JobTrigger.API, started=begun.set_result)
-
-    def _refuse_second(self, job: Job) -> None:
-        if self._running is not None and not self._running.done():
-            raise ConflictError("a job that was started here is still running", kind="job", key=job.name)
-        with self._storage.read() as unit:
-            latest = unit.jobs.page(job.name, None, 1)
-        for run in latest:
-            if run.outcome is JobOutcome.RUNNING:
-                raise ConflictError(
-                    f"job {job.name} is running (run {run.run_id})", kind="job-run", key=str(run.run_id)
-                )
 
     def close(self) -> None:
         """Ask the running job to stop at its next checkpoint and wait for it."""

@@ -258,14 +258,11 @@ class Settings(BaseSettings):
         if self.database_url is not None:
             return self.database_url
         if self.database_host is not None:
-            return self._server_url(self.database_host)
+            password = "" if self.database_password is None else f":{quote(self.database_password, safe='')}"
+            where = f"[{self.database_host}]" if ":" in self.database_host else self.database_host
+            who = f"{quote(self.database_user, safe='')}{password}"
+            return f"postgresql://{who}@{where}:{self.database_port}/{quote(self.database_name, safe='')}"
         return f"sqlite:///{(self.data_dir / 'treadwatch.sqlite').resolve()}"
-
-    def _server_url(self, host: str) -> str:
-        password = "" if self.database_password is None else f":{quote(self.database_password, safe='')}"
-        where = f"[{host}]" if ":" in host else host
-        who = f"{quote(self.database_user, safe='')}{password}"
-        return f"postgresql://{who}@{where}:{self.database_port}/{quote(self.database_name, safe='')}"
 
     @property
     def worker_count(self) -> int:

@@ -171,11 +171,6 @@ class Recorder:
         )
 
 
-def recorder_of(book: AccessBook) -> Recorder:
-    """Return the recorder of one app."""
-    return Recorder(book, Rate(_OF_ADDRESS / 60.0, _OF_ADDRESS))
-
-
 def _written(path: str) -> str:
     """Return a path as it may be stored: bounded, without the query, and with control characters escaped."""
     shown = "".join(sign if sign.isprintable() else f"%{ord(sign):02X}" for sign in path.partition("?")[0])
@@ -316,7 +311,7 @@ def guard_of(plan: AccessPlan, storage: Callable[[], SqlStorage]) -> Access:
     book = AccessBook(storage)
     return Access(
         gate=plan.gate(storage, book),
-        recorder=recorder_of(book),
+        recorder=Recorder(book, Rate(_OF_ADDRESS / 60.0, _OF_ADDRESS)),
         book=book,
         streams=StreamPlaces(plan.streams_per_key),
         origins=plan.hosts.origins,

@@ -75,19 +75,15 @@ class KeyRing:
         known = self._known.get(digest)
         age_s = float("inf") if known is None else time.monotonic() - known.read_s
         if age_s >= AGAIN_S:
-            reading = self._read_again(prefix, digest)
+            reading = self._reading.get(digest)
+            if reading is None:
+                reading = self._reading[digest] = asyncio.ensure_future(self._read(prefix, digest))
+                reading.add_done_callback(lambda task: self._ended(digest, task))
             if age_s >= AT_MOST_S:
                 key = await asyncio.shield(reading)
                 return key if key is not None and key.usable(now_ns) else None
         assert known is not None
         return known.key if known.key.usable(now_ns) else None
-
-    def _read_again(self, prefix: str, digest: str) -> asyncio.Task[ApiKey | None]:
-        running = self._reading.get(digest)
-        if running is None:
-            running = self._reading[digest] = asyncio.ensure_future(self._read(prefix, digest))
-            running.add_done_callback(lambda task: self._ended(digest, task))
-        return running
 
     def _ended(self, digest: str, task: asyncio.Task[ApiKey | None]) -> None:
         del self._reading[digest]

@@ -259,7 +259,12 @@ def track_lines(service: ServiceAddress) -> list[str]:
 
 def _section_line(service: ServiceAddress, section: dict[str, Any]) -> str:
     at = _path("track-sections", section["code"])
-    versions = _versions(service, f"{at}/alignments?limit=1000")
+    versions: list[dict[str, Any]] = []
+    following: str | None = f"{at}/alignments?limit=1000"
+    while following is not None:
+        page = get(service, following)
+        versions += page["items"]
+        following = page["next"]
     report = get_if_any(service, f"{at}/alignment-report")
     head = f"track {section['code']}, {section['length_m'] / 1000:g} km"
     if not versions:
@@ -275,16 +280,6 @@ def _section_line(service: ServiceAddress, section: dict[str, Any]) -> str:
     how = "the surveyed alignment is not used" if Status.ESTIMATED in filed else "not surveyed"
     how = "the gauge alone is on file" if filed == {Status.UNESTIMATED} else how
     return f"{head}: {how}; the fleet has found its alignment, {_alignment_words(newest, report)}"
-
-
-def _versions(service: ServiceAddress, path: str) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = []
-    following: str | None = path
-    while following is not None:
-        page = get(service, following)
-        found += page["items"]
-        following = page["next"]
-    return found
 
 
 def _alignment_words(newest: dict[str, Any], report: dict[str, Any] | None) -> str:

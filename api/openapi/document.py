@@ -73,10 +73,6 @@ def _describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[s
             described.setdefault(name, {"$ref": f"#/components/headers/{name}"})
 
 
-def _header_components() -> dict[str, Any]:
-    return {name: {"description": text, "schema": {"type": "string"}} for name, text in RESPONSE_HEADERS.items()}
-
-
 def _is_page(response: Mapping[str, Any], schemas: Mapping[str, Any]) -> bool:
     reference = response.get("content", {}).get("application/json", {}).get("schema", {}).get("$ref", "")
     return _PAGED in schemas.get(reference.rsplit("/", maxsplit=1)[-1], {}).get("properties", {})
@@ -152,13 +148,6 @@ _FEED = ("poll_alert_feed", "stream_alert_feed")
 _POINTED = [{"in": "query", "pointer": "#/limit", "detail": "Input should be less than or equal to 1000"}]
 
 
-def _describe_problems(path: str, operation: dict[str, Any]) -> None:
-    for status, response in operation["responses"].items():
-        content = response.get("content", {}).get(PROBLEM_MEDIA_TYPE)
-        if content is not None:
-            content.setdefault("example", _example(path, status, operation["operationId"]))
-
-
 def _example(path: str, status: str, name: str) -> dict[str, Any]:
     kind = "cursor-of-another-database" if name in _FEED and status == "409" else _OF_STATUS.get(status)
     example: dict[str, Any] = {
@@ -206,14 +195,21 @@ def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
     found["components"]["schemas"] = dict(sorted(schemas.items()))
-    found["components"]["headers"] = _header_components()
+    found["components"]["headers"] = {
+        name: {"description": text, "schema": {"type": "string"}} for name, text in RESPONSE_HEADERS.items()
+    }
     describe_properties(found["components"]["schemas"])
     _describe_access(found, scopes)
     for path, operations in found["paths"].items():
         for method, operation in operations.items():
-            _describe_unchanged(operation)
+            if any(entry["name"] == "If-None-Match" for entry in operation.get("parameters", ())):
+                operation["responses"]["304"] = {"description": "The client holds it as it is."}
+            operation["responses"] = dict(sorted(operation["responses"].items()))
             _describe_headers(method, operation, found["components"]["schemas"])
-            _describe_problems(path, operation)
+            for status, response in operation["responses"].items():
+                content = response.get("content", {}).get(PROBLEM_MEDIA_TYPE)
+                if content is not None:
+                    content.setdefault("example", _example(path, status, operation["operationId"]))
             _leave_streams_open(operation)
     return found
 
@@ -230,9 +226,3 @@ def _described(codes: type[ReasonCode | CloseReason | Urgency]) -> str:
     meant = (code.sentence if isinstance(code, CloseReason) else code.meaning for code in codes)
     lines = (f"- `{code.value}`: {meaning}" for code, meaning in zip(codes, meant, strict=True))
     return "\n".join(("Stable codes; their sentences may be reworded.", "", *lines))
-
-
-def _describe_unchanged(operation: dict[str, Any]) -> None:
-    if any(entry["name"] == "If-None-Match" for entry in operation.get("parameters", ())):
-        operation["responses"]["304"] = {"description": "The client holds it as it is."}
-    operation["responses"] = dict(sorted(operation["responses"].items()))

@@ -147,7 +147,9 @@ def _profile_comparison(found: Comparison) -> ProfileComparison:
         **why(found.reason),
         independent=found.independent,
         measured_at_bins=_at_bins(found),
-        conicity_by_amplitude=[_conicity_compared(pair) for pair in found.conicity],
+        conicity_by_amplitude=[
+            ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3)) for pair in found.conicity
+        ],
         links={
             "self": _comparison_path(one.wheelset, one.at_ns),
             "wheelset": own,
@@ -159,10 +161,6 @@ def _profile_comparison(found: Comparison) -> ProfileComparison:
 
 def _comparison_path(serial: str, at_ns: int) -> str:
     return f"/v1/wheelsets/{segment(serial)}/measured-profiles/{segment(to_rfc3339(at_ns))}/comparison"
-
-
-def _conicity_compared(pair: ConicityPair) -> ConicityCompared:
-    return ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3))
 
 
 def _measures(wheel: Profile) -> WheelMeasures:

@@ -129,11 +129,15 @@ async def put_chunk(
 
     The same chunk again changes nothing. 503 with `Retry-After` where too much waits to be decoded: send it again.
     """
-    suffix = _suffix(format_)
+    if format_.lower() not in FORMATS:
+        detail = f"the format {format_!r} is none of {', '.join(FORMATS)}"
+        raise ProblemError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", detail)
+    suffix = f".{format_.lower()}"
     if caller.fleets is not None:
         await run_in_threadpool(_require_visible, services, vehicle)
     name = file_name or f"{vehicle}__{sha256[:12]}{suffix}"
-    wanted = receipts.Chunk(vehicle, suffix, name, _sender(caller))
+    sender = None if caller.name is None else f"{caller.name} ({caller.identity})"
+    wanted = receipts.Chunk(vehicle, suffix, name, sender)
     with turn_of(request.scope).given_back():
         try:
             stored = await services.uploads.take(request.headers, request.receive, sha256, wanted)
@@ -154,13 +158,6 @@ def get_chunk(asked: AskedDep, sha256: Sha256) -> Response:
     return asked.answer(chunk(record))
 
 
-def _suffix(given: str) -> str:
-    if given.lower() not in FORMATS:
-        detail = f"the format {given!r} is none of {', '.join(FORMATS)}"
-        raise ProblemError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", detail)
-    return f".{given.lower()}"
-
-
 def _require_visible(services: Services, vehicle: str) -> None:
     """Refuse a vehicle of another fleet, as if it did not exist, to a caller who is bound to fleets."""
     with services.storage.read() as unit:
@@ -172,7 +169,3 @@ def _conflict(error: ConflictError, caller: Caller) -> ConflictError:
     if caller.fleets is None or error.kind != "chunk":
         return error
     return ConflictError("the same chunk was received from another vehicle", kind=error.kind, key=error.key)
-
-
-def _sender(caller: Caller) -> str | None:
-    return None if caller.name is None else f"{caller.name} ({caller.identity})"

@@ -99,17 +99,6 @@ def profile_contact(found: WheelContact | Reason) -> ProfileContact:
     )
 
 
-def _design_contact(wheelset: WheelsetRecord, found: WheelContact | Reason) -> DesignContact:
-    own = f"/v1/wheelsets/{segment(wheelset.serial)}"
-    return DesignContact(
-        wheelset=wheelset.serial,
-        wheel_profile=wheelset.wheel_profile,
-        nominal_radius_mm=wheelset.nominal_radius_m * MM,
-        contact=profile_contact(found),
-        links={"self": f"{own}/contact", "wheelset": own, "geometry": f"{own}/geometry"},
-    )
-
-
 def table(contact: ProfileContact) -> tuple[Sequence[str], list[Sequence[object]]]:
     """Return the curve as a header and rows."""
     header = list(ContactCurve.model_fields)
@@ -142,7 +131,14 @@ def get_design_contact(asked: AskedDep, accepted: Accepted, serial: Serial) -> R
         wheelset = unit.registry.wheelset(serial)
         rails = comparison_reader(asked.services, unit).rails(serial, unit.geometries.current(serial))
         found = _design(asked.services, wheelset, rails)
-    body = _design_contact(wheelset, found)
+    own = f"/v1/wheelsets/{segment(wheelset.serial)}"
+    body = DesignContact(
+        wheelset=wheelset.serial,
+        wheel_profile=wheelset.wheel_profile,
+        nominal_radius_mm=wheelset.nominal_radius_m * MM,
+        contact=profile_contact(found),
+        links={"self": f"{own}/contact", "wheelset": own, "geometry": f"{own}/geometry"},
+    )
     return answer_payload(asked.request, table_payload(body, accepted, table(body.contact)), accepted)
 
 

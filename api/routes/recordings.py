@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from http import HTTPStatus
 from typing import Annotated, Any
@@ -136,22 +136,15 @@ def recording(record: ChunkRecord) -> Recording:
     return Recording.made(record, **_fields(record))
 
 
-def _recording_with_history(
-    record: ChunkRecord, windows: Mapping[WindowState, int], changes: Sequence[Change]
-) -> RecordingWithHistory:
-    by_state = {state.value: windows.get(state, 0) for state in WindowState}
-    return RecordingWithHistory.made(
-        record,
-        **_fields(record),
-        windows=RecordingWindows(made=sum(windows.values()), **by_state),
-        changes=[RecordingChange.made(one) for one in changes],
-    )
-
-
 def _fields(record: ChunkRecord) -> dict[str, Any]:
+    unused = {name: record.counts[name] for name in UNUSED if record.counts.get(name)}
+    marked = {name: count for name, count in sorted(record.counts.items()) if count and name not in NOT_MARKS}
+    used = record.frames - sum(unused.values())
     return {
         **why_in_state(record),
-        "counts": _counts(record),
+        "counts": RecordingCounts(
+            frames=record.frames, used=used, unused=unused, lost=record.counts.get(LOST, 0), marked=marked
+        ),
         "links": {"self": f"/v1/recordings/{record.digest}", "vehicle": f"/v1/vehicles/{segment(record.vehicle)}"},
     }
 
@@ -160,15 +153,6 @@ def why_in_state(record: ChunkRecord) -> dict[str, Any]:
     """Return why a recording is in its state, without the folders of the machine."""
     reason = record.reason
     return {"reason": None if reason is None else without_folders(reason.text), "reason_code": code_of(reason)}
-
-
-def _counts(record: ChunkRecord) -> RecordingCounts:
-    unused = {name: record.counts[name] for name in UNUSED if record.counts.get(name)}
-    marked = {name: count for name, count in sorted(record.counts.items()) if count and name not in NOT_MARKS}
-    used = record.frames - sum(unused.values())
-    return RecordingCounts(
-        frames=record.frames, used=used, unused=unused, lost=record.counts.get(LOST, 0), marked=marked
-    )
 
 
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"])
@@ -221,7 +205,13 @@ def _with_history(unit: SqlUnitOfWork, digest: str) -> RecordingWithHistory:
     if record is None:
         raise NotFoundError("recording", digest)
     windows, changes = unit.chunks.window_counts(record), unit.recording_changes.list(digest)
-    return _recording_with_history(record, windows, changes)
+    by_state = {state.value: windows.get(state, 0) for state in WindowState}
+    return RecordingWithHistory.made(
+        record,
+        **_fields(record),
+        windows=RecordingWindows(made=sum(windows.values()), **by_state),
+        changes=[RecordingChange.made(one) for one in changes],
+    )
 
 
 def _key(record: ChunkRecord) -> str:

@@ -121,7 +121,11 @@ def _represented(kind: RecordKind, values: dict[str, Any]) -> Record:  # noqa: P
         case RecordKind.REPROFILING:
             return registry.ReprofilingRecord.made(Reprofiling(**values))
         case RecordKind.MEASUREMENT:
-            return _measurement(values)
+            left, right = unpack_wheel_pair(base64.b64decode(values["packed"]), where="history of the registry")
+            measured = MeasuredProfiles(
+                values["wheelset"], values["at_ns"], values["mileage_km"], left, right, values["std_m"]
+            )
+            return registry.measured_profiles(measured)
         case RecordKind.WHEELSET:
             names = ("serial", "fleet", "wheel_profile", "nominal_radius_m")
             return WheelsetValues.made(WheelsetRecord(**{name: values[name] for name in names}, mounting=None))
@@ -133,12 +137,6 @@ def _represented(kind: RecordKind, values: dict[str, Any]) -> Record:  # noqa: P
             return tracks.section(TrackSectionRecord(**values))
         case RecordKind.SENSOR_CHANGE:
             return SensorChangeRecord.made(sensor_change_of(values))
-
-
-def _measurement(values: dict[str, Any]) -> registry.MeasuredProfilesRecord:
-    left, right = unpack_wheel_pair(base64.b64decode(values["packed"]), where="history of the registry")
-    measured = MeasuredProfiles(values["wheelset"], values["at_ns"], values["mileage_km"], left, right, values["std_m"])
-    return registry.measured_profiles(measured)
 
 
 router = APIRouter(prefix="/v1/registry", tags=["registry"])
@@ -179,7 +177,11 @@ def restore_record(asked: ChangeDep, body: RecordDecision) -> Response:
 
 
 def _decide(asked: AskedChange, body: RecordDecision, action: RecordAction) -> Response:
-    key = _key(body)
+    kind = RecordKind(body.kind)
+    if kind.dated != (body.at is not None):
+        detail = f"is needed: a {kind} is one of a time" if kind.dated else f"is no part of a {kind}"
+        raise invalid("#/at", detail, f"at: {detail}")
+    key = RecordKey(kind, body.key, body.at)
     if key.kind in _SHARED and asked.caller.fleets is not None:
         raise ProblemError(403, "forbidden", "this needs a key of all fleets")
     with asked.read() as unit:
@@ -199,14 +201,6 @@ def _decide(asked: AskedChange, body: RecordDecision, action: RecordAction) -> R
         return _shown_decision(event)
 
     return asked.once(body, decide, HTTPStatus.CREATED)
-
-
-def _key(body: RecordDecision) -> RecordKey:
-    kind = RecordKind(body.kind)
-    if kind.dated != (body.at is not None):
-        detail = f"is needed: a {kind} is one of a time" if kind.dated else f"is no part of a {kind}"
-        raise invalid("#/at", detail, f"at: {detail}")
-    return RecordKey(kind, body.key, body.at)
 
 
 def _asset(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:

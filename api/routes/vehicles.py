@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Annotated
 
@@ -121,12 +121,9 @@ def _parameters(of_class: VehicleClass, values: VehicleParameters | BogieParamet
     for item in fields(values):
         value = float(getattr(values, item.name))
         std = of_class.std_of(item.name) * abs(value)
-        found.append(Parameter(name=item.name, value=value, std=std, unit=_unit(item.name)))
+        unit = next(unit for end, unit in _UNITS.items() if item.name.endswith(end))
+        found.append(Parameter(name=item.name, value=value, std=std, unit=unit))
     return found
-
-
-def _unit(name: str) -> str:
-    return next(unit for end, unit in _UNITS.items() if name.endswith(end))
 
 
 def _sensors(layout: SensorLayout) -> Sensors:
@@ -161,12 +158,6 @@ class Dampers(Representation):
     links: Links
 
 
-def _dampers(vehicle: str, found: Sequence[GearDamper]) -> Dampers:
-    own = f"/v1/vehicles/{segment(vehicle)}"
-    links = {"self": f"{own}/dampers", "vehicle": own}
-    return Dampers(vehicle=vehicle, dampers=[DamperState.made(one) for one in found], links=links)
-
-
 class SuspensionResult(
     Derived, of=SuspensionFinding, without=("vehicle", "ratio", "ratio_std"), also=("stiffness_ratio",)
 ):
@@ -189,16 +180,6 @@ class Suspension(Representation):
     findings: list[SuspensionResult] = Field(description="What was found, oldest first.")
     change: SuspensionShift | None
     links: Links
-
-
-def _suspension(vehicle: str, findings: Sequence[SuspensionFinding], change: SuspensionChange | None) -> Suspension:
-    own = f"/v1/vehicles/{segment(vehicle)}"
-    return Suspension(
-        vehicle=vehicle,
-        findings=[SuspensionResult.made(one) for one in findings],
-        change=None if change is None else SuspensionShift.made(change),
-        links={"self": f"{own}/suspension", "vehicle": own},
-    )
 
 
 fleets_router = APIRouter(prefix="/v1/fleets", tags=["fleets"])
@@ -253,7 +234,15 @@ def get_suspension(asked: AskedDep, code: Code) -> Response:
         findings = unit.suspensions.list(code)
         newest = unit.suspensions.newest(usual.recent + usual.most_past)
     change = suspension_changes(newest, usual).get(code)
-    return asked.answer(_suspension(code, findings, change))
+    own = f"/v1/vehicles/{segment(code)}"
+    return asked.answer(
+        Suspension(
+            vehicle=code,
+            findings=[SuspensionResult.made(one) for one in findings],
+            change=None if change is None else SuspensionShift.made(change),
+            links={"self": f"{own}/suspension", "vehicle": own},
+        )
+    )
 
 
 @router.get("/vehicles/{code}/dampers", response_model=Dampers, responses=described(404))
@@ -262,7 +251,9 @@ def get_dampers(asked: AskedDep, code: Code) -> Response:
     with asked.read() as unit:
         unit.registry.vehicle(code)
         found = unit.dampers.of_vehicle(code)
-    return asked.answer(_dampers(code, found))
+    own = f"/v1/vehicles/{segment(code)}"
+    links = {"self": f"{own}/dampers", "vehicle": own}
+    return asked.answer(Dampers(vehicle=code, dampers=[DamperState.made(one) for one in found], links=links))
 
 
 Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]

@@ -20,7 +20,7 @@ from api.schemas.common import Derived, Page, Representation, Uncertain
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.services import require_known
 from api.times import Timestamp, to_rfc3339
-from estimation.values.alerts import AxlePosition, OpenAlert, Severity, Urgency, WorklistRow, WorklistState
+from estimation.values.alerts import AxlePosition, OpenAlert, Severity, Urgency, WorklistState
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from fleet_db.packed_values import from_document
@@ -86,33 +86,26 @@ class WheelsetRow(registry.Wheelset):
     state: WheelsetState
 
 
-def _wheelset_row(row: WorklistRow) -> WheelsetRow:
-    mounting = row.wheelset.mounting
+def row_of_document(document: str) -> WheelsetRow:
+    """Return the representation of a stored row."""
+    row = from_document(document)
+    mounting, state = row.wheelset.mounting, row.state
     return WheelsetRow(
         **dict(registry.wheelset(row.wheelset)),
         vehicle=None if mounting is None else mounting.vehicle,
         vehicle_class=row.vehicle_class,
         axle=None if mounting is None else mounting.axle,
         position=None if row.position is None else WorklistPosition.made(row.position),
-        state=_state(row.state),
-    )
-
-
-def row_of_document(document: str) -> WheelsetRow:
-    """Return the representation of a stored row."""
-    return _wheelset_row(from_document(document))
-
-
-def _state(state: WorklistState) -> WheelsetState:
-    return WheelsetState.made(
-        state,
-        urgency_rank=state.urgency.rank,
-        reasons=[WorklistReason(code=reason.code, text=reason.text) for reason in state.reasons],
-        distance_to_limit_km=distance_forecast(state.distance_to_limit_km, state.forecast_reason),
-        date_of_limit=date_forecast(state.date_of_limit_ns, state.forecast_reason),
-        mileage_km=None if state.mileage is None else state.mileage.mileage_km,
-        mileage_at=None if state.mileage is None else to_rfc3339(state.mileage.at_ns),
-        worst_severity=state.alerts[0].severity if state.alerts else None,
+        state=WheelsetState.made(
+            state,
+            urgency_rank=state.urgency.rank,
+            reasons=[WorklistReason(code=reason.code, text=reason.text) for reason in state.reasons],
+            distance_to_limit_km=distance_forecast(state.distance_to_limit_km, state.forecast_reason),
+            date_of_limit=date_forecast(state.date_of_limit_ns, state.forecast_reason),
+            mileage_km=None if state.mileage is None else state.mileage.mileage_km,
+            mileage_at=None if state.mileage is None else to_rfc3339(state.mileage.at_ns),
+            worst_severity=state.alerts[0].severity if state.alerts else None,
+        ),
     )
 
 

@@ -90,7 +90,10 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
         for end_ns, received in campaigns:
             clock.now = max(clock.now, end_ns)
             for one in contents:
-                _reprofile(storage, one, clock.now)
+                with storage.write() as unit:
+                    for reprofiling in one.reprofilings:
+                        if reprofiling.at_ns <= clock.now:
+                            unit.registry.add_reprofiling(reprofiling)
             progress.update(task, what="receiving")
             tally.receive(receiver, received)
             tally.run_jobs(scheduled_jobs(settings), context, lambda job: progress.update(task, what=job))
@@ -162,14 +165,6 @@ def _register(storage: SqlStorage, contents: RegistryContents, known_since_ns: i
             unit.tracks.add_alignment(alignment)
         for layout in contents.layouts:
             unit.tracks.add_layout(layout)
-
-
-def _reprofile(storage: SqlStorage, contents: RegistryContents, until_ns: int) -> None:
-    """Store the visits to the lathe that have taken place; what is stored already does not change."""
-    with storage.write() as unit:
-        for reprofiling in contents.reprofilings:
-            if reprofiling.at_ns <= until_ns:
-                unit.registry.add_reprofiling(reprofiling)
 
 
 def _by_campaign(fleet: Simulated) -> list[tuple[int, list[Recording]]]:
@@ -258,7 +253,15 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
     began = time.monotonic()
     console = Console()
     plans = [ending_now(load_scenario(name), time.time_ns()) for name in (scenario, *BESIDE.get(scenario, ()))]
-    _recreate(folder)
+    # emptied is the demo's own folder only, never one that it did not make
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise StorageError(f"{folder} is no folder of its own; choose another with --folder")
+    if folder.exists():
+        if not (folder / MARKER).is_file() and any(folder.iterdir()):
+            raise StorageError(f"{folder} holds files that are not the demo's; choose another with --folder")
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True)
+    (folder / MARKER).touch()
     settings = load_settings(data_dir=folder / "data")
     embedded = {
         "database_url": None,
@@ -318,18 +321,6 @@ def _print_findings(service: ServiceAddress, fleets: Sequence[Simulated], consol
     for sentence in track_lines(service):
         console.print(sentence, highlight=False)
     return covered
-
-
-def _recreate(folder: Path) -> None:
-    """Empty the demo's own folder; never one that the demo did not make."""
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise StorageError(f"{folder} is no folder of its own; choose another with --folder")
-    if folder.exists():
-        if not (folder / MARKER).is_file() and any(folder.iterdir()):
-            raise StorageError(f"{folder} holds files that are not the demo's; choose another with --folder")
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True)
-    (folder / MARKER).touch()
 
 
 def _print_urls(service: ServiceAddress, console: Console) -> None:

@@ -83,7 +83,19 @@ def print_each(settings: Settings) -> None:
     for line in summary_lines(found) or ["every mounted wheelset has a conicity at 3 mm"]:
         typer.echo(line)
     if found.wheelsets:
-        Console().print(_each(found.wheelsets))
+        table = Table("wheelset", "runs under", "windows", "last data", "why", "what to do")
+        for item in found.wheelsets:
+            why = item.why
+            shown = [f"{one.windows} {one.state.value}: {one.reason}" for one in why.windows[:SHOWN]]
+            table.add_row(
+                item.row.serial,
+                f"{item.row.vehicle}, axle {item.row.axle}",
+                str(why.counted),
+                "never" if why.last_ns is None else to_rfc3339(why.last_ns),
+                "\n".join(shown) or why.reason.text,
+                why.what_to_do,
+            )
+        Console().print(table)
 
 
 def summary_lines(found: FleetReasons) -> list[str]:
@@ -128,22 +140,6 @@ def _together(wheelsets: Iterable[Unestimated]) -> list[WindowsOfReason]:
         newest = one if one.newest_ns > before.newest_ns else before
         found[same] = replace(newest, windows=before.windows + one.windows)
     return sorted(found.values(), key=lambda one: (-one.windows, -one.newest_ns))
-
-
-def _each(wheelsets: Sequence[Unestimated]) -> Table:
-    table = Table("wheelset", "runs under", "windows", "last data", "why", "what to do")
-    for item in wheelsets:
-        why = item.why
-        shown = [f"{one.windows} {one.state.value}: {one.reason}" for one in why.windows[:SHOWN]]
-        table.add_row(
-            item.row.serial,
-            f"{item.row.vehicle}, axle {item.row.axle}",
-            str(why.counted),
-            "never" if why.last_ns is None else to_rfc3339(why.last_ns),
-            "\n".join(shown) or why.reason.text,
-            why.what_to_do,
-        )
-    return table
 
 
 def run_jobs_once(name: str | None, settings: Settings) -> bool:

@@ -122,16 +122,12 @@ def _problems(file: Path, storage: SqlStorage, entry: Entry) -> list[str]:
     try:
         with suppress(_NothingStoredError), storage.write() as unit:
             load_registry(file, unit, entry.recorded_ns, entry)
-            _roll_back()
+            raise _NothingStoredError
     except RegistryRefusedError as error:
         return refusal_lines(error)
     except InputError as error:
         return [str(error)]
     return []
-
-
-def _roll_back() -> None:
-    raise _NothingStoredError
 
 
 def export_and_report(file: Path) -> None:
