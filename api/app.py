@@ -51,8 +51,7 @@ from api.routes import (
 )
 from api.services import Services, visible
 from api.webhooks.delivering import INTERVAL_S, PATIENCE_S, deliver
-from api.webhooks.sending import TRIALS, Sender
-from api.webhooks.targets import Targets
+from api.webhooks.sending import TRIALS, Sender, Targets
 from estimation.errors import TreadwatchError
 
 RESOURCES = (

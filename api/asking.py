@@ -1,17 +1,20 @@
-"""What routes are asked with: the request and the services, the page of a list, the conditions of a change."""
+"""What routes are asked with: the request and the services, the page of a list, the conditions of a change.
+
+Changes of the registry are entered as a registry file is, and answered with the record.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from http import HTTPStatus
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import orjson
 from fastapi import Depends, Path, Query, Request, Response
-from pydantic import BaseModel, SerializeAsAny
+from pydantic import BaseModel, Field, SerializeAsAny
 
 from api import cursors
 from api.access.caller import Caller, CallerDep, known_caller
@@ -29,13 +32,19 @@ from api.answers import (
     next_path,
     operation,
     payload_of,
+    require_match,
     wants_table,
 )
 from api.problems import ProblemError, invalid
-from api.schemas.common import Page
+from api.schemas.common import Body, Page
 from api.services import Services, ServicesDep
 from api.times import Moment, to_rfc3339
+from estimation.errors import InputError
+from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
+from ingest.input_file import MEBIBYTE, Location, dotted
+from ingest.registry_entry.contents import Entry, RegistryContents, Rule
+from ingest.registry_entry.enter import enter
 
 CODE = r"^[^\x00-\x1f\x7f]{1,64}$"
 _INT64_MAX = 2**63 - 1
@@ -267,3 +276,75 @@ AskedListDep = Annotated[AskedList, Depends(_list)]
 ChangeDep = Annotated[AskedChange, Depends(_change)]
 NewDep = Annotated[AskedChange, Depends(_new)]
 PutDep = Annotated[AskedChange, Depends(_put)]
+
+
+TEXT = r"^[^\x00-\x08\x0b-\x1f\x7f]*$"
+MOST_KM = 1e8
+MOST_TEXT = MEBIBYTE  # of one file; a request has at most as much
+UNNAMED = "unnamed client"  # who changes something where access is open and nobody says who it is
+Confirmable = Literal["odometer_backwards", "odometer_jump", "unknown_profile", "unusual_gauge", "unusual_radius"]
+Key = Annotated[str, Field(pattern=CODE)]
+Note = Annotated[str, Field(max_length=2000, pattern=TEXT)]
+Kilometres = Annotated[float, Field(ge=0.0, le=MOST_KM)]
+
+
+class RegistryChange(Body):
+    """What every change of the registry may say."""
+
+    why: Note = Field(default="", description="Kept with the record in its history.", examples=["work order 4711"])
+    by: Key | None = Field(
+        default=None, description="Who; read only where access control is off.", examples=["j.smith"]
+    )
+    confirm: list[Confirmable] = Field(
+        default=[], description="Doubts of a refusal that are unfounded: it is so all the same.", examples=[[]]
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class BodySource:
+    """Names the field of a request's body for a field of a registry file.
+
+    Attributes:
+        names: By field of the file; by array and index before it (``mountings[1].from``) where several records are
+            entered.
+    """
+
+    names: Mapping[str, str] = field(default_factory=dict)
+
+    def error(self, reason: str, location: Location = ()) -> InputError:
+        """Return the error that names the field of the body."""
+        last = next((str(part) for part in location[2:3]), "")
+        return InputError(reason, field=self.names.get(dotted(location)) or self.names.get(last, last) or None)
+
+
+@dataclass(frozen=True, slots=True)
+class RegistryRequest:
+    """A request that changes the registry."""
+
+    asked: AskedChange
+    body: RegistryChange
+
+    def visible(self, find: Callable[[SqlUnitOfWork], object]) -> None:
+        """Refuse what the body names and the caller does not see, as if it did not exist."""
+        with self.asked.read() as unit:
+            find(unit)
+
+    def change(
+        self,
+        current: Callable[[SqlUnitOfWork], BaseModel] | None,
+        apply: Callable[[SqlUnitOfWork, Decision], BaseModel],
+        status: HTTPStatus = HTTPStatus.CREATED,
+    ) -> Response:
+        """Change something once, in one transaction; ``current`` is what ``If-Match`` is of, None if new."""
+
+        def entered(unit: SqlUnitOfWork, now_ns: int) -> BaseModel:
+            if current is not None:
+                require_match(self.asked.if_match, current(unit))
+            return apply(unit, Decision(self.asked.caller.acts_as(self.body.by, UNNAMED), self.body.why, now_ns))
+
+        return self.asked.once(self.body, entered, status)
+
+    def enter(self, unit: SqlUnitOfWork, decision: Decision, contents: RegistryContents, source: BodySource) -> None:
+        """Enter records as a registry file does."""
+        confirmed = frozenset(map(Rule, self.body.confirm))
+        enter(contents, unit, source, Entry(decision, decision.recorded_ns, confirmed))

@@ -142,8 +142,7 @@ def feed(
 
     import httpx
 
-    from api.feed_client import Follower
-    from api.terminal.feed import Lines, read_state
+    from api.feed_client import Follower, Lines, read_state
     from estimation.errors import ParameterError
 
     if not url.startswith(("http://", "https://")):

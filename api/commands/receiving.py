@@ -150,7 +150,7 @@ def consume_references(
 
     Any number of these may run; they share the partitions of TREADWATCH_KAFKA_TOPIC.
     """
-    from api.terminal.consume import consume
+    from api.terminal.chunks import consume
     from api.terminal.health_server import HealthAddress
 
     consume(None if health_port is None else HealthAddress(health_host, health_port))

@@ -13,12 +13,12 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from api.comparison.current_geometry import geometry_by
 from api.comparison.trial import (
     ESTIMATION,
     Progress,
     copied,
     deploy,
+    geometry_by,
     no_progress,
     opened,
     receive,

@@ -193,8 +193,6 @@ def _estimate_cells(line: WheelsetLine) -> list[str]:
 
 AMPLITUDE_MM = 3.0  # of the conicity by signatures
 NAMED = 3  # wheelsets of the library
-
-
 SecondOpinion = tuple[str, bool | None]  # a sentence, and whether what it states is true; None: no interval
 
 

@@ -75,8 +75,6 @@ def _set(values: Sequence[str] | None) -> frozenset[str]:
 
 
 FeedFilterDep = Annotated[FeedFilter, Depends(_feed_filter)]
-
-
 _FORM = re.compile(r"(?P<sequence>\d{1,19})\.(?P<identity>[0-9a-f]{32})\.(?P<check>[0-9a-f]{8})", re.ASCII)
 _NO_EVENT = "0" * 8
 FEED = "poll_alert_feed"

@@ -10,9 +10,20 @@ from fastapi import APIRouter, Depends, Response
 from pydantic import Field
 
 from api.access.caller import Scope, requires
-from api.asking import AskedListDep, ChangeDep, Code, Serial
+from api.asking import (
+    MOST_TEXT,
+    AskedListDep,
+    BodySource,
+    ChangeDep,
+    Code,
+    Key,
+    Kilometres,
+    Note,
+    RegistryChange,
+    RegistryRequest,
+    Serial,
+)
 from api.problems import described, invalid, pointer
-from api.registry_changes import MOST_TEXT, BodySource, Key, Kilometres, Note, RegistryChange, RegistryRequest
 from api.schemas import registry
 from api.schemas.common import Body, Derived, Page, Representation
 from api.schemas.registry import MountingPeriod

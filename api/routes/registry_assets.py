@@ -12,9 +12,20 @@ from fastapi import APIRouter, Depends, Response
 from pydantic import BaseModel, Field
 
 from api.access.caller import Scope, requires
-from api.asking import AskedChange, Code, NewDep, PutDep, Serial
+from api.asking import (
+    MOST_TEXT,
+    TEXT,
+    AskedChange,
+    BodySource,
+    Code,
+    Key,
+    NewDep,
+    PutDep,
+    RegistryChange,
+    RegistryRequest,
+    Serial,
+)
 from api.problems import ProblemError, described, invalid
-from api.registry_changes import MOST_TEXT, TEXT, BodySource, Key, RegistryChange, RegistryRequest
 from api.routes import vehicles
 from api.schemas import registry
 from api.services import require_known, writer_slot

@@ -13,9 +13,8 @@ from pydantic import BaseModel, Field
 
 from api.access.caller import Scope, requires
 from api.answers import require_match
-from api.asking import CODE, AskedChange, AskedListDep, ChangeDep
+from api.asking import CODE, TEXT, UNNAMED, AskedChange, AskedListDep, ChangeDep, Key
 from api.problems import ProblemError, described, invalid
-from api.registry_changes import TEXT, UNNAMED, Key
 from api.routes import tracks, vehicles
 from api.routes.dated_records import SensorChangeRecord
 from api.schemas import registry

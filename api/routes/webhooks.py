@@ -22,10 +22,8 @@ from api.schemas.alerts import KnownKind
 from api.schemas.common import Body, Derived, Links, Page, Representation
 from api.services import Services, ServicesDep, require_known, writer_slot
 from api.times import Moment, Timestamp, to_rfc3339
-from api.webhooks.cloud_events import new_secret, trial_of
-from api.webhooks.making import Wanted, handled_up_to, in_state, make_webhook, place_of
-from api.webhooks.sending import TRIALS, Sender
-from api.webhooks.targets import MOST_CHARACTERS, RefusedTargetError, parsed
+from api.webhooks.cloud_events import Wanted, handled_up_to, in_state, make_webhook, new_secret, place_of, trial_of
+from api.webhooks.sending import MOST_CHARACTERS, TRIALS, RefusedTargetError, Sender, parsed
 from estimation.errors import ParameterError
 from estimation.values.alerts import AlertEventKind, Severity
 from fleet_db.webhook_records import Delivery, DeliveryState, Failure, WebhookState

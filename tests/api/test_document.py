@@ -12,7 +12,7 @@ from running_service import Service
 
 from api.access.guard import security_headers
 from api.app import committed_document
-from api.openapi.words import OF_SCHEMA, undescribed
+from api.openapi.document import OF_SCHEMA, undescribed
 
 DOCUMENT = json.loads(committed_document())
 SCHEMAS = DOCUMENT["components"]["schemas"]

@@ -29,8 +29,7 @@ from api.feed.pages import FeedFilter
 from api.schemas import alerts
 from api.webhooks.cloud_events import new_secret
 from api.webhooks.delivering import Deliveries
-from api.webhooks.sending import MOST_ANSWER_BYTES, Sender
-from api.webhooks.targets import Network, Targets, networks_of
+from api.webhooks.sending import MOST_ANSWER_BYTES, Network, Sender, Targets, networks_of
 from estimation.errors import StorageError
 from estimation.values.registry import FleetRecord, WheelsetRecord
 from fleet_db.migrate import upgrade

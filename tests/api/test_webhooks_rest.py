@@ -24,8 +24,7 @@ from api.factory import open_services
 from api.logs import Redactor
 from api.webhooks.cloud_events import signature
 from api.webhooks.delivering import deliver
-from api.webhooks.sending import Sender
-from api.webhooks.targets import Targets, networks_of
+from api.webhooks.sending import Sender, Targets, networks_of
 
 DOC = Path(__file__).parents[2] / "docs" / "webhooks.md"
 LOOPBACK = "127.0.0.0/8"
