@@ -137,6 +137,11 @@ class Asked:
         """Return a representation with its ETag."""
         return answer(self.request, body)
 
+    def one(self, represent: Callable[[SqlUnitOfWork], BaseModel]) -> Response:
+        """Return the representation of what is read, with its ETag."""
+        with self.read() as unit:
+            return self.answer(represent(unit))
+
 
 @dataclass(frozen=True, slots=True)
 class AskedList(Asked):

@@ -36,29 +36,25 @@ Contracts = Mapping[tuple[str, str], OperationContract]
 def contracts_of(document: Mapping[str, Any]) -> Contracts:
     """Return the contract of every operation of an OpenAPI document, by path template and upper-case method."""
     return {
-        (path, method.upper()): OperationContract(
-            tuple(
-                media_type
-                for status, response in operation["responses"].items()
-                if status.startswith("2")
-                for media_type in response.get("content", {})
-                if media_type != PROBLEM_MEDIA_TYPE
-            ),
-            frozenset(entry["name"] for entry in _in_query(operation)),
-            frozenset(entry["name"] for entry in _in_query(operation) if _is_list(entry["schema"])),
-            tuple(operation.get("requestBody", {}).get("content", ())) or (JSON,),
-        )
+        (path, method.upper()): _contract_of(operation)
         for path, operations in document["paths"].items()
         for method, operation in operations.items()
     }
 
 
-def _in_query(operation: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
-    return [entry for entry in operation.get("parameters", ()) if entry["in"] == "query"]
-
-
-def _is_list(schema: Mapping[str, Any]) -> bool:
-    return any(one.get("type") == "array" for one in (schema, *schema.get("anyOf", ())))
+def _contract_of(operation: Mapping[str, Any]) -> OperationContract:
+    succeeded = [response for status, response in operation["responses"].items() if status.startswith("2")]
+    offered = [media_type for response in succeeded for media_type in response.get("content", {})]
+    asked = {entry["name"]: entry["schema"] for entry in operation.get("parameters", ()) if entry["in"] == "query"}
+    lists = [
+        name for name, of in asked.items() if any(one.get("type") == "array" for one in (of, *of.get("anyOf", ())))
+    ]
+    return OperationContract(
+        tuple(media_type for media_type in offered if media_type != PROBLEM_MEDIA_TYPE),
+        frozenset(asked),
+        frozenset(lists),
+        tuple(operation.get("requestBody", {}).get("content", ())) or (JSON,),
+    )
 
 
 def _refuse_unknown_parameters(request: Request, contract: OperationContract) -> None:

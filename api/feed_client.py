@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any, Protocol, TextIO
+from typing import Any, TextIO
 
 import httpx
 import orjson
@@ -109,29 +109,13 @@ STREAM_FAILURES = 3  # streams that break without a word, one after the other, u
 Event = dict[str, Any]
 
 
-class Taker(Protocol):
-    """What is done with events."""
-
-    def event(self, event: Event, cursor: str) -> None:
-        """Take an event; returns when its effect is kept, and the cursor with it."""
-
-    def moved(self, cursor: str) -> None:
-        """Keep a cursor behind which nothing else is known yet."""
-
-    def restored(self, reason: str, open_now: Sequence[Event], cursor: str | None) -> None:
-        """Drop what is not open now: what follows is another history, from a cursor or from its beginning."""
-
-    def waiting(self, reason: str) -> None:
-        """Hear why nothing comes."""
-
-
 @dataclass(slots=True)
 class Follower:
     """A client of the feed."""
 
     http: httpx.Client
     query: Sequence[tuple[str, str]]
-    taker: Taker
+    taker: Lines
     cursor: str | None
     sleep: Callable[[float], None] = time.sleep
     _delays: Backoff = field(default_factory=lambda: Backoff(FIRST_DELAY_S, LONGEST_DELAY_S))

@@ -178,10 +178,6 @@ def invalid(place: str, detail: str, said: str | None = None, part: str = "body"
     return ProblemError(422, "invalid-request", said or f"{part} {place}: {detail}", [item])
 
 
-def _bad_input(error: InputError) -> ProblemError:
-    return invalid(pointer([error.field] if error.field else []), error.reason, error.reason)
-
-
 def _refused_record(error: RegistryRefusedError) -> ProblemError:
     """Return 409 where a record contradicts others, else 422: it is impossible by itself."""
     items = [
@@ -218,7 +214,7 @@ _TABLE: tuple[tuple[type[Exception], Callable[[Any], ProblemError]], ...] = (
     (NotFoundError, lambda error: ProblemError(404, "not-found", str(error))),
     (ConflictError, lambda error: ProblemError(409, "conflict", str(error))),
     (RegistryRefusedError, _refused_record),
-    (InputError, _bad_input),
+    (InputError, lambda error: invalid(pointer([error.field] if error.field else []), error.reason, error.reason)),
     (MigrationError, lambda error: ProblemError(503, "not-ready", str(error))),
     (BusyError, lambda _: ProblemError(503, "not-ready", _BUSY, headers={"Retry-After": "2"})),
     (StorageError, lambda _: ProblemError(503, "not-ready", _AWAY, headers={"Retry-After": "5"})),

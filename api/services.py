@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
@@ -168,6 +168,14 @@ def require_known(
         raise NotFoundError("vehicle class", vehicle_class)
     if fleet_alert is not None and unit.alerts.get(fleet_alert).wheelset is not None:
         raise NotFoundError("fleet alert", str(fleet_alert))
+
+
+def require_fleets(storage: SqlStorage, fleets: Iterable[str]) -> None:
+    """Refuse a filter of fleets that are not there, or that the caller does not see: nothing would ever come."""
+    if fleets:
+        with storage.read() as unit:
+            for fleet in sorted(fleets):
+                require_known(unit, fleet=fleet)
 
 
 Find = Callable[[SqlUnitOfWork, str], object]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import urllib.error
 import urllib.parse
-import urllib.request
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 from rich import box
 from rich.console import Console
@@ -75,22 +74,10 @@ def true_campaigns(truth: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def get(service: ServiceAddress, path: str) -> Any:  # noqa: ANN401 - JSON
-    """Return the JSON of one GET."""
-    headers = {} if service.key is None else {"Authorization": f"Bearer {service.key}"}
-    asked = urllib.request.Request(service.url + path, headers=headers)  # noqa: S310 - our own server
-    with urllib.request.urlopen(asked, timeout=30) as answer:  # noqa: S310 - the same
-        return json.load(answer)
-
-
-def get_if_any(service: ServiceAddress, path: str) -> Any:  # noqa: ANN401 - JSON
     """Return the JSON of one GET; None where there is no such thing yet."""
-    try:
-        return get(service, path)
-    except urllib.error.HTTPError as error:
-        error.close()
-        if error.code != HTTPStatus.NOT_FOUND:
-            raise
-        return None
+    headers = {} if service.key is None else {"Authorization": f"Bearer {service.key}"}
+    answer = httpx.get(service.url + path, headers=headers, timeout=30.0, trust_env=False)
+    return None if answer.status_code == HTTPStatus.NOT_FOUND else answer.raise_for_status().json()
 
 
 def _path(*parts: str) -> str:
@@ -216,7 +203,7 @@ def _by_signature(
     geometry = get(service, _path("wheelsets", serial, "geometry"))
     if geometry["equivalent_conicity_1"]["value"] is not None:
         return None
-    signature = get_if_any(service, _path("wheelsets", serial, "signature"))
+    signature = get(service, _path("wheelsets", serial, "signature"))
     reason = geometry["equivalent_conicity_1"]["reason"].rstrip(".")
     head = f"{serial}: no geometry ({reason})"
     if signature is None:
@@ -263,7 +250,7 @@ def _section_line(service: ServiceAddress, section: dict[str, Any]) -> str:
         page = get(service, following)
         versions += page["items"]
         following = page["next"]
-    report = get_if_any(service, f"{at}/alignment-report")
+    report = get(service, f"{at}/alignment-report")
     head = f"track {section['code']}, {section['length_m'] / 1000:g} km"
     if not versions:
         reason = f": {report['reason']}" if report and report["reason"] else ""

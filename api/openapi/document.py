@@ -169,16 +169,6 @@ def describe_properties(schemas: Mapping[str, Any]) -> None:
                 described["description"] = text
 
 
-def undescribed(schemas: Mapping[str, Any]) -> list[str]:
-    """Return the properties without a description, as ``Schema.property``."""
-    return [
-        f"{name}.{field}"
-        for name, schema in schemas.items()
-        for field, described in schema.get("properties", {}).items()
-        if "description" not in described
-    ]
-
-
 RESPONSE_HEADERS: Mapping[str, str] = {
     "Allow": "The methods of this path.",
     "Cache-Control": "`no-cache`: keep it, and ask with `If-None-Match` before it is used again.",
@@ -207,6 +197,7 @@ _HEADERS_OF_STATUS: Mapping[str, tuple[str, ...]] = {
 }
 _PAGED = "next_cursor"
 IF_MATCH = "If-Match"
+EVENT_STREAM = "text/event-stream"
 
 
 def _describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[str, Any]) -> None:
@@ -220,7 +211,7 @@ def _describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[s
             parameter["schema"] = {"type": "string", "title": IF_MATCH, "examples": ['"9f86d081884c7d65"']}
     for status, response in operation["responses"].items():
         names = {"X-Request-Id", *_HEADERS_OF_STATUS.get(status, ())}
-        if "text/event-stream" in response.get("content", {}):
+        if EVENT_STREAM in response.get("content", {}):
             names = {"X-Request-Id", *_STREAM}
         if status.startswith("2") and method.upper() == HTTPMethod.POST:
             names.add("Idempotency-Replayed")
@@ -273,14 +264,6 @@ def scopes_of(routers: Iterable[APIRouter]) -> dict[str, Scope]:
                     raise LookupError(f"{route.name} declares no scope")
                 found[route.name] = scope
     return found
-
-
-def _describe_access(document: dict[str, Any], scopes: Mapping[str, Scope]) -> None:
-    document["components"]["securitySchemes"] = {KEY: SCHEME}
-    for path, operations in document["paths"].items():
-        for operation in operations.values():
-            scope = scopes.get(operation["operationId"], Scope.READ)
-            operation["security"] = [] if path in HEALTH else [{KEY: [scope.value]}]
 
 
 _OF_STATUS: Mapping[str, str] = {
@@ -357,27 +340,22 @@ def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
         name: {"description": text, "schema": {"type": "string"}} for name, text in RESPONSE_HEADERS.items()
     }
     describe_properties(found["components"]["schemas"])
-    _describe_access(found, scopes)
+    found["components"]["securitySchemes"] = {KEY: SCHEME}
     for path, operations in found["paths"].items():
         for method, operation in operations.items():
+            scope = scopes.get(operation["operationId"], Scope.READ)
+            operation["security"] = [] if path in HEALTH else [{KEY: [scope.value]}]
             if any(entry["name"] == "If-None-Match" for entry in operation.get("parameters", ())):
                 operation["responses"]["304"] = {"description": "The client holds it as it is."}
             operation["responses"] = dict(sorted(operation["responses"].items()))
             _describe_headers(method, operation, found["components"]["schemas"])
             for status, response in operation["responses"].items():
-                content = response.get("content", {}).get(PROBLEM_MEDIA_TYPE)
-                if content is not None:
-                    content.setdefault("example", _example(path, status, operation["operationId"]))
-            _leave_streams_open(operation)
+                content = response.get("content", {})
+                if PROBLEM_MEDIA_TYPE in content:
+                    content[PROBLEM_MEDIA_TYPE].setdefault("example", _example(path, status, operation["operationId"]))
+                if EVENT_STREAM in content:  # checkers of documents apply the framework's type to each event
+                    content[EVENT_STREAM]["schema"].pop("type", None)
     return found
-
-
-def _leave_streams_open(operation: dict[str, Any]) -> None:
-    """Leave out the type that the framework gives a stream: checkers of documents apply it to each event."""
-    for response in operation["responses"].values():
-        stream = response.get("content", {}).get("text/event-stream")
-        if stream is not None:
-            stream["schema"].pop("type", None)
 
 
 def _described(codes: type[ReasonCode | CloseReason | Urgency]) -> str:

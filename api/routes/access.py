@@ -86,9 +86,7 @@ def list_keys(asked: AskedListDep) -> Response:
 @router.get("/keys/{prefix}", response_model=Key, responses=described(404))
 def get_key(asked: AskedDep, prefix: Prefix) -> Response:
     """Return one key, without its secret."""
-    with asked.read() as unit:
-        found = unit.api_keys.get(prefix)
-    return asked.answer(_shown(found))
+    return asked.one(lambda unit: _shown(unit.api_keys.get(prefix)))
 
 
 @router.post(

@@ -388,4 +388,6 @@ def get_accuracy(
         placed = placed_comparisons(unit, comparison_reader(asked.services, unit), keys)
     query = f"?{urlencode(asked.request.query_params.multi_items())}" if asked.request.query_params else ""
     body = _accuracy(fleet_accuracy(placed.rows), placed, on_file, {"self": f"/v1/accuracy{query}"})
-    return answer_payload(asked.request, table_payload(body, accepted, table(body.measurements)), accepted)
+    return answer_payload(
+        asked.request, table_payload(body, accepted, lambda shown: table(shown.measurements)), accepted
+    )

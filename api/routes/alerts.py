@@ -118,9 +118,7 @@ def _place(after: object) -> tuple[Severity, int | None]:
 @router.get("/{alert_id}", response_model=alerts.Alert, responses=described(404))
 def get_alert(asked: AskedDep, alert_id: Number) -> Response:
     """Return one alert with its evidence; its ETag is what changes to it ask for."""
-    with asked.read() as unit:
-        found = unit.alerts.get(alert_id)
-    return asked.answer(alerts.alert(found, asked.services.clock.now_ns()))
+    return asked.one(lambda unit: alerts.alert(unit.alerts.get(alert_id), asked.services.clock.now_ns()))
 
 
 @router.get("/{alert_id}/events", response_model=alerts.Events, responses=described(404))

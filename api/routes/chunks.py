@@ -10,7 +10,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from api.access.caller import Caller, CallerDep, Scope, requires
+from api.access.caller import CallerDep, Scope, requires
 from api.answers import answer
 from api.asking import CODE, AskedDep
 from api.middleware import turn_of
@@ -142,7 +142,11 @@ async def put_chunk(
         try:
             stored = await services.uploads.take(request.headers, request.receive, sha256, wanted)
         except ConflictError as error:
-            raise _conflict(error, caller) from error
+            if caller.fleets is None or error.kind != "chunk":
+                raise
+            # the vehicle may be one that the caller does not see
+            reason = "the same chunk was received from another vehicle"
+            raise ConflictError(reason, kind=error.kind, key=error.key) from error
     created = HTTPStatus.OK if stored.known else HTTPStatus.CREATED
     headers = {} if stored.known else {"Location": f"/v1/chunks/{sha256}"}
     return answer(request, chunk(stored.record), status=created, headers=headers)
@@ -162,10 +166,3 @@ def _require_visible(services: Services, vehicle: str) -> None:
     """Refuse a vehicle of another fleet, as if it did not exist, to a caller who is bound to fleets."""
     with services.storage.read() as unit:
         unit.registry.vehicle(vehicle)
-
-
-def _conflict(error: ConflictError, caller: Caller) -> ConflictError:
-    """Return the refusal without the name of a vehicle that the caller does not see."""
-    if caller.fleets is None or error.kind != "chunk":
-        return error
-    return ConflictError("the same chunk was received from another vehicle", kind=error.kind, key=error.key)

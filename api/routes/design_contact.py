@@ -139,7 +139,7 @@ def get_design_contact(asked: AskedDep, accepted: Accepted, serial: Serial) -> R
         contact=profile_contact(found),
         links={"self": f"{own}/contact", "wheelset": own, "geometry": f"{own}/geometry"},
     )
-    return answer_payload(asked.request, table_payload(body, accepted, table(body.contact)), accepted)
+    return answer_payload(asked.request, table_payload(body, accepted, lambda shown: table(shown.contact)), accepted)
 
 
 def _design(services: Services, wheelset: WheelsetRecord, rails: Sequence[RailShare]) -> WheelContact | Reason:

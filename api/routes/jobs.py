@@ -153,9 +153,7 @@ def run_job_now(
 @router.get("/job-runs/{run_id}", response_model=JobRun, responses=described(404))
 def get_job_run(asked: AskedDep, caller: CallerDep, run_id: Number) -> Response:
     """Return one run of a job."""
-    with asked.read() as unit:
-        found = unit.jobs.get(run_id)
-    return asked.answer(_run(found, caller))
+    return asked.one(lambda unit: _run(unit.jobs.get(run_id), caller))
 
 
 quarantine_router = APIRouter(prefix="/v1/quarantine", tags=["quarantine"])

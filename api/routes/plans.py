@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Annotated
+from urllib.parse import quote, urlencode
 
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
@@ -11,7 +12,6 @@ from api.answers import answer
 from api.asking import FleetFilter, VehicleFilter
 from api.problems import described
 from api.schemas.common import Derived, Links, Representation, finite
-from api.schemas.registry import segment
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.services import ServicesDep, require_known
 from api.times import Timestamp, to_rfc3339
@@ -113,13 +113,6 @@ def _turning_plan_line(line: PlanLine, row: WorklistRow) -> TurningPlanLine:
     )
 
 
-def _plan_links(fleet: str | None, vehicle: str | None) -> dict[str, str]:
-    chosen = [
-        f"{name}={segment(value)}" for name, value in (("fleet", fleet), ("vehicle", vehicle)) if value is not None
-    ]
-    return {"wheelsets": "?".join(["/v1/wheelsets", "&".join([*chosen, "sort=urgency"])])}
-
-
 router = APIRouter(prefix="/v1/plans", tags=["plans"])
 DAY_NS = 86_400_000_000_000
 _MM = 1e-3
@@ -175,12 +168,14 @@ def plan_reprofiling(
         round(horizon_days * DAY_NS),
         round(together_days * DAY_NS),
     )
+    named = {"fleet": fleet, "vehicle": vehicle, "sort": "urgency"}
+    chosen = {name: value for name, value in named.items() if value is not None}
     body = TurningPlan(
         made_at=to_rfc3339(now_ns),
         horizon_days=horizon_days,
         together_days=together_days,
         limits=TurningLimits.made(limits),
         items=[_turning_plan_line(line, rows[line.candidate.serial]) for line in lines],
-        links=_plan_links(fleet, vehicle),
+        links={"wheelsets": f"/v1/wheelsets?{urlencode(chosen, quote_via=quote)}"},
     )
     return answer(request, body)

@@ -189,15 +189,13 @@ def list_recordings(
             require_known(unit, fleet=fleet)
             if vehicle is not None and not unit.chunks.page(ChosenChunks(vehicle=vehicle), 1):
                 require_known(unit, vehicle=vehicle)
-    return asked.page(filters, rows, _key, recording)
+    return asked.page(filters, rows, lambda record: f"{record.received_ns}/{record.digest}", recording)
 
 
 @router.get("/{digest}", response_model=RecordingWithHistory, responses=described(404))
 def get_recording(asked: AskedDep, digest: Digest) -> Response:
     """Return one recording, with its windows and what was done to it by hand."""
-    with asked.read() as unit:
-        found = _with_history(unit, digest)
-    return asked.answer(found)
+    return asked.one(lambda unit: _with_history(unit, digest))
 
 
 def _with_history(unit: SqlUnitOfWork, digest: str) -> RecordingWithHistory:
@@ -212,10 +210,6 @@ def _with_history(unit: SqlUnitOfWork, digest: str) -> RecordingWithHistory:
         windows=RecordingWindows(made=sum(windows.values()), **by_state),
         changes=[RecordingChange.made(one) for one in changes],
     )
-
-
-def _key(record: ChunkRecord) -> str:
-    return f"{record.received_ns}/{record.digest}"
 
 
 def _place(key: str | None) -> tuple[int, str] | None:

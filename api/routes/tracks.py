@@ -159,10 +159,6 @@ def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackRepo
     )
 
 
-def _alignment_summary(record: AlignmentRecord) -> AlignmentSummary:
-    return AlignmentSummary.made(record, links=_links(record))
-
-
 def report(record: TrackReport) -> AlignmentReport:
     """Return the representation of what a run found."""
     own = f"/v1/track-sections/{segment(record.section)}"
@@ -261,9 +257,7 @@ def list_track_sections(asked: AskedListDep) -> Response:
 @router.get("/{code}", response_model=TrackSection, responses=described(404))
 def get_track_section(asked: AskedDep, code: Code) -> Response:
     """Return one track section."""
-    with asked.read() as unit:
-        found = unit.tracks.section(code)
-    return asked.answer(section(found))
+    return asked.one(lambda unit: section(unit.tracks.section(code)))
 
 
 @router.get("/{code}/alignment", response_model=Alignment, responses=described(404))
@@ -288,7 +282,12 @@ def list_alignments(asked: AskedListDep, code: Code) -> Response:
     with asked.read() as unit:
         unit.tracks.section(code)
         found = unit.tracks.versions(code, after, asked.limit + 1)
-    return asked.page(filters, found, lambda record: record.version, _alignment_summary)
+    return asked.page(
+        filters,
+        found,
+        lambda record: record.version,
+        lambda record: AlignmentSummary.made(record, links=_links(record)),
+    )
 
 
 @router.get("/{code}/alignment-report", response_model=AlignmentReport, responses=described(404))

@@ -220,9 +220,7 @@ def list_vehicles(asked: AskedListDep, fleet: FleetFilter = None) -> Response:
 @router.get("/vehicles/{code}", response_model=registry.Vehicle, responses=described(404))
 def get_vehicle(asked: AskedDep, code: Code) -> Response:
     """Return one vehicle."""
-    with asked.read() as unit:
-        found = unit.registry.vehicle(code)
-    return asked.answer(registry.vehicle(found))
+    return asked.one(lambda unit: registry.vehicle(unit.registry.vehicle(code)))
 
 
 @router.get("/vehicles/{code}/suspension", response_model=Suspension, responses=described(404))

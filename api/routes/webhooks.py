@@ -20,7 +20,7 @@ from api.middleware import turn_of
 from api.problems import ProblemError, described, invalid
 from api.schemas.alerts import KnownKind
 from api.schemas.common import Body, Derived, Links, Page, Representation
-from api.services import Services, ServicesDep, require_known, writer_slot
+from api.services import Services, ServicesDep, require_fleets, writer_slot
 from api.times import Moment, Timestamp, to_rfc3339
 from api.webhooks.cloud_events import Wanted, handled_up_to, in_state, make_webhook, new_secret, place_of, trial_of
 from api.webhooks.sending import MOST_CHARACTERS, TRIALS, RefusedTargetError, Sender, parsed
@@ -190,9 +190,7 @@ def list_webhooks(asked: AskedListDep) -> Response:
 @router.get("/{webhook_id}", response_model=Webhook, responses=described(404))
 def get_webhook(asked: AskedDep, webhook_id: WebhookId) -> Response:
     """Return one webhook, without its secret; its ETag is what changes to it ask for."""
-    with asked.read() as unit:
-        found = unit.webhooks.get(webhook_id)
-    return asked.answer(_shown(found))
+    return asked.one(lambda unit: _shown(unit.webhooks.get(webhook_id)))
 
 
 @router.get("/{webhook_id}/deliveries", response_model=Page[WebhookDelivery], responses=described(400, 404))
@@ -214,7 +212,7 @@ async def create_webhook(request: Request, services: ServicesDep, caller: Caller
     """
     if caller.fleets is not None and not caller.fleets:
         raise ProblemError(403, "forbidden", "this needs a key that sees a fleet")
-    await run_in_threadpool(_require_fleets, services, caller.fleets, frozenset(body.fleets))
+    await run_in_threadpool(require_fleets, services.storage, body.fleets)
     await _require_target(request, body.url)
     async with services.writers.slot():
         made, secret = await run_in_threadpool(_made, services, caller, body)
@@ -233,7 +231,7 @@ async def change_webhook(
     """
     known = await run_in_threadpool(_read, services, webhook_id)
     if body.fleets is not None:
-        await run_in_threadpool(_require_fleets, services, known.bound, frozenset(body.fleets))
+        await run_in_threadpool(require_fleets, services.storage.seen_by(known.bound), body.fleets)
     if body.url is not None:
         await _require_target(request, body.url)
     async with services.writers.slot():
@@ -280,13 +278,6 @@ def _as_asked(known: WebhookRecord, body: WebhookChange, now_ns: int) -> Webhook
 def _read(services: Services, webhook_id: int) -> WebhookRecord:
     with services.storage.read() as unit:
         return unit.webhooks.get(webhook_id)
-
-
-def _require_fleets(services: Services, bound: frozenset[str] | None, fleets: frozenset[str]) -> None:
-    """Refuse a filter that names a fleet which the webhook can never carry."""
-    with services.storage.seen_by(bound).read() as unit:
-        for fleet in sorted(fleets):
-            require_known(unit, fleet=fleet)
 
 
 async def _require_target(request: Request, url: str) -> None:

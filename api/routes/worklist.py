@@ -159,9 +159,7 @@ def list_wheelsets(
 @router.get("/{serial}/state", response_model=WheelsetRow, responses=described(404))
 def get_wheelset_state(asked: AskedDep, serial: Serial) -> Response:
     """Return one wheelset as the list has it: where it runs, how it is, and how urgent that is."""
-    with asked.read() as unit:
-        found = unit.worklist.row(serial)
-    return asked.answer(row_of_document(found))
+    return asked.one(lambda unit: row_of_document(unit.worklist.row(serial)))
 
 
 @lru_cache(REMEMBERED)
@@ -183,6 +181,4 @@ def _place(key: object) -> WorklistPlace | None:
 @router.get("/{serial}", response_model=registry.Wheelset, responses=described(404))
 def get_wheelset(asked: AskedDep, serial: Serial) -> Response:
     """Return one wheelset, with links to its bin table, its trend and its alerts."""
-    with asked.read() as unit:
-        found = unit.registry.wheelset(serial)
-    return asked.answer(registry.wheelset(found))
+    return asked.one(lambda unit: registry.wheelset(unit.registry.wheelset(serial)))

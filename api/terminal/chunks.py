@@ -164,8 +164,8 @@ def consume(health: HealthAddress | None) -> None:
     status.thread = threading.Thread(target=work.run, args=(reader,), name="consumer", daemon=True)
     with ExitStack() as stack:
         if health is not None:
-            answers = partial(_health, status), partial(_readiness, status)
-            port = stack.enter_context(served(health, *answers, [partial(_measures, status)]))
+            alive = lambda: json_answer(status.alive, {"thread": status.alive})  # noqa: E731 - as short as it is
+            port = stack.enter_context(served(health, alive, partial(_readiness, status), [partial(_measures, status)]))
             _log.info("health and metrics at http://%s:%d", health.host, port)
         status.thread.start()
         while not stopping.wait(WATCH_EVERY_S) and status.alive:
@@ -219,10 +219,6 @@ class _Work:
             if self.stopping.wait(delays.failed()):
                 return
             reader = TopicReader(self.topic, self.status)
-
-
-def _health(status: ConsumerStatus) -> Answer:
-    return json_answer(status.alive, {"thread": status.alive})
 
 
 def _readiness(status: ConsumerStatus) -> Answer:

@@ -81,13 +81,17 @@ def receive_and_report(
                     bus,
                     Stores(stores.connect, stores.check),
                     statuses[bus.vehicle],
-                    Reports(say if len(buses) == 1 else _of_vehicle(say, bus.vehicle), received),
+                    Reports(say if len(buses) == 1 else partial(_say_of, say, bus.vehicle), received),
                 )
                 for bus in buses
             ],
             stop,
         )
     print_outcomes(list(outcomes), console)
+
+
+def _say_of(say: Say, vehicle: str, text: str, *, bad: bool = False) -> None:
+    say(f"{vehicle}: {text}", bad=bad)
 
 
 class _Stores:
@@ -117,15 +121,6 @@ class _Stores:
     def close(self) -> None:
         if self._storage is not None:
             self._storage.close()
-
-
-def _of_vehicle(say: Say, vehicle: str) -> Say:
-    """Return what says which vehicle a sentence is about."""
-
-    def say_of_vehicle(text: str, *, bad: bool = False) -> None:
-        say(f"{vehicle}: {text}", bad=bad)
-
-    return say_of_vehicle
 
 
 def _received_bus(
