@@ -184,21 +184,12 @@ def raw_store(settings: Settings) -> RawStore:
     return bucket_store(settings)
 
 
-def job_context(
-    settings: Settings, storage: SqlStorage, progress: Callable[[int, int], None] | None = None
-) -> JobContext:
-    """Return what the jobs of this deployment may touch; ``progress`` is called with (done, total)."""
+def job_context(settings: Settings, storage: SqlStorage) -> JobContext:
+    """Return what the jobs of this deployment may touch."""
     rules = RuleBook() if settings.rules_file is None else load_rules(settings.rules_file)
     chosen = JobSettings(rules=rules, rails=rails_settings(settings))
-    return JobContext(
-        storage,
-        SystemClock(),
-        code_version(),
-        chosen,
-        progress=progress,
-        holder=process_name(),
-        lease_s=settings.lease_s,
-    )
+    holder = process_name()
+    return JobContext(storage, SystemClock(), code_version(), chosen, holder=holder, lease_s=settings.lease_s)
 
 
 def rails_settings(settings: Settings) -> RailsSettings:
@@ -215,7 +206,8 @@ def retention_of(settings: Settings) -> Retention:
 
 def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:
     """Return the jobs in the order in which one hands its results to the next, at the intervals of this deployment."""
-    jobs = (assemble_windows(_sql_storage, partial(_job_receiver, settings)), *ALL_JOBS)
+    made = assemble_windows(_sql_storage, lambda context: receiver(settings, _sql_storage(context), context.clock))
+    jobs: tuple[Job, ...] = (made, *ALL_JOBS)
     if settings.jobs_every_s is not None:
         jobs = tuple(replace(job, every_s=settings.jobs_every_s) for job in jobs)
     return tuple(traced(job) for job in jobs)
@@ -257,10 +249,6 @@ def _sql_storage(context: JobContext) -> SqlStorage:
     if not isinstance(context.storage, SqlStorage):
         raise TypeError(f"windows are assembled in an SqlStorage, not in {type(context.storage).__name__}")
     return context.storage
-
-
-def _job_receiver(settings: Settings, context: JobContext) -> Receiver:
-    return receiver(settings, _sql_storage(context), context.clock)
 
 
 def open_services(settings: Settings) -> Services:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter as Tally
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
@@ -17,7 +17,7 @@ from estimation.values.alerts import AlertScope
 from estimation.values.runs import TRIED_AGAIN, SubjectKind
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkState
-from fleet_db.storage import SqlStorage
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.window_counts import backlog_of
 from fleet_db.webhook_records import Webhook, WebhookState
 from ingest.intake.backlog import Limit, free_bytes
@@ -25,14 +25,13 @@ from ingest.intake.backlog import Limit, free_bytes
 SILENT_AFTER_NS = 86_400 * 1_000_000_000  # a vehicle without data for longer is counted as silent
 
 
-def backlog_measures(services: Services) -> list[Metric]:
+def _waiting(unit: SqlUnitOfWork, now_ns: int) -> list[Metric]:
     """Return what waits, since when, and how many vehicles of each fleet are silent."""
-    with services.storage.read() as unit:
-        found = backlog_of(unit.connection)
+    found = backlog_of(unit.connection)
     states = {state.value: found.recordings.get(state, 0) for state in ChunkState}
     oldest = {"recording": found.oldest_recording_ns, "window": found.oldest_window_ns}
     since = {what: 0.0 if at_ns is None else at_ns / 1e9 for what, at_ns in oldest.items()}
-    long_ago_ns = services.clock.now_ns() - SILENT_AFTER_NS
+    long_ago_ns = now_ns - SILENT_AFTER_NS
     every = Tally(fleet for fleet, _ in found.last_data)
     quiet = Tally(fleet for fleet, at_ns in found.last_data if at_ns is None or at_ns < long_ago_ns)
     silent = {fleet: quiet[fleet] for fleet in sorted(every)}
@@ -73,24 +72,23 @@ def stored_measures(services: Services | None) -> list[Metric]:
         if services is not None:
             with services.storage.read() as unit:
                 counts = unit.windows.counts()
-            numbers = {state.value: counts.get(state.value, 0) for state in WindowState}
-            measures = [
-                gauge("treadwatch_windows", "Windows by state.", "state", numbers),
-                _alerts(services),
-                *_runs(services),
-                _quarantined(services),
-                *backlog_measures(services),
-                *webhook_measures(services.storage),
-            ]
+                numbers = {state.value: counts.get(state.value, 0) for state in WindowState}
+                stored = [
+                    gauge("treadwatch_windows", "Windows by state.", "state", numbers),
+                    _alerts(unit),
+                    *_runs(unit, services.jobs),
+                    _quarantined(unit),
+                    *_waiting(unit, services.clock.now_ns()),
+                ]
+            measures = [*stored, *webhook_measures(services.storage)]
     except TreadwatchError as error:
         _log.warning("the database does not answer: %s", error)
     up.add_metric([], 1.0 if measures else 0.0)
     return [up, *measures]
 
 
-def _quarantined(services: Services) -> Metric:
-    with services.storage.read() as unit:
-        counts = unit.quarantine.counts()
+def _quarantined(unit: SqlUnitOfWork) -> Metric:
+    counts = unit.quarantine.counts()
     numbers = {
         (kind.value, code.value): counts.get((kind, code), 0)
         for kind in SubjectKind
@@ -99,16 +97,14 @@ def _quarantined(services: Services) -> Metric:
     return gauge("treadwatch_quarantined", "What failed by itself and waits.", "kind reason_code", numbers)
 
 
-def _alerts(services: Services) -> Metric:
-    with services.storage.read() as unit:
-        of_wheelsets = [alert for alert in unit.alerts.all_open() if alert.scope is AlertScope.WHEELSET]
+def _alerts(unit: SqlUnitOfWork) -> Metric:
+    of_wheelsets = [alert for alert in unit.alerts.all_open() if alert.scope is AlertScope.WHEELSET]
     found = Tally((alert.fleet, alert.kind, alert.severity.value) for alert in of_wheelsets)
     return gauge("treadwatch_alerts_open", "Open alerts.", "fleet kind severity", dict(sorted(found.items())))
 
 
-def _runs(services: Services) -> list[Metric]:
-    with services.storage.read() as unit:
-        last = [run for name in services.jobs for run in unit.jobs.page(name, None, 1)]
+def _runs(unit: SqlUnitOfWork, jobs: Iterable[str]) -> list[Metric]:
+    last = [run for name in jobs for run in unit.jobs.page(name, None, 1)]
     started = {(run.job, run.outcome.value): run.started_ns / 1e9 for run in last}
     took = {run.job: (run.finished_ns - run.started_ns) / 1e9 for run in last if run.finished_ns is not None}
     return [

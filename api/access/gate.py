@@ -17,8 +17,7 @@ from starlette.datastructures import Headers
 from starlette.types import Scope
 
 from api.access.caller import ANYONE, Caller, name_caller
-from api.access.key_ring import KeyRing, prefix_of
-from api.access.oidc import Tokens
+from api.access.key_ring import KeyRing, Tokens, prefix_of
 from api.problems import ProblemError
 from estimation.errors import TreadwatchError
 

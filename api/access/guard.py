@@ -20,8 +20,7 @@ from starlette.types import Scope
 
 from api.access.caller import known_caller
 from api.access.gate import READING, Gate, Hosts, Opened, Rate, StreamPlaces, address_of
-from api.access.key_ring import KeyRing
-from api.access.oidc import Provider, Tokens
+from api.access.key_ring import KeyRing, Provider, Tokens
 from api.http_server import is_upload
 from api.settings import PREFIX, Settings
 from estimation.errors import ParameterError, TreadwatchError

@@ -122,14 +122,11 @@ class _Tally:
     def run_jobs(self, jobs: Sequence[Job], context: JobContext, show: Callable[[str], None]) -> None:
         for job in jobs:
             show(job.name)
-            self.run(job, context)
-
-    def run(self, job: Job, context: JobContext) -> None:
-        began = time.monotonic()
-        run = run_job(job, context, JobTrigger.SCHEDULE)
-        if run.outcome is not JobOutcome.SUCCEEDED:
-            raise StorageError(f"job {job.name} {run.outcome}: {run.error}")
-        self.add(job.name, {"runs": 1, **run.counts}, time.monotonic() - began)
+            began = time.monotonic()
+            run = run_job(job, context, JobTrigger.SCHEDULE)
+            if run.outcome is not JobOutcome.SUCCEEDED:
+                raise StorageError(f"job {job.name} {run.outcome}: {run.error}")
+            self.add(job.name, {"runs": 1, **run.counts}, time.monotonic() - began)
 
     def add(self, what: str, counts: Mapping[str, int], seconds: float) -> None:
         self.counts[what].update(counts)
@@ -262,17 +259,10 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
         shutil.rmtree(folder)
     folder.mkdir(parents=True)
     (folder / MARKER).touch()
-    settings = load_settings(data_dir=folder / "data")
-    embedded = {
-        "database_url": None,
-        "database_host": None,
-        "raw_store": None,
-        "host": "127.0.0.1",
-        "log_level": "warning",
-    }
-    settings = settings.model_copy(update=embedded)
+    embedded = dict.fromkeys(("database_url", "database_host", "raw_store"))
+    here = {"host": "127.0.0.1", "log_level": "warning", "docs": "open"}  # a browser sends no key to /docs
+    settings = load_settings(data_dir=folder / "data").model_copy(update=embedded | here)
     settings = with_rules(settings, plans[0].name, folder)
-    settings = settings.model_copy(update={"docs": "open"})  # on this machine alone, and a browser sends no key there
     logs.configure(settings)
     fleets = []
     for plan in plans:
