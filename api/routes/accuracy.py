@@ -16,9 +16,8 @@ from api.asking import AskedDep, FleetFilter, MeasuredFrom, MeasuredTo, Serial, 
 from api.contract import TABLE, Accepted
 from api.problems import described
 from api.routes.design_contact import ProfileContact, comparison_reader, profile_contact
-from api.schemas.common import Derived, Links, Representation, Uncertain, finite, finite_list, uncertain, why
+from api.schemas.common import Derived, Links, Representation, Uncertain, finite, finite_list, segment, uncertain, why
 from api.schemas.geometry import MM, Bins, bin_table
-from api.schemas.registry import segment
 from api.services import require_known
 from api.times import Moment, Timestamp, to_rfc3339
 from estimation.accuracy.fleet_accuracy import (

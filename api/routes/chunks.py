@@ -16,8 +16,7 @@ from api.asking import CODE, AskedDep
 from api.middleware import turn_of
 from api.problems import ProblemError, described
 from api.routes.recordings import why_in_state
-from api.schemas.common import Links, Representation
-from api.schemas.registry import segment
+from api.schemas.common import Links, Representation, segment
 from api.services import Services, ServicesDep
 from api.times import Timestamp, to_rfc3339
 from estimation.errors import ConflictError, NotFoundError

@@ -311,4 +311,4 @@ def add_sensor_change(asked: ChangeDep, code: Code, body: NewSensorChange) -> Re
         change.enter(unit, decision, RegistryContents(sensor_changes=(record,)), BodySource({"at": "worked_at"}))
         return SensorChangeRecord.made(record)
 
-    return change.change(lambda unit: registry.vehicle(unit.registry.vehicle(code)), apply)
+    return change.change(lambda unit: registry.Vehicle.made(unit.registry.vehicle(code)), apply)

@@ -12,9 +12,8 @@ from api.answers import answer_payload, table_payload
 from api.asking import AskedDep, Serial
 from api.contract import TABLE, Accepted
 from api.problems import described
-from api.schemas.common import Derived, Links, Representation, finite, finite_list, uncertain
+from api.schemas.common import Derived, Links, Representation, finite, finite_list, segment, uncertain
 from api.schemas.geometry import MM, ConicityAtAmplitude
-from api.schemas.registry import segment
 from api.services import Services
 from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
 from estimation.contact.profiles import wheel_profile

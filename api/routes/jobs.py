@@ -14,8 +14,7 @@ from api.access.caller import Caller, CallerDep, Scope, requires
 from api.answers import IdempotencyKey, answer
 from api.asking import CODE, AskedDep, AskedListDep, Code, Number, idempotent_post
 from api.problems import described
-from api.schemas.common import Derived, Links, Page, Representation, without_folders
-from api.schemas.registry import segment
+from api.schemas.common import Derived, Links, Page, Representation, segment, without_folders
 from api.services import Services, ServicesDep, require_known, writer_slot
 from api.times import Timestamp, to_rfc3339
 from estimation.values.reasons import ReasonCode

@@ -26,8 +26,7 @@ from api.asking import (
     require_order,
 )
 from api.problems import described
-from api.schemas.common import Body, Derived, Links, Page, Representation, without_folders
-from api.schemas.registry import segment
+from api.schemas.common import Body, Derived, Links, Page, Representation, segment, without_folders
 from api.services import Services, ServicesDep, require_known, writer_slot
 from api.times import Moment
 from estimation.errors import NotFoundError

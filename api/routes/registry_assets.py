@@ -172,7 +172,7 @@ def _entered(
 
 
 def _shown_vehicle(code: str) -> Show:
-    return lambda unit: registry.vehicle(unit.registry.vehicle(code))
+    return lambda unit: registry.Vehicle.made(unit.registry.vehicle(code))
 
 
 def _shown_wheelset(serial: str) -> Show:

@@ -129,7 +129,9 @@ def _represented(kind: RecordKind, values: dict[str, Any]) -> Record:  # noqa: P
             names = ("serial", "fleet", "wheel_profile", "nominal_radius_m")
             return WheelsetValues.made(WheelsetRecord(**{name: values[name] for name in names}, mounting=None))
         case RecordKind.VEHICLE:
-            return registry.vehicle(VehicleRecord(**(values | {"axle_offsets_m": tuple(values["axle_offsets_m"])})))
+            return registry.Vehicle.made(
+                VehicleRecord(**(values | {"axle_offsets_m": tuple(values["axle_offsets_m"])}))
+            )
         case RecordKind.VEHICLE_CLASS:
             return vehicles.vehicle_class(ClassOnFile(class_of_document(values)))
         case RecordKind.SECTION:
@@ -204,7 +206,7 @@ def _decide(asked: AskedChange, body: RecordDecision, action: RecordAction) -> R
 
 def _asset(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:
     if key.kind in _OF_VEHICLE:
-        return registry.vehicle(unit.registry.vehicle(key.subject))
+        return registry.Vehicle.made(unit.registry.vehicle(key.subject))
     if key.kind not in _SHARED:
         return registry.wheelset(unit.registry.wheelset(key.subject))
     if key.kind is RecordKind.SECTION and any(one.code == key.subject for one in unit.tracks.sections()):

@@ -10,8 +10,7 @@ from pydantic import Field, JsonValue
 
 from api.asking import AskedDep, AskedListDep, Code
 from api.problems import described
-from api.schemas.common import Derived, Links, Page, Representation, finite, finite_list
-from api.schemas.registry import segment
+from api.schemas.common import Derived, Links, Page, Representation, finite, finite_list, segment
 from api.times import Timestamp, to_rfc3339
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
@@ -35,11 +34,16 @@ class TrackSection(
     without=("line",),
     columns="code number name rail_profile rail_inclination_1 nominal_gauge_mm length_m tonnage_mgt_per_year"
     " coordinates links",
+    links={
+        "self": "/v1/track-sections/{code}",
+        "alignment": "/v1/track-sections/{code}/alignment",
+        "alignments": "/v1/track-sections/{code}/alignments",
+        "alignment_report": "/v1/track-sections/{code}/alignment-report",
+    },
 ):
     """A section of line; `number` identifies it on the vehicle's bus."""
 
     coordinates: list[LinePoint] | None = Field(description="WGS84. Null: positions are not checked by GNSS.")
-    links: Links
 
 
 class Journey(Representation):
@@ -94,10 +98,17 @@ class AlignmentReport(Derived, of=TrackReport, without=("input_digest", "report"
     links: Links
 
 
-class AlignmentVersion(Derived, of=AlignmentRecord, without=("alignment_std_m", "points", "superseded_ns")):
-    """A version of what is known of a section, without its columns."""
+_ALIGNMENT_LINKS = {
+    "self": "/v1/track-sections/{section}/alignment?version={version}",
+    "section": "/v1/track-sections/{section}",
+    "alignments": "/v1/track-sections/{section}/alignments",
+}
 
-    links: Links
+
+class AlignmentVersion(
+    Derived, of=AlignmentRecord, without=("alignment_std_m", "points", "superseded_ns"), links=_ALIGNMENT_LINKS
+):
+    """A version of what is known of a section, without its columns."""
 
 
 class Alignment(AlignmentVersion):
@@ -120,27 +131,15 @@ class AlignmentSummary(
     without=("superseded_ns",),
     columns="section version status source cut_off_m scale_std_1 gauge_known same_since_version recorded_at links"
     " points alignment_std_mm",
+    links=_ALIGNMENT_LINKS,
 ):
     """A version in the list of versions."""
-
-    links: Links
 
 
 def section(record: TrackSectionRecord) -> TrackSection:
     """Return the representation of a track section."""
-    own = f"/v1/track-sections/{segment(record.code)}"
-    return TrackSection.made(
-        record,
-        coordinates=None
-        if record.line is None
-        else [LinePoint(**dict(zip(LinePoint.model_fields, point, strict=True))) for point in record.line],
-        links={
-            "self": own,
-            "alignment": f"{own}/alignment",
-            "alignments": f"{own}/alignments",
-            "alignment_report": f"{own}/alignment-report",
-        },
-    )
+    line = record.line and [LinePoint(**dict(zip(LinePoint.model_fields, point, strict=True))) for point in record.line]
+    return TrackSection.made(record, coordinates=line)
 
 
 def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackReport | None) -> Alignment:
@@ -148,7 +147,6 @@ def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackRepo
     unknown: list[float | None] = [None] * len(found.s)
     return Alignment.made(
         record,
-        links=_links(record),
         position_m=[float(s) for s in found.s],
         alignment_mm=finite_list(found.alignment, MM),
         alignment_std_mm=finite_list(found.alignment_std, MM),
@@ -224,11 +222,6 @@ def _path(section: str, version: int) -> str:
     return f"/v1/track-sections/{segment(section)}/alignment?version={version}"
 
 
-def _links(record: AlignmentRecord) -> dict[str, str]:
-    own = f"/v1/track-sections/{segment(record.section)}"
-    return {"self": _path(record.section, record.version), "section": own, "alignments": f"{own}/alignments"}
-
-
 router = APIRouter(prefix="/v1/track-sections", tags=["track sections"])
 Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]
 
@@ -282,12 +275,7 @@ def list_alignments(asked: AskedListDep, code: Code) -> Response:
     with asked.read() as unit:
         unit.tracks.section(code)
         found = unit.tracks.versions(code, after, asked.limit + 1)
-    return asked.page(
-        filters,
-        found,
-        lambda record: record.version,
-        lambda record: AlignmentSummary.made(record, links=_links(record)),
-    )
+    return asked.page(filters, found, lambda record: record.version, AlignmentSummary.made)
 
 
 @router.get("/{code}/alignment-report", response_model=AlignmentReport, responses=described(404))

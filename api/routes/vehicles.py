@@ -12,8 +12,7 @@ from pydantic import Field
 from api.asking import AskedDep, AskedListDep, Code, FleetFilter
 from api.problems import described
 from api.schemas import registry
-from api.schemas.common import Derived, Links, Page, Representation, finite
-from api.schemas.registry import segment
+from api.schemas.common import Derived, Links, Page, Representation, finite, segment
 from api.services import require_known
 from api.times import Timestamp, to_rfc3339
 from estimation.errors import NotFoundError
@@ -190,7 +189,7 @@ def list_fleets(asked: AskedListDep) -> Response:
     """List the fleets, by code."""
     with asked.read() as unit:
         found = unit.registry.fleets()
-    return asked.named(found, lambda record: record.code, registry.fleet)
+    return asked.named(found, lambda record: record.code, registry.Fleet.made)
 
 
 @fleets_router.get("/{code}", response_model=registry.Fleet, responses=described(404))
@@ -199,7 +198,7 @@ def get_fleet(asked: AskedDep, code: Code) -> Response:
     with asked.read() as unit:
         require_known(unit, fleet=code)
         (found,) = (record for record in unit.registry.fleets() if record.code == code)
-    return asked.answer(registry.fleet(found))
+    return asked.answer(registry.Fleet.made(found))
 
 
 router = APIRouter(prefix="/v1", tags=["vehicles"])
@@ -214,13 +213,13 @@ def list_vehicles(asked: AskedListDep, fleet: FleetFilter = None) -> Response:
         rows = unit.registry.vehicles_page(fleet, after, asked.limit + 1)
         if not rows:
             require_known(unit, fleet=fleet)
-    return asked.page(filters, rows, lambda record: record.code, registry.vehicle)
+    return asked.page(filters, rows, lambda record: record.code, registry.Vehicle.made)
 
 
 @router.get("/vehicles/{code}", response_model=registry.Vehicle, responses=described(404))
 def get_vehicle(asked: AskedDep, code: Code) -> Response:
     """Return one vehicle."""
-    return asked.one(lambda unit: registry.vehicle(unit.registry.vehicle(code)))
+    return asked.one(lambda unit: registry.Vehicle.made(unit.registry.vehicle(code)))
 
 
 @router.get("/vehicles/{code}/suspension", response_model=Suspension, responses=described(404))

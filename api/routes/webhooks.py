@@ -61,6 +61,7 @@ class Webhook(
     without=("position", "revision"),
     columns="id url description fleets kinds severities bound_to state disabled_reason state_since created_at"
     " created_by links",
+    links={"self": "/v1/webhooks/{webhook_id}", "deliveries": "/v1/webhooks/{webhook_id}/deliveries"},
 ):
     """Where events of the feed are sent, without its secret."""
 
@@ -69,7 +70,6 @@ class Webhook(
     fleets: list[str] = Field(description=FLEETS, examples=[["alpha"]])
     kinds: list[str] = Field(description=KINDS)
     severities: list[Severity] = Field(description=SEVERITIES)
-    links: Links
 
 
 class WebhookWithSecret(Webhook):
@@ -140,11 +140,11 @@ class WebhookDelivery(
     without=("webhook_id", "sequence", "event_kind", "alert_id"),
     columns="id event_id event event_recorded_at state attempts first_attempt_at last_attempt_at next_attempt_at"
     " status_code reason_code reason links",
+    links={"webhook": "/v1/webhooks/{webhook_id}", "alert": "/v1/alerts/{alert_id}"},
 ):
     """An event on its way to a webhook."""
 
     event: AlertEventKind
-    links: Links
 
 
 class WebhookTrial(Representation):
@@ -159,18 +159,15 @@ class WebhookTrial(Representation):
 
 
 def _shown(record: WebhookRecord) -> Webhook:
-    return Webhook.made(record, **_fields(record))
+    return Webhook.made(record, severities=_severities(record))
 
 
-def _fields(record: WebhookRecord) -> dict[str, Any]:
-    own = f"/v1/webhooks/{record.webhook_id}"
-    severities = [one for one in Severity if one.value in record.severities]
-    return {"severities": severities, "links": {"self": own, "deliveries": f"{own}/deliveries"}}
+def _severities(record: WebhookRecord) -> list[Severity]:
+    return [one for one in Severity if one.value in record.severities]
 
 
 def _delivery(record: Delivery) -> WebhookDelivery:
-    links = {"webhook": f"/v1/webhooks/{record.webhook_id}", "alert": f"/v1/alerts/{record.alert_id}"}
-    return WebhookDelivery.made(record, event=AlertEventKind(record.event_kind), links=links)
+    return WebhookDelivery.made(record, event=AlertEventKind(record.event_kind))
 
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"], dependencies=[Depends(requires(Scope.ADMIN))])
@@ -217,7 +214,7 @@ async def create_webhook(request: Request, services: ServicesDep, caller: Caller
     async with services.writers.slot():
         made, secret = await run_in_threadpool(_made, services, caller, body)
     headers = {"Location": f"/v1/webhooks/{made.webhook_id}", "Cache-Control": "no-store"}
-    shown = WebhookWithSecret.made(made, **_fields(made), secret=secret)
+    shown = WebhookWithSecret.made(made, severities=_severities(made), secret=secret)
     return answer(request, shown, status=HTTPStatus.CREATED, headers=headers)
 
 

@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, WithJsonSchema
 
-from api.schemas.common import Body, Derived, Links, Representation
+from api.schemas.common import Body, Derived, Links, Representation, segment
 from api.schemas.evidence import AnyEvidence, evidence_of
-from api.schemas.registry import segment
 from api.times import Moment
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.values.alerts import Alert as AlertValue

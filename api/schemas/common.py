@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cache, partial
 from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from urllib.parse import quote
 
 import numpy as np
 import pydantic
@@ -121,6 +122,11 @@ def without_folders(message: str) -> str:
     return _FOLDERS.sub("", message)
 
 
+def segment(text: str) -> str:
+    """Return a key as one segment of a path."""
+    return quote(text, safe="")
+
+
 PLAIN = Served()
 MEASURED = {"from_ns": "measured_from", "to_ns": "measured_to"}
 
@@ -216,13 +222,19 @@ def _served_fields(of: type, without: Collection[str], also: Collection[str]) ->
     return [field for field in (*fields_of(of), *properties) if field.key not in without]
 
 
+def _path(template: str, value: object) -> str:
+    return re.sub(r"{(\w+)}", lambda field: segment(str(getattr(value, field[1]))), template)
+
+
 class Derived(Representation):
     """A representation of a value, whose own class describes its fields.
 
     Class arguments: ``of`` is the class of the value, ``without`` its fields that are not served, ``also`` properties,
-    ``columns`` the names of the fields as the columns of a table have them, where that is not the order of the class.
+    ``columns`` the names of the fields as the columns of a table have them, where that is not the order of the class;
+    ``links`` the paths of related resources, with the names of the value's fields in braces.
     """
 
+    paths: ClassVar[Mapping[str, str]] = {}
     makers: ClassVar[Mapping[str, tuple[str, Convert]]] = {}
 
     def __init_subclass__(
@@ -231,6 +243,7 @@ class Derived(Representation):
         without: Collection[str] = (),
         also: Collection[str] = (),
         columns: str = "",
+        links: Mapping[str, str] = {},
         **kwargs: Any,  # noqa: ANN401 - as pydantic takes them
     ) -> None:
         """Add the fields of the value before pydantic collects them."""
@@ -251,7 +264,8 @@ class Derived(Representation):
                 makers[f"{field.name}_code"] = field.key, code_of
                 if field.name != "reason":
                     setattr(cls, f"{field.name}_code", Field(description="Its code."))
-        places, named = columns.split(), derived | own
+        cls.paths = links or cls.paths
+        places, named = columns.split(), derived | own | ({"links": Links} if links else {})
         cls.__annotations__ = {name: named[name] for name in sorted(named, key=places.index)} if places else named
         cls.makers = makers
         MODELS.setdefault(of, cls)
@@ -264,6 +278,8 @@ class Derived(Representation):
             if name not in without:
                 item = getattr(value, key)
                 filled[name] = item if convert is None or item is None else convert(item)
+        if cls.paths and "links" not in without:
+            filled["links"] = {name: _path(template, value) for name, template in cls.paths.items()}
         return filled
 
     @classmethod

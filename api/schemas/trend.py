@@ -9,8 +9,7 @@ from typing import Any, TypeVar
 
 from pydantic import Field
 
-from api.schemas.common import Derived, Links, Representation, Uncertain, finite, uncertain, why
-from api.schemas.registry import segment
+from api.schemas.common import Derived, Links, Representation, Uncertain, finite, segment, uncertain, why
 from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import QUANTITY, conicity_at_limit_amplitude
