@@ -116,7 +116,6 @@ def _ranges(accept: str) -> list[tuple[str, float]]:
 
 
 def _quality(media_type: str, ranges: Sequence[tuple[str, float]]) -> float:
-    """Return the weight of the most specific range that covers ``media_type``; 0 where none does."""
     family = media_type.split("/", maxsplit=1)[0] + "/*"
     for wanted in (media_type, family, "*/*"):
         weights = [weight for name, weight in ranges if name == wanted]

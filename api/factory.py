@@ -332,7 +332,6 @@ def serve(settings: Settings, stopping: Event) -> None:
 
 
 def _join(app: FastAPI, server: uvicorn.Server, opening: Future[Services | None]) -> None:
-    """Let the app answer with what was opened; end the server where nothing was."""
     app.state.services = None if opening.exception() else opening.result()
     if app.state.services is None:
         server.should_exit = True

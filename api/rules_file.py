@@ -1,30 +1,8 @@
 """Read alert rules from a TOML file; everything that is not written there keeps its shipped default.
 
-::
-
-    name = "plan 2027-01"        # what alerts keep of the rules that raised them, with a digest
-
-    [conicity_limit]             # of all fleets and classes
-    raise_probability = 0.9
-    delays = { on_delay_km = 500 }
-
-    [[class]]                    # of the vehicles of a class
-    class = "freight"
-    [class.no_data]
-    days = 14
-
-    [[fleet]]                    # of a fleet; goes before [[class]]
-    fleet = "north"
-    [fleet.no_data]
-    days = 3
-
-    [[fleet]]                    # of a class in a fleet; goes before both
-    fleet = "north"
-    class = "freight"
-    [fleet.no_data]
-    days = 5
-
-A table is named after the ``kind`` of a rule; its keys are the fields of the rule, and their ranges stand there.
+A table is named after the ``kind`` of a rule; its keys are the fields of the rule, and their ranges stand there. What a
+file says of the vehicles of a class (``[[class]]``) goes before it, what it says of a fleet (``[[fleet]]``) before
+that, and of a class in a fleet before both.
 """
 
 from __future__ import annotations
@@ -168,13 +146,7 @@ class _Layer:
 
 
 def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
-    """Return the rule book of a TOML file.
-
-    Raises:
-        InputError: The file cannot be read or is no TOML; an unknown table or key; a value of the wrong type or outside
-            its range; values that contradict each other, such as a clear limit on the wrong side of its raise limit;
-            one scope twice. Names the file, the line and the field.
-    """
+    """Return the rule book of a TOML file; an InputError names the file, the line and the field."""
     book = book if book is not None else RuleBook()
     file = read_toml(path)
     given = file.parse(_schema(book))

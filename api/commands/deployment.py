@@ -12,7 +12,7 @@ import typer
 
 from estimation.errors import ParameterError, StorageError
 
-db = typer.Typer(no_args_is_help=True, help="Upgrade, check, measure or purge the database.", rich_markup_mode=None)
+db = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 
 @db.command("upgrade")

@@ -248,7 +248,6 @@ def _scored(
 
 
 def _why(storage: Storage, truths: Sequence[TrueWheelset]) -> str:
-    """Return why the windows of the first wheelset are refused, or wait."""
     with storage.read() as unit:
         newest = unit.windows.latest(truths[0].serial)
     if newest is None:

@@ -106,7 +106,6 @@ def _line(service: ServiceAddress, serial: str, campaigns: list[dict[str, Any]])
 
 
 def _standing(alert: dict[str, Any]) -> str:
-    """Return the severity, and the condition where the data do not show the matter now."""
     condition, severity = str(alert["condition"]), str(alert["severity"])
     return severity if condition == "active" else f"{severity}, {condition}"
 
@@ -199,7 +198,6 @@ def second_opinions(
 def _by_signature(
     service: ServiceAddress, serial: str, true: Mapping[str, Sequence[Mapping[str, Any]]]
 ) -> SecondOpinion | None:
-    """Return what the signature of a wheelset says, where its geometry says nothing."""
     geometry = get(service, _path("wheelsets", serial, "geometry"))
     if geometry["equivalent_conicity_1"]["value"] is not None:
         return None

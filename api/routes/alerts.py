@@ -84,7 +84,6 @@ def list_alerts(
 
 
 def _key(one: AlertOutline, now_ns: int) -> Hashable:
-    """Return what changes whenever the row of an alert does."""
     shown = alerts.display_state(one, now_ns)
     return ("alert", one.alert_id, one.version, one.last_seen_ns, shown, one.vehicle, one.axle)
 
@@ -140,7 +139,6 @@ _REFUSALS = described(404, 409, 412, 413, 415, 428)
 def _change(
     asked: AskedChange, alert_id: int, body: Body, actor: str, note: str, act: Callable[[Alert, int], Transition | None]
 ) -> Response:
-    """Apply what somebody does to an alert under If-Match and Idempotency-Key, in one transaction."""
 
     def apply(unit: SqlUnitOfWork, now_ns: int) -> alerts.Alert:
         current = unit.alerts.get(alert_id)

@@ -182,7 +182,6 @@ def list_quarantine(
 
 
 def _key(item: Quarantined) -> str:
-    """Return kind, stage and key as one text; the first two have no slash."""
     return f"{item.kind}/{item.stage}/{item.key}"
 
 

@@ -84,7 +84,6 @@ def candidate(row: WorklistRow, *, nominal_radii: bool) -> Candidate | None:
 
 
 def _unknown(state: WorklistState) -> Reason | None:
-    """Return why nothing can be said of a wheelset's limit; None where something can."""
     missing = state.forecast_reason
     if missing is not None and missing.code is not ReasonCode.BEYOND_HORIZON:
         return missing

@@ -158,7 +158,6 @@ def _entered(
     show: Show,
     new: tuple[str, str] | None = None,
 ) -> Response:
-    """Enter what is new, of a kind and under a key, or change what is on file."""
     change = RegistryRequest(asked, body)
     change.visible(lambda unit: require_known(unit, fleet=body.fleet))
 

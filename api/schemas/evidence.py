@@ -41,7 +41,6 @@ def _number(value: JsonValue) -> float | None:
 
 
 def _count(value: JsonValue) -> int | None:
-    """Return a whole number that every reader of JSON keeps."""
     number = _number(value)
     return None if number is None or abs(number) >= SAFE else int(number)
 
@@ -261,7 +260,6 @@ def _other(stored: Stored, delays: BaseModel | None) -> OtherEvidence:
 
 
 def _leaves(value: JsonValue, name: str = "") -> Iterator[tuple[str, JsonValue]]:
-    """Yield the values inside a value, each with the names that lead to it."""
     if isinstance(value, Mapping):
         inner = [(str(key), item) for key, item in value.items()]
     elif isinstance(value, list):

@@ -165,7 +165,6 @@ class WindowReasons:
     def _merged(
         self, serial: str, counted: Iterable[CountedWindows], of_geometry: Reason | None
     ) -> list[WindowsOfReason]:
-        """Return windows with their reasons, those of one state and sentence together."""
         found: dict[object, WindowsOfReason] = {}
         for one in counted:
             key = (serial, one.newest_start_ns)
@@ -220,7 +219,6 @@ class WindowReasons:
         return self._sections[code]
 
     def _no_class(self, vehicle: str) -> Reason | None:
-        """Return that the class of a vehicle is not on file; None where it is, or is damaged."""
         if vehicle not in self._classes:
             self._classes[vehicle] = self._look_up_class(vehicle)
         return self._classes[vehicle]

@@ -144,7 +144,6 @@ SHOWN = ("frames", "samples_lost", "invalid_values", "emergencies")
 
 
 def _register(storage: SqlStorage, contents: RegistryContents, known_since_ns: int) -> None:
-    """Store what was known from the beginning."""
     with storage.write() as unit:
         for fleet in contents.fleets:
             unit.registry.add_fleet(fleet)

@@ -198,7 +198,6 @@ def summary(runs: Sequence[JobRun]) -> Table:
 
 
 def _counts(counts: Mapping[str, int]) -> str:
-    """Return what a run has counted in words; refused windows with their reasons behind them."""
     why = ", ".join(f"{count} {code.value}" for code, count in refusals(counts).items())
     named = [f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if not name.startswith(REFUSED)]
     return ", ".join(f"{one}: {why}" if why and one.endswith(" refused") else one for one in named)

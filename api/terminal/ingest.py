@@ -199,7 +199,6 @@ def load_and_say(registry: Path, storage: SqlStorage, console: Console) -> None:
 
 
 def _work_off(receiver: Receiver, console: Console) -> None:
-    """Assemble the windows again that something has made stale; print what changed."""
     try:
         changes = receiver.reassembler.work_off()
     except TreadwatchError as error:  # it stays stale; what comes now does not wait for it
@@ -237,7 +236,6 @@ def reassemble_and_report(vehicle: str, begin: datetime | None, end: datetime | 
 
 
 def _nanoseconds(moment: datetime | None, field: str) -> int | None:
-    """Return a time as ns since 1970; one without a zone is UTC."""
     if moment is None:
         return None
     since = (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)) - EPOCH
