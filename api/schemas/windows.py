@@ -165,21 +165,14 @@ class WindowReasons:
     def _merged(
         self, serial: str, counted: Iterable[CountedWindows], of_geometry: Reason | None
     ) -> list[WindowsOfReason]:
-        found: dict[object, WindowsOfReason] = {}
+        found = []
         for one in counted:
             key = (serial, one.newest_start_ns)
             reason = self._reason(one.state, one.reason, one.section, one.vehicle, key, placed=one.placed)
             if one.state is WindowState.ESTIMATED:
                 reason = of_geometry or self._no_geometry_yet(serial)
-            same = same_reason(one.state, reason)
-            before = found.get(same)
-            if before is None:
-                found[same] = WindowsOfReason(one.state, reason, one.windows, one.newest_end_ns)
-            else:
-                newer = reason if one.newest_end_ns > before.newest_ns else before.reason
-                newest_ns = max(before.newest_ns, one.newest_end_ns)
-                found[same] = WindowsOfReason(one.state, newer, before.windows + one.windows, newest_ns)
-        return sorted(found.values(), key=lambda one: (-one.windows, -one.newest_ns))
+            found.append(WindowsOfReason(one.state, reason, one.windows, one.newest_end_ns))
+        return together(found)
 
     def _reason(
         self,
@@ -271,11 +264,16 @@ class WindowReasons:
         )
 
 
-def same_reason(state: WindowState, reason: Reason | None) -> object:
-    """Return what windows share that are counted together: state and code, and which section they wait for."""
-    if reason is None:
-        return state, None, None
-    return state, reason.code, reason.text if reason.code in OF_SECTION else None
+def together(found: Iterable[WindowsOfReason]) -> list[WindowsOfReason]:
+    """Return windows of one state and code, and of one section where that is what they lack, as one; most first."""
+    by_reason: dict[object, WindowsOfReason] = {}
+    for one in found:
+        code = None if one.reason is None else one.reason.code
+        same = (one.state, code, one.reason.text if one.reason is not None and code in OF_SECTION else None)
+        before = by_reason.get(same, replace(one, windows=0))
+        newest = one if one.newest_ns > before.newest_ns else before
+        by_reason[same] = replace(newest, windows=before.windows + one.windows)
+    return sorted(by_reason.values(), key=lambda one: (-one.windows, -one.newest_ns))
 
 
 _DOES = {WindowState.PENDING: "wait", WindowState.REFUSED: "are refused", WindowState.ESTIMATED: "are estimated"}

@@ -16,7 +16,7 @@ from api import logs
 from api.factory import job_context, open_store, process_name, scheduled_jobs
 from api.logs import start_tracing
 from api.routes.worklist import WheelsetRow, row_of_document
-from api.schemas.windows import SHOWN, WindowReasons, same_reason
+from api.schemas.windows import SHOWN, WindowReasons, together
 from api.settings import Settings
 from api.terminal.progress import bar
 from api.terminal.store import executor_of
@@ -103,9 +103,9 @@ def summary_lines(found: FleetReasons) -> list[str]:
     if not found.wheelsets:
         return []
     head = f"{len(found.wheelsets)} of {found.mounted} mounted wheelsets have no conicity at 3 mm"
-    together = _together(found.wheelsets)
-    lines = [f"{head}; their newest windows, at most {found.most:,} of each:" if together else f"{head}:"]
-    lines += [f"  {line_of(one)}" for one in together[:NAMED]]
+    windows = together(one for item in found.wheelsets for one in item.why.windows)
+    lines = [f"{head}; their newest windows, at most {found.most:,} of each:" if windows else f"{head}:"]
+    lines += [f"  {line_of(one)}" for one in windows[:NAMED]]
     return lines + [f"  {line}" for line in _without_windows(found.wheelsets)]
 
 
@@ -127,19 +127,6 @@ def line_of(one: WindowsOfReason) -> str:
     code = "" if one.reason is None else f" {one.reason.code.value}: {one.reason}"
     remedy = "" if one.reason is None or not one.reason.code.remedy else f". {one.reason.code.remedy}"
     return f"{one.windows} {one.state.value}{code}{remedy}"
-
-
-def _together(wheelsets: Iterable[Unestimated]) -> list[WindowsOfReason]:
-    found: dict[object, WindowsOfReason] = {}
-    for one in (one for item in wheelsets for one in item.why.windows):
-        same = same_reason(one.state, one.reason)
-        before = found.get(same)
-        if before is None:
-            found[same] = one
-            continue
-        newest = one if one.newest_ns > before.newest_ns else before
-        found[same] = replace(newest, windows=before.windows + one.windows)
-    return sorted(found.values(), key=lambda one: (-one.windows, -one.newest_ns))
 
 
 def run_jobs_once(name: str | None, settings: Settings) -> bool:
