@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -31,12 +31,19 @@ class ReadOnce:
         Args:
             read: Reads those of some keys.
         """
-        known = self._records.setdefault(kind, {}) if self.snapshot else {}
+        known = self._of_kind(kind)
         missing = [key for key in dict.fromkeys(keys) if key not in known]
         if missing:
             found = read(missing)
             known.update((key, found.get(key)) for key in missing)
         return {key: known[key] for key in keys if known[key] is not None}
+
+    def renew(self) -> None:
+        """Let what others have changed meanwhile be seen; a transaction that writes remembers nothing."""
+
+    def _of_kind(self, kind: str) -> MutableMapping[Any, Any]:
+        """Return the records of a kind that need not be read; what is read is added to it."""
+        return self._records.setdefault(kind, {}) if self.snapshot else {}
 
     def known(self, kind: str, key: Hashable) -> Any:  # noqa: ANN401 - a record of this kind
         """Return a record that :meth:`of` has read; None where it has not, or there is none."""

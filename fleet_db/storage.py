@@ -14,6 +14,7 @@ from estimation.errors import ConflictError, LeaseLostError, StorageError
 from estimation.values.runs import Claimed, JobTrigger
 from fleet_db.due import WindowDueStore
 from fleet_db.locks import Claims, Lease, UnendedLease, UnendedLeases, prolonged, serialise_vehicle, single_writer
+from fleet_db.on_file import KeptRecords, OnFile
 from fleet_db.read_once import ReadOnce
 from fleet_db.session import (
     BUSY_TIMEOUT_MS,
@@ -67,6 +68,7 @@ class SqlUnitOfWork:
     files: WindowFiles
     writing: bool
     shipped: Shipped = no_class
+    kept: KeptRecords | None = None  # of the registry; None where a transaction does not see all of it
     owner: int | None = None  # lease of the process that runs jobs
     done: set[str] = field(default_factory=set)  # of what is claimed: it is free once this is committed
     together: set[str] = field(default_factory=set)  # wheelsets of which a reading transaction reads all together
@@ -121,7 +123,12 @@ class SqlUnitOfWork:
         self.raw_scrubs = RawScrubStore(connection)
         self.recording_changes = RecordingChangeStore(connection)
         once = ReadOnce(not self.writing, self.together)
-        self.registry = RegistryStore(connection, self.subjects, self.shipped, once=once)
+        on_file = once
+        if self.kept is not None:
+            on_file = OnFile(not self.writing, self.together, connection=connection, kept=self.kept)
+        # a transaction that changes records reads them as they are in it
+        of_registry = once if self.writing else on_file
+        self.registry = RegistryStore(connection, self.subjects, self.shipped, once=of_registry)
         self.tracks = TrackStore(connection, self.subjects, once)
         self.registry_history = RegistryHistoryStore(connection, self.subjects)
         self.sensor_changes = SensorChangeStore(connection, self.subjects)
@@ -147,7 +154,8 @@ class SqlUnitOfWork:
         self.feed_branches = FeedBranchStore(connection)
         self.jobs = JobRunStore(connection, self.owner)
         self.idempotency = IdempotencyStore(connection)
-        reader = WorklistReader(connection, self.registry, self.geometries, self.trends)
+        shown = replace(self.registry, once=on_file)
+        reader = WorklistReader(connection, shown, self.geometries, self.trends)
         self.worklist = WorklistStore(connection, self.subjects, reader)
         self.api_keys = ApiKeyStore(connection)
         self.audit = AuditStore(connection)
@@ -183,6 +191,7 @@ class SqlStorage:
         claims: What is claimed under it and worked on; None where it is not for claims.
         owner: Lease of the process that runs jobs, with which those of its work end; None where there is none.
         unended: Leases of this process that could not be ended yet.
+        kept: What this process has read of the registry.
         reading: Of reading transactions; None is made from ``engine``.
     """
 
@@ -195,6 +204,7 @@ class SqlStorage:
     claims: Claims | None = None
     owner: int | None = None
     unended: UnendedLeases = field(default_factory=UnendedLeases, compare=False, repr=False)
+    kept: KeptRecords = field(default_factory=KeptRecords, compare=False, repr=False)
     reading: Engine | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -206,8 +216,11 @@ class SqlStorage:
         return self if fleets is None else replace(self, visible_fleets=fleets)
 
     @contextmanager
-    def write(self) -> Iterator[SqlUnitOfWork]:
+    def write(self, *, fenced: bool = True) -> Iterator[SqlUnitOfWork]:
         """Commit on a clean exit, roll back on an exception.
+
+        Args:
+            fenced: Whether nothing is committed once the lease of this storage has ended; records of runs are.
 
         Raises:
             ConflictError: A constraint of the database refused it.
@@ -223,12 +236,12 @@ class SqlStorage:
             dropped_on_failure(connection),
             connection.begin(),
         ):
-            unit = SqlUnitOfWork(connection, self._files(), writing=True, shipped=self.shipped, owner=self.owner)
+            unit = SqlUnitOfWork(connection, self._files(), True, self.shipped, self.kept, self.owner)  # noqa: FBT003
             if self.lease is not None:
                 unit.work_claims.bound(self.lease.length_s)
             yield unit
             unit.finish()
-            freed = self._fence(unit)
+            freed = self._fence(unit) if fenced else frozenset()
         if self.claims is not None:
             self.claims.keys -= freed
 
@@ -267,7 +280,8 @@ class SqlStorage:
             dropped_on_failure(connection),
             snapshot(connection),
         ):
-            yield SqlUnitOfWork(connection, self._files(), writing=False, shipped=self.shipped)
+            kept = self.kept if self.visible_fleets is None else None
+            yield SqlUnitOfWork(connection, self._files(), False, self.shipped, kept)  # noqa: FBT003
 
     @contextmanager
     def owned(self, kind: JobTrigger, holder: str, length_s: float) -> Iterator[SqlStorage]:

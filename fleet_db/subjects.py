@@ -104,6 +104,10 @@ class Subjects:
         for serial in self.connection.scalars(select(MOUNTINGS.c.wheelset).distinct()):
             self.raised(SubjectKind.WHEELSET, serial, Facet.LAYOUTS)
 
+    def registry(self) -> None:
+        """A record of the registry has changed: what processes have read of it is outdated."""
+        self.raised(SubjectKind.FLEET, "", Facet.REGISTRY)
+
     def flush(self) -> None:
         """Write the versions, in one order in all transactions: they wait for each other and never in a circle."""
         self._follow()

@@ -26,7 +26,7 @@ from estimation.values.geometry import (
 )
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import Result
+from estimation.values.results import Result, ResultKind
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultStore
@@ -67,6 +67,10 @@ class GeometryStore:
             return next(reversed(filled or records), None)
         found = self._current(wheelset, as_of_ns)
         return None if found is None else _record(found)
+
+    def read_with(self, kinds: Collection[ResultKind[Any]], subjects: Collection[str]) -> None:
+        """Read with one statement what :meth:`current_of` is asked next, and what is in force of other kinds."""
+        self.results.read_ahead({GEOMETRY: CURRENT, **dict.fromkeys(kinds)}, subjects)
 
     def current_of(self, wheelsets: Collection[str]) -> Mapping[str, GeometryRecord]:
         """Return what :meth:`current` does of each of some wheelsets that has one, by serial."""

@@ -231,10 +231,16 @@ class JobRunStore:
     def finish(
         self, run_id: int, outcome: JobOutcome, counts: Mapping[str, int], finished_ns: int, error: str | None = None
     ) -> JobRun:
-        """Record how a run ended and return it; raises NotFoundError, and ConflictError where it has ended already."""
+        """Record how a run ended and return it.
+
+        Raises:
+            NotFoundError: There is none of that number.
+            ConflictError: It has ended already, or the lease of its process has.
+        """
+        owned = or_(RUNS.c.owner.is_(None), RUNS.c.owner.in_(select(LEASES.c.lease_id)))
         row = self.connection.execute(
             update(RUNS)
-            .where(RUNS.c.run_id == run_id, RUNS.c.outcome == RUNNING)
+            .where(RUNS.c.run_id == run_id, RUNS.c.outcome == RUNNING, owned)
             .values(outcome=outcome.value, counts=dict(counts), finished_ns=finished_ns, error=error)
             .returning(RUNS)
         ).first()

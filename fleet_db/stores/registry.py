@@ -143,10 +143,8 @@ class RegistryStore:
 
     def mountings_on(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
         """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start."""
-        within = (MOUNTINGS.c.from_ns < to_ns, or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > from_ns))
-        statement = select(MOUNTINGS).where(MOUNTINGS.c.vehicle == vehicle, *within)
-        rows = self.connection.execute(statement.order_by(MOUNTINGS.c.axle, MOUNTINGS.c.from_ns))
-        return [value_of_row(Mounting, row) for row in rows]
+        own = self._mountings_by_vehicle([vehicle]).get(vehicle, ())
+        return [one for one in own if one.from_ns < to_ns and (one.to_ns is None or one.to_ns > from_ns)]
 
     def mountings(self, wheelset: str) -> Sequence[Mounting]:
         """Return every mounting of a wheelset, oldest first."""
@@ -158,9 +156,19 @@ class RegistryStore:
 
     def mounted_on(self, vehicles: Collection[str]) -> Sequence[Mounting]:
         """Return the mountings on some vehicles that last, by vehicle and axle."""
-        statement = select(MOUNTINGS).where(MOUNTINGS.c.vehicle.in_(vehicles), MOUNTINGS.c.to_ns.is_(None))
-        rows = self.connection.execute(statement.order_by(MOUNTINGS.c.vehicle, MOUNTINGS.c.axle, MOUNTINGS.c.wheelset))
-        return [value_of_row(Mounting, row) for row in rows]
+        own = self._mountings_by_vehicle(sorted(vehicles))
+        return [one for vehicle in sorted(own) for one in own[vehicle] if one.to_ns is None]
+
+    def _mountings_by_vehicle(self, vehicles: Collection[str]) -> Mapping[str, Sequence[Mounting]]:
+        def read(some: Collection[str]) -> Mapping[str, Sequence[Mounting]]:
+            statement = select(MOUNTINGS).where(MOUNTINGS.c.vehicle.in_(some))
+            rows = self.connection.execute(statement.order_by(MOUNTINGS.c.axle, MOUNTINGS.c.from_ns))
+            found: dict[str, list[Mounting]] = {}
+            for row in rows:
+                found.setdefault(row.vehicle, []).append(value_of_row(Mounting, row))
+            return found
+
+        return self.once.of("mountings of vehicle", vehicles, read)
 
     def measured_wheelsets(self) -> frozenset[str]:
         """Return the serials of the wheelsets whose profiles were measured."""
@@ -181,9 +189,13 @@ class RegistryStore:
 
     def newest_measurement_of(self, wheelsets: Collection[str]) -> Mapping[str, tuple[int, float]]:
         """Return time (ns UTC) and mileage (km) of the newest measurement of the profiles of wheelsets, by serial."""
-        statement = select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km)
-        statement = statement.where(MEASURED.c.wheelset.in_(wheelsets)).order_by(MEASURED.c.at_ns)
-        return {wheelset: (int(at_ns), float(km)) for wheelset, at_ns, km in self.connection.execute(statement)}
+
+        def read(some: Collection[str]) -> Mapping[str, tuple[int, float]]:
+            statement = select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km)
+            statement = statement.where(MEASURED.c.wheelset.in_(some)).order_by(MEASURED.c.at_ns)
+            return {serial: (int(at_ns), float(km)) for serial, at_ns, km in self.connection.execute(statement)}
+
+        return self.once.of("newest measurement", wheelsets, read)
 
     def vehicle_class(self, code: str, version: int | None = None) -> ClassOnFile | None:
         """Return the newest version of a class, or the one given; of the package where none is registered."""

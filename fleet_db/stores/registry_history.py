@@ -78,6 +78,7 @@ class RegistryHistoryStore:
 
     def _raise(self, key: RecordKey, *records: Record | None) -> None:
         """Let what rests on a record follow."""
+        self.subjects.registry()
         if key.kind is RecordKind.SENSOR_CHANGE or key.kind is RecordKind.VEHICLE:
             self.subjects.vehicle_on_file(key.subject)
         elif key.kind is RecordKind.VEHICLE_CLASS:

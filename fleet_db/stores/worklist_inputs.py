@@ -14,6 +14,7 @@ from estimation.values.geometry import GeometryRecord
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.runs import code_of_error, first_line
+from estimation.values.trend import TREND
 from estimation.values.windows import WindowState
 from estimation.vehicle.vehicle_class import VehicleClass
 from estimation.worklist.row import WorklistInputs
@@ -49,11 +50,13 @@ class WorklistReader:
         Args:
             serials: Some hundreds at most.
         """
+        self.registry.once.renew()
         records = self.registry.wheelsets_of(serials, voided=False)
         serials = [record.serial for record in records]
         if not serials:
             return []
         alerts, windows = self._alerts(serials), self._windows(serials)
+        self.geometries.read_with([TREND], serials)
         geometries, trends = _readable(self.geometries.current_of, serials), _readable(self.trends.of, serials)
         found = []
         vehicles = {record.mounting.vehicle for record in records if record.mounting is not None}

@@ -293,7 +293,7 @@ class Forgetful(SqlStorage):
     """A storage that is out of reach for whoever wants to write."""
 
     @contextmanager
-    def write(self) -> Iterator[SqlUnitOfWork]:
+    def write(self, *, fenced: bool = True) -> Iterator[SqlUnitOfWork]:  # noqa: ARG002 - as the real one
         raise StorageError("the database failed: gone")
         yield  # pragma: no cover
 

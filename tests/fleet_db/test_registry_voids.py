@@ -126,7 +126,7 @@ def test_what_rests_on_a_record_has_another_version(known: SqlStorage, key: Reco
             step(unit)
         after = versions(known)
         raised = {subject for subject, version in after.items() if version != before.get(subject)}
-        assert raised == RAISED[key.kind], step
+        assert raised == RAISED[key.kind] | {"fleet "}, step
     with known.write() as unit:  # the same again changes nothing
         KINDS[key](unit)
     assert versions(known) == after

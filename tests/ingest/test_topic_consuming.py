@@ -257,11 +257,11 @@ class Failing(SqlStorage):
     tried: list[int] = None  # type: ignore[assignment]
 
     @contextmanager
-    def write(self) -> Iterator[SqlUnitOfWork]:
+    def write(self, *, fenced: bool = True) -> Iterator[SqlUnitOfWork]:
         if self.switch[0]:
             self.tried.append(1)
             raise StorageError("the database is away")
-        with super().write() as unit:
+        with super().write(fenced=fenced) as unit:
             yield unit
 
 

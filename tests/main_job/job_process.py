@@ -34,8 +34,8 @@ class Hesitant(SqlStorage):
     """Waits before every commit."""
 
     @contextmanager
-    def write(self) -> Iterator[SqlUnitOfWork]:
-        with super().write() as unit:
+    def write(self, *, fenced: bool = True) -> Iterator[SqlUnitOfWork]:
+        with super().write(fenced=fenced) as unit:
             yield unit
             if threading.current_thread() is not threading.main_thread():
                 return  # the lease is prolonged as time passes, which is none of the job's commits

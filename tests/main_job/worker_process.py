@@ -35,8 +35,8 @@ class BeforeCommit(SqlStorage):
     """Waits before every commit under a lease."""
 
     @contextmanager
-    def write(self) -> Iterator[SqlUnitOfWork]:
-        with super().write() as unit:
+    def write(self, *, fenced: bool = True) -> Iterator[SqlUnitOfWork]:
+        with super().write(fenced=fenced) as unit:
             yield unit
             if self.lease is not None:
                 unit.subjects.flush()

@@ -20,10 +20,11 @@ from estimation.storage import UnitOfWork
 from estimation.trend.steps import StepSurroundings, behind_step
 from estimation.values.alerts import Alert
 from estimation.values.geometry import GeometryRecord, IntervalConicities
-from estimation.values.opinions import GearDamper
+from estimation.values.opinions import GEAR_DAMPERS, GearDamper
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.trend import (
     SUSPENSION,
+    TREND,
     IdentityChange,
     SuspensionShown,
     TrendRecord,
@@ -33,6 +34,7 @@ from estimation.values.trend import (
 from estimation.values.windows import WindowRecord
 
 T = TypeVar("T")
+RESULTS = (TREND, IDENTITY_EVENT, SUSPENSION, GEAR_DAMPERS)
 MORE = 8  # times as many windows are read where those that were read do not reach back far enough
 
 
@@ -84,6 +86,7 @@ class _Read:
         vehicles, mounted = unit.registry.vehicles_of(codes), _by(unit.registry.mounted_on(codes), lambda m: m.vehicle)
         places = {code: [mounting.wheelset for mounting in own] for code, own in mounted.items()}
         books = {one.serial: _book(settings.rules, one, vehicles) for one in wheelsets}
+        unit.geometries.read_with(RESULTS, [*serials, *codes])
         trends = unit.trends.of(serials)
         steps = _steps_beside(unit, wheelsets, places, trends)
         results = unit.results

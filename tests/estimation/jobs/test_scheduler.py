@@ -234,11 +234,11 @@ class FailsOnce:
     fails_at: int
     asked: int = 0
 
-    def write(self) -> AbstractContextManager[UnitOfWork]:
+    def write(self, *, fenced: bool = True) -> AbstractContextManager[UnitOfWork]:
         self.asked += 1
         if self.asked == self.fails_at:
             raise StorageError("the database cannot be reached")
-        return self.real.write()
+        return self.real.write(fenced=fenced)
 
     def read(self) -> AbstractContextManager[UnitOfWork]:
         return self.real.read()

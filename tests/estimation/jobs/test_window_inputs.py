@@ -143,7 +143,8 @@ def test_statements_do_not_grow_with_the_windows_of_a_batch(bogie: SqlStorage) -
                     tracks.layout(record)
         return len(executed)
 
-    assert statements(KEYS[:2]) == statements(KEYS[:1]) <= 14
+    assert statements(KEYS[:1]) <= 12
+    assert statements(KEYS[:2]) == statements(KEYS[:1]) <= 8  # what is on file was read before
 
 
 def test_windows_are_estimated_on_the_alignment_in_force_or_that_of_their_epoch(bogie: SqlStorage) -> None:
