@@ -17,7 +17,7 @@ from fastapi import Depends, Path, Query, Request, Response
 from pydantic import BaseModel, Field, SerializeAsAny
 
 from api import cursors
-from api.access.caller import Caller, CallerDep, known_caller
+from api.access.caller import Caller, CallerDep
 from api.answers import (
     DEFAULT_LIMIT,
     Cursor,
@@ -80,42 +80,6 @@ def not_purged(as_of_ns: int | None, purged_before_ns: int | None) -> None:
     if as_of_ns is not None and purged_before_ns is not None and as_of_ns < purged_before_ns:
         kept = to_rfc3339(purged_before_ns)
         raise ProblemError(410, "history-purged", f"replaced results are kept from {kept} on, see the retention")
-
-
-@dataclass(frozen=True, slots=True)
-class IdempotentPost:
-    """One POST with its key; without a key every request is a new one."""
-
-    key: str | None
-    request_digest: str
-
-    def earlier(self, request: Request, unit: SqlUnitOfWork) -> Response | None:
-        """Return the answer that was already given under this key."""
-        known = None if self.key is None else unit.idempotency.get(self.key)
-        if known is None:
-            return None
-        digest, status, body = known
-        if digest != self.request_digest:
-            detail = "this Idempotency-Key was used for another request; use a new one"
-            raise ProblemError(422, "idempotency-key-reused", detail)
-        headers = {"Idempotency-Replayed": "true"}
-        if status == HTTPStatus.ACCEPTED:
-            headers["Location"] = orjson.loads(body)["links"]["self"]
-        return answer_bytes(request, body.encode(), status=status, headers=headers)
-
-    def remember(self, unit: SqlUnitOfWork, status: int, body: BaseModel, now_ns: int) -> None:
-        """Keep the answer, in the transaction of the change itself."""
-        if self.key is not None:
-            unit.idempotency.put(self.key, self.request_digest, status, payload_of(body).decode(), now_ns)
-
-
-def idempotent_post(request: Request, key: str | None, body: BaseModel | None = None) -> IdempotentPost:
-    """Return this POST's identity: its key, and a digest of what it asks for."""
-    request_parts = [request.method, request.scope["path"], None if body is None else body.model_dump(mode="json")]
-    identity = None if (caller := known_caller(request.scope)) is None else caller.identity
-    if key is not None and identity is not None:  # another key's answers are not for this caller
-        key = f"{hashlib.sha256(identity.encode()).hexdigest()[:32]} {hashlib.sha256(key.encode()).hexdigest()}"
-    return IdempotentPost(key, hashlib.sha256(orjson.dumps(request_parts)).hexdigest())
 
 
 RecordT = TypeVar("RecordT")
@@ -236,14 +200,59 @@ class AskedChange(Asked):
         self, body: BaseModel, apply: Callable[[SqlUnitOfWork, int], BaseModel], status: HTTPStatus = HTTPStatus.OK
     ) -> Response:
         """Change something in one transaction; the same request again changes nothing and gets the same answer."""
-        post, now_ns = idempotent_post(self.request, self.key, body), self.services.clock.now_ns()
+        post, now_ns = self._post(body), self.services.clock.now_ns()
         with self.services.storage.write() as unit:
-            earlier = post.earlier(self.request, unit)
+            earlier = self._earlier(unit, *post)
             if earlier is not None:
                 return earlier
-            done = apply(unit, now_ns)
-            post.remember(unit, status, done, now_ns)
-        return answer(self.request, done, status=status)
+            done = payload_of(apply(unit, now_ns))
+            self._remember(unit, *post, status, done)
+        return self._answered(done, status)
+
+    def beside(
+        self, body: BaseModel | None, act: Callable[[], BaseModel], status: HTTPStatus = HTTPStatus.OK
+    ) -> Response:
+        """Do what has transactions of its own; the same request again does nothing and gets the same answer."""
+        post = self._post(body)
+        with self.read() as unit:
+            earlier = self._earlier(unit, *post)
+        if earlier is not None:
+            return earlier
+        done = payload_of(act())
+        with self.services.storage.write() as unit:
+            self._remember(unit, *post, status, done)
+        return self._answered(done, status)
+
+    def _post(self, body: BaseModel | None) -> tuple[str | None, str]:
+        """Return under what a request is remembered, None without a key, and a digest of what it asks for."""
+        asked = [
+            self.request.method,
+            self.request.scope["path"],
+            None if body is None else body.model_dump(mode="json"),
+        ]
+        key, identity = self.key, self.caller.identity
+        if key is not None and identity is not None:  # another key's answers are not for this caller
+            key = f"{hashlib.sha256(identity.encode()).hexdigest()[:32]} {hashlib.sha256(key.encode()).hexdigest()}"
+        return key, hashlib.sha256(orjson.dumps(asked)).hexdigest()
+
+    def _earlier(self, unit: SqlUnitOfWork, key: str | None, digest: str) -> Response | None:
+        known = None if key is None else unit.idempotency.get(key)
+        if known is None:
+            return None
+        earlier, status, body = known
+        if earlier != digest:
+            detail = "this Idempotency-Key was used for another request; use a new one"
+            raise ProblemError(422, "idempotency-key-reused", detail)
+        return self._answered(body.encode(), status, {"Idempotency-Replayed": "true"})
+
+    def _remember(self, unit: SqlUnitOfWork, key: str | None, digest: str, status: int, done: bytes) -> None:
+        if key is not None:
+            unit.idempotency.put(key, digest, status, done.decode(), self.services.clock.now_ns())
+
+    def _answered(self, payload: bytes, status: int, headers: Mapping[str, str] = {}) -> Response:
+        if status == HTTPStatus.ACCEPTED:
+            headers = {**headers, "Location": orjson.loads(payload)["links"]["self"]}
+        return answer_bytes(self.request, payload, status=status, headers=headers)
 
 
 async def _asked(request: Request, services: ServicesDep, _held: IfNoneMatch = None) -> Asked:

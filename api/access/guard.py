@@ -216,18 +216,6 @@ class AccessPlan:
     streams_per_key: int = 10
     https: bool = False
 
-    def gate(self, storage: Callable[[], SqlStorage], book: AccessBook) -> Gate:
-        """Return the gate of one app."""
-        return Gate(
-            hosts=self.hosts,
-            doors=self.doors,
-            keys=KeyRing(storage) if self.with_keys else None,
-            tokens=None if self.provider is None else Tokens(self.provider),
-            note_use=book.used,
-            requests=Rate(self.requests_per_s, self.requests_burst),
-            failures=Rate(self.failed_keys_per_minute / MINUTE_S, max(1.0, self.failed_keys_per_minute)),
-        )
-
 
 def plan_of(settings: Settings) -> AccessPlan:
     """Return what a deployment has decided; refuses what is open beyond loopback, and half an issuer of tokens."""
@@ -308,8 +296,17 @@ class Access:
 def guard_of(plan: AccessPlan, storage: Callable[[], SqlStorage]) -> Access:
     """Return what guards one app."""
     book = AccessBook(storage)
+    gate = Gate(
+        hosts=plan.hosts,
+        doors=plan.doors,
+        keys=KeyRing(storage) if plan.with_keys else None,
+        tokens=None if plan.provider is None else Tokens(plan.provider),
+        note_use=book.used,
+        requests=Rate(plan.requests_per_s, plan.requests_burst),
+        failures=Rate(plan.failed_keys_per_minute / MINUTE_S, max(1.0, plan.failed_keys_per_minute)),
+    )
     return Access(
-        gate=plan.gate(storage, book),
+        gate=gate,
         recorder=Recorder(book, Rate(_OF_ADDRESS / 60.0, _OF_ADDRESS)),
         book=book,
         streams=StreamPlaces(plan.streams_per_key),

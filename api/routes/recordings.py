@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict
-from http import HTTPStatus
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
@@ -22,7 +21,6 @@ from api.asking import (
     MeasuredFrom,
     MeasuredTo,
     NewDep,
-    idempotent_post,
     require_order,
 )
 from api.problems import described
@@ -267,17 +265,12 @@ def delete_recording(
 def _correct(
     asked: AskedChange, digest: str, body: Correction, apply: Callable[[RecordingCorrections], ChunkRecord]
 ) -> Response:
-    post = idempotent_post(asked.request, asked.key, body)
-    with asked.read() as unit:
-        earlier = post.earlier(asked.request, unit)
-    if earlier is not None:
-        return earlier
-    apply(_made(asked.services))
-    with asked.read() as unit:
-        found = _with_history(unit, digest)
-    with asked.services.storage.write() as unit:
-        post.remember(unit, HTTPStatus.OK, found, asked.services.clock.now_ns())
-    return asked.answer(found)
+    def corrected() -> RecordingWithHistory:
+        apply(_made(asked.services))
+        with asked.read() as unit:
+            return _with_history(unit, digest)
+
+    return asked.beside(body, corrected)
 
 
 def _made(services: Services) -> RecordingCorrections:
