@@ -72,7 +72,11 @@ TYPES: Mapping[str, tuple[str, str]] = {  # title, and the detail of an example
 class ProblemItem(BaseModel):
     """One thing that does not validate: a JSON Pointer into the part of the request that is named by ``in``."""
 
-    part: str = Field(serialization_alias="in", examples=["query"])
+    part: str = Field(
+        description="Part of the request: `query`, `path`, `header` or `body`.",
+        serialization_alias="in",
+        examples=["query"],
+    )
     pointer: str = Field(description="JSON Pointer into that part.", examples=["#/limit"])
     detail: str = Field(description="What is wrong there.", examples=["Input should be less than or equal to 1000"])
 
@@ -88,12 +92,17 @@ class ContradictedRecord(BaseModel):
 class Problem(BaseModel):
     """What went wrong, as in RFC 9457."""
 
-    type: str = Field(examples=["urn:treadwatch:problem:not-found"])
+    type: str = Field(
+        description="Stable name of the kind of problem, for programs to compare.",
+        examples=["urn:treadwatch:problem:not-found"],
+    )
     title: str = Field(description="What kind of problem it is.", examples=["No such resource"])
     status: int = Field(ge=400, le=599, description="HTTP status.", examples=[404])
-    detail: str | None = Field(default=None, examples=["no wheelset 'WS-9999'"])
+    detail: str | None = Field(
+        description="What went wrong this time.", default=None, examples=["no wheelset 'WS-9999'"]
+    )
     instance: str | None = Field(default=None, description="Path of the request.", examples=["/v1/wheelsets/WS-9999"])
-    errors: list[ProblemItem] | None = None
+    errors: list[ProblemItem] | None = Field(default=None, description="Each place that does not validate.")
     contradicts: list[ContradictedRecord] | None = Field(
         default=None, description="The records on file that what was sent contradicts."
     )

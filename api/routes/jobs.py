@@ -27,7 +27,7 @@ class JobRun(
 ):
     """One run of one job and what it did; `finished_at` is null while it runs."""
 
-    duration_s: float | None
+    duration_s: float | None = Field(description="How long it took; null while it runs.")
     links: Links
 
 

@@ -57,7 +57,9 @@ class Journey(Representation):
     passes: int
     offset_m: float | None = Field(description="Correction of its positions; null where there is none.")
     scale_1: float | None = Field(description="Relative correction of its distances; null where there is none.")
-    middle_m: float | None
+    middle_m: float | None = Field(
+        description="Middle of the section as the correction is counted from it; null where there is none."
+    )
     residual_rms_mm: float | None
     used: bool = Field(description="Whether the alignment was estimated with it.")
     reason: str | None
@@ -94,7 +96,7 @@ class AlignmentReport(Derived, of=TrackReport, without=("input_digest", "report"
     refused_windows: dict[str, int] = Field(description="Windows without a pass, by the sentence of the reason.")
     refused_windows_by_code: dict[ReasonCode, int] = Field(description="Windows without a pass, by reason.")
     parameters: dict[str, JsonValue] = Field(description="Settings that shaped it; empty where none were kept.")
-    journeys: list[Journey]
+    journeys: list[Journey] = Field(description="The runs that it was found from.")
     links: Links
 
 
@@ -116,11 +118,15 @@ class Alignment(AlignmentVersion):
 
     position_m: list[float] = Field(description="Position along the section, of each value.")
     alignment_mm: list[float | None] = Field(description="Positive to the left.")
-    alignment_std_mm: list[float | None]
+    alignment_std_mm: list[float | None] = Field(
+        description="Standard deviation of the alignment at each position; null where not known."
+    )
     gauge_deviation_mm: list[float | None] = Field(
         description="As surveyed. Null where no gauge is on file: passes do not determine its sign."
     )
-    gauge_deviation_std_mm: list[float | None]
+    gauge_deviation_std_mm: list[float | None] = Field(
+        description="Standard deviation of the gauge deviation; null where not known."
+    )
     passes: list[int] = Field(description="Passes behind each value; 0 where a recording car measured it.")
     report: AlignmentReport | None = Field(description="Of the run that made it; null of a recording as registered.")
 

@@ -177,7 +177,9 @@ class Suspension(Representation):
 
     vehicle: str
     findings: list[SuspensionResult] = Field(description="What was found, oldest first.")
-    change: SuspensionShift | None
+    change: SuspensionShift | None = Field(
+        description="The change against the vehicle's own past; null while too little is known."
+    )
     links: Links
 
 

@@ -82,7 +82,9 @@ class WheelsetRow(registry.Wheelset):
     vehicle: str | None = Field(description="That it runs under now; null where it is not mounted.", examples=["V-101"])
     vehicle_class: str | None = Field(description="Class of that vehicle.", examples=["coach"])
     axle: int | None = Field(description="Number of its axle there, from 1.", examples=[1])
-    position: WorklistPosition | None
+    position: WorklistPosition | None = Field(
+        description="Where it is under its vehicle; null where nothing is known of that."
+    )
     state: WheelsetState
 
 

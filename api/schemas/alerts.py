@@ -66,7 +66,7 @@ class Alert(
 class Event(Derived, of=AlertEvent, without=("sequence",), columns="event recorded_at actor note alert"):
     """Something that happened to an alert, with the alert as it was right after."""
 
-    alert: Alert
+    alert: Alert = Field(description="The alert as it was right after.")
 
 
 class Feed(Representation):
@@ -120,7 +120,13 @@ class Unshelving(Body):
 class ExternalReference(Body):
     """The identity that a maintenance system gave to its work on the alert."""
 
-    ref: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["maximo:WO-4711"])
+    ref: str = Field(
+        description="The identity, as that system writes it.",
+        min_length=1,
+        max_length=200,
+        pattern=_WORDS,
+        examples=["maximo:WO-4711"],
+    )
     by: By = None
 
 

@@ -69,7 +69,7 @@ _NOT_MADE_FROM = ("wheelset", "baseline", "interval", "mileage_km", "from_ns", "
 class Provenance(Derived, of=GeometryRecord, without=_NOT_MADE_FROM):
     """What an estimate was made from; the same inputs and code give the same numbers."""
 
-    parameter_key: str
+    parameter_key: str = Field(description="Digest of the parameters of its bin tables.")
     track_versions: dict[str, list[int]] = Field(
         description="By section, the versions of its alignment that the windows were estimated with, increasing."
     )
@@ -102,8 +102,10 @@ class Geometry(Derived, of=WheelsetGeometry, without=_AS_BINS):
     windows_left_out: dict[str, int] | None = Field(
         description="Windows since the last reprofiling that are not believed, by reason; null without a geometry."
     )
-    conicity_by_amplitude: list[ConicityAtAmplitude]
-    bins: Bins
+    conicity_by_amplitude: list[ConicityAtAmplitude] = Field(
+        description="Equivalent conicity at each amplitude (EN 15302)."
+    )
+    bins: Bins = Field(description="The bin table.")
     provenance: Provenance | None = Field(description="What it was made from; null without a geometry.")
     links: Links
 
