@@ -8,6 +8,7 @@ For the alignment an epoch is stale as well when a window that it holds has gone
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -19,12 +20,14 @@ from sqlalchemy import (
     Delete,
     Insert,
     Select,
+    String,
     and_,
     bindparam,
     delete,
     exists,
     func,
     literal,
+    literal_column,
     or_,
     select,
     true,
@@ -41,6 +44,7 @@ from estimation.values.runs import FAILED, SubjectKind
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
+from fleet_db.on_file import VERSION
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import by_wheelset, reason_columns, table_of
 from fleet_db.subjects import Subjects
@@ -73,6 +77,8 @@ BATCH = 500  # keys in a statement
 OF_SAMPLES = (SIGNATURES, DueStage.TABLES, DueStage.MILEAGES)
 """Stages that read samples, or what is stored with them."""
 POSITIONS, ALIGNMENTS, VERSIONS = table_of(WindowPositionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
+NAMED: ColumnElement[str] = literal_column("stages.stage", String)
+"""Stage that a window is listed for, in conditions that are of some stages alone."""
 IS_PENDING = and_(PENDING)  # word for word that of the index: a parameter would keep SQLite from it
 PLACED = exists().where(
     POSITIONS.c.wheelset == WINDOWS.c.wheelset,
@@ -91,13 +97,7 @@ class WindowDueStore:
 
     def of_wheelset(self, stage: DueStage, wheelset: str) -> Mapping[int, int]:
         """Return start and version of the due windows of a wheelset, oldest first."""
-
-        def read(some: Collection[str]) -> Mapping[str, Sequence[tuple[int, int]]]:
-            statement = select(DUE).where(DUE.c.stage == stage.value, DUE.c.wheelset.in_(some))
-            rows = self.connection.execute(statement.order_by(DUE.c.start_ns))
-            return by_wheelset(rows, lambda row: (row.start_ns, row.version))
-
-        return dict(self.once.of_wheelset(f"due {stage}", wheelset, read) or ())
+        return dict(self._starts(stage, [wheelset]).get(wheelset, ()))
 
     def of_section(self, stage: str, section: str, until_ns: int | None = None) -> Mapping[WindowKey, int]:
         """Return the due windows of a section with their versions.
@@ -123,7 +123,7 @@ class WindowDueStore:
         Args:
             keys: Only of these; None is all.
         """
-        statement = select(DUE).where(DUE.c.stage == inputs.stage)
+        statement = select(DUE, VERSION.label("registry")).where(DUE.c.stage == inputs.stage)
         if inputs.stage == DueStage.TABLES:
             is_same = and_(WINDOWS.c.wheelset == DUE.c.wheelset, WINDOWS.c.start_ns == DUE.c.start_ns)
             ready = or_(DUE.c.section.not_in(_aligned_by_fleet()), PLACED, WINDOWS.c.state.is_(None))
@@ -132,7 +132,7 @@ class WindowDueStore:
             own = tuple_(DUE.c.wheelset, DUE.c.start_ns)
             statement = statement.where(own.in_([key_of_text(key) for key in keys]))
         rows = self.connection.execute(statement.order_by(DUE.c.vehicle, DUE.c.start_ns, DUE.c.wheelset))
-        return {text_of_key(row.wheelset, row.start_ns): Due(row.version) for row in rows}
+        return {text_of_key(row.wheelset, row.start_ns): Due(row.version, registry=row.registry) for row in rows}
 
     def wheelsets(self, inputs: StageInputs, serials: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return the wheelsets with windows that are due, by serial.
@@ -140,17 +140,30 @@ class WindowDueStore:
         Args:
             serials: Only of these; None is all.
         """
-        statement = select(DUE.c.wheelset, func.sum(DUE.c.version).label("seen")).where(DUE.c.stage == inputs.stage)
         if serials is not None:
-            statement = statement.where(DUE.c.wheelset.in_(serials))
+            windows = self.of_wheelsets(inputs.stage, serials)
+            seen = Counter[str]()
+            for (wheelset, _), version in windows.items():
+                seen[wheelset] += version
+            return {wheelset: Due(version) for wheelset, version in sorted(seen.items())}
+        columns = (DUE.c.wheelset, func.sum(DUE.c.version).label("seen"), VERSION.label("registry"))
+        statement = select(*columns).where(DUE.c.stage == inputs.stage)
         rows = self.connection.execute(statement.group_by(DUE.c.wheelset).order_by(DUE.c.wheelset))
-        return {row.wheelset: Due(int(row.seen)) for row in rows}
+        return {row.wheelset: Due(int(row.seen), registry=row.registry) for row in rows}
 
     def of_wheelsets(self, stage: str, serials: Collection[str]) -> Mapping[WindowKey, int]:
         """Return the due windows of some wheelsets with their versions, by wheelset and start."""
-        statement = select(DUE).where(DUE.c.stage == stage, DUE.c.wheelset.in_(serials))
-        rows = self.connection.execute(statement.order_by(DUE.c.wheelset, DUE.c.start_ns))
-        return {(row.wheelset, row.start_ns): row.version for row in rows}
+        found = self._starts(stage, serials)
+        return {(serial, start_ns): version for serial in sorted(found) for start_ns, version in found[serial]}
+
+    def _starts(self, stage: str, serials: Collection[str]) -> Mapping[str, Sequence[tuple[int, int]]]:
+
+        def read(some: Collection[str]) -> Mapping[str, Sequence[tuple[int, int]]]:
+            statement = select(DUE).where(DUE.c.stage == stage, DUE.c.wheelset.in_(some))
+            rows = self.connection.execute(statement.order_by(DUE.c.start_ns))
+            return by_wheelset(rows, lambda row: (row.start_ns, row.version))
+
+        return self.once.of_wheelsets(f"due {stage}", serials, read)
 
     def list_again(self, stage: str, keys: Sequence[WindowKey]) -> None:
         """Let windows be due still that a stage is about to settle."""
@@ -228,8 +241,9 @@ def estimated(connection: Connection, keys: Sequence[WindowKey]) -> None:
         own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys[first : first + BATCH])
         lacked = [code.value for code in OF_OTHERS]
         signed = select(OF_WINDOWS.c.places).where(SAME_WINDOW, OF_WINDOWS.c.reason_code.in_(lacked))
-        list_due(connection, SIGNATURES, and_(own, WINDOWS.c.samples_purged_ns.is_(None), signed.exists()))
-        list_due(connection, CREEP, and_(own, NOT_LOOKED_AT))
+        lacking = and_(NAMED == SIGNATURES, WINDOWS.c.samples_purged_ns.is_(None), signed.exists())
+        chosen = and_(own, or_(lacking, and_(NAMED == CREEP, NOT_LOOKED_AT)))
+        connection.execute(_listed(connection.dialect.name, (SIGNATURES, CREEP), chosen))
 
 
 def is_due(stage: DueStage, table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
@@ -247,7 +261,7 @@ def _listed(dialect: str, stages: Sequence[str], chosen: ColumnElement[bool], *,
     named = union_all(*(select(literal(str(stage)).label("stage")) for stage in stages)).subquery("stages")
     windows: Select[Any] = (
         select(
-            named.c.stage,
+            NAMED,
             WINDOWS.c.wheelset,
             WINDOWS.c.start_ns,
             WINDOWS.c.vehicle,
@@ -256,7 +270,7 @@ def _listed(dialect: str, stages: Sequence[str], chosen: ColumnElement[bool], *,
         )
         .select_from(WINDOWS.join(named, true()))
         .where(chosen)
-        .order_by(named.c.stage, WINDOWS.c.wheelset, WINDOWS.c.start_ns)  # one order of row locks
+        .order_by(NAMED, WINDOWS.c.wheelset, WINDOWS.c.start_ns)  # one order of row locks
     )
     new = (postgresql.insert if dialect == "postgresql" else sqlite.insert)(DUE).from_select(columns, windows)
     if not raised:

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections import ChainMap
-from collections.abc import Hashable, MutableMapping
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import Connection, select
+from sqlalchemy import String, cast, func, select
 
 from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import table_of
-from fleet_db.subjects import VERSIONS
+from fleet_db.subjects import VERSIONS, Subjects
 from fleet_db.tables.alerts import FeedBranchRow
 
 BRANCHES = table_of(FeedBranchRow)
+_OF_REGISTRY = (VERSIONS.c.kind == SubjectKind.FLEET.value, VERSIONS.c.subject == "")
+_CHANGES = select(cast(VERSIONS.c.version, String)).where(*_OF_REGISTRY, VERSIONS.c.facet == Facet.REGISTRY.value)
+_BRANCH = select(BRANCHES.c.identity).order_by(BRANCHES.c.branch_id.desc()).limit(1)
+VERSION = func.coalesce(_CHANGES.scalar_subquery(), "") + " " + func.coalesce(_BRANCH.scalar_subquery(), "")
+"""What is another one with each change of the registry, and after a restore."""
 MOST = 20_000
 """Records of a kind that are kept."""
 LARGE = ("measured profiles",)
@@ -42,29 +46,23 @@ class KeptRecords:
 class OnFile(ReadOnce):
     """Records of the registry: while it does not change, no transaction reads again what another one has read.
 
-    A transaction that writes may see what is not committed, and adds nothing to what others see.
+    A transaction that has changed it sees what is not committed: it neither uses nor adds to what others see.
     """
 
-    connection: Connection
+    subjects: Subjects
     kept: KeptRecords
     _read: dict[str, Records] = field(default_factory=dict)
 
-    def renew(self) -> None:
-        """Look at the version of the registry again."""
-        self._read.clear()
+    def renew(self, version: str | None) -> None:
+        """Go on with a version of the registry that was read just now."""
+        if version is not None:
+            self._read["now"] = self.kept.of(version)
 
-    def _of_kind(self, kind: str) -> MutableMapping[Any, Any]:
+    def _of_kind(self, kind: str) -> dict[Any, Any]:
         if kind in LARGE:
             return ReadOnce._of_kind(self, kind)  # noqa: SLF001 - of the class that this one extends
+        if self.subjects.growth([Facet.REGISTRY]):
+            return {}
         if not self._read:
-            self._read["now"] = self.kept.of(_version(self.connection))
-        records: dict[Any, Any] = self._read["now"].setdefault(kind, {})
-        return records if self.snapshot else ChainMap({}, records)
-
-
-def _version(connection: Connection) -> Hashable:
-    """Return what is another one with each change of the registry, and after a restore."""
-    of_registry = (VERSIONS.c.kind == SubjectKind.FLEET.value, VERSIONS.c.subject == "")
-    changes = select(VERSIONS.c.version).where(*of_registry, VERSIONS.c.facet == Facet.REGISTRY.value)
-    branch = select(BRANCHES.c.identity).order_by(BRANCHES.c.branch_id.desc()).limit(1)
-    return tuple(connection.execute(select(changes.scalar_subquery(), branch.scalar_subquery())).one())
+            self._read["now"] = self.kept.of(self.subjects.connection.scalar(select(VERSION)))
+        return self._read["now"].setdefault(kind, {})

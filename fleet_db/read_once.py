@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Mapping, MutableMapping
+from collections.abc import Callable, Collection, Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -38,16 +38,25 @@ class ReadOnce:
             known.update((key, found.get(key)) for key in missing)
         return {key: known[key] for key in keys if known[key] is not None}
 
-    def renew(self) -> None:
+    def renew(self, version: str | None) -> None:
         """Let what others have changed meanwhile be seen; a transaction that writes remembers nothing."""
 
-    def _of_kind(self, kind: str) -> MutableMapping[Any, Any]:
+    def _of_kind(self, kind: str) -> dict[Any, Any]:
         """Return the records of a kind that need not be read; what is read is added to it."""
         return self._records.setdefault(kind, {}) if self.snapshot else {}
+
+    def remember(self, kind: str, records: Mapping[Any, Any]) -> None:
+        """Let records be those that this transaction has read."""
+        self._records.setdefault(kind, {}).update(records)
 
     def known(self, kind: str, key: Hashable) -> Any:  # noqa: ANN401 - a record of this kind
         """Return a record that :meth:`of` has read; None where it has not, or there is none."""
         return self._records.get(kind, {}).get(key)
+
+    def is_absent(self, kind: str, key: Hashable) -> bool:
+        """Return whether :meth:`of` has looked for a record and found none."""
+        records = self._records.get(kind, {})
+        return key in records and records[key] is None
 
     def of_wheelset(
         self, kind: str, wheelset: str, read: Callable[[Collection[str]], Mapping[str, Record]]

@@ -90,6 +90,12 @@ def replace_all(connection: Connection, table: Table, rows: Sequence[Mapping[str
         connection.execute(_update(table, tuple(rows[0])), [{**row, **key_of(table, row)} for row in rows])
 
 
+def put_rows(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Store rows, all of the same columns, each in the place of the one with its primary key; in order of the keys."""
+    if rows:
+        connection.execute(_put(table, tuple(rows[0]), connection.dialect.name), list(rows))
+
+
 def insert_new(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:
     """Insert ``values`` unless the primary key is there already; return whether it was new."""
     return connection.execute(_insert_new(table, connection.dialect.name), values).rowcount > 0
@@ -139,6 +145,16 @@ def _insert_new(table: Table, dialect: str) -> Insert:
             .execution_options(preserve_rowcount=True)
         )
     return sqlite.insert(table).on_conflict_do_nothing(index_elements=key).execution_options(preserve_rowcount=True)
+
+
+@cache
+def _put(table: Table, names: tuple[str, ...], dialect: str) -> Insert:
+    key = [column.name for column in table.primary_key]
+    new = (postgresql if dialect == "postgresql" else sqlite).insert(table)
+    new = new.values({name: bindparam(name, type_=table.c[name].type) for name in names})
+    changed = {name: new.excluded[name] for name in names if name not in key}
+    stored: Insert = new.on_conflict_do_update(index_elements=key, set_=changed)
+    return stored
 
 
 @cache

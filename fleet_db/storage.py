@@ -125,7 +125,7 @@ class SqlUnitOfWork:
         once = ReadOnce(not self.writing, self.together)
         on_file = once
         if self.kept is not None:
-            on_file = OnFile(not self.writing, self.together, connection=connection, kept=self.kept)
+            on_file = OnFile(not self.writing, self.together, subjects=self.subjects, kept=self.kept)
         # a transaction that changes records reads them as they are in it
         of_registry = once if self.writing else on_file
         self.registry = RegistryStore(connection, self.subjects, self.shipped, once=of_registry)
@@ -140,7 +140,7 @@ class SqlUnitOfWork:
         self.assembled = AssembledWindowStore(connection, self.subjects, self.files)
         self.tables = BinTableStore(connection, self.subjects, once)
         self.due = WindowDueStore(connection, once)
-        self.marks = StageMarkStore(connection, self.subjects, self.due)
+        self.marks = StageMarkStore(connection, self.subjects, self.due, once, on_file)
         self.results = ResultStore(connection, self.subjects, once)
         self.geometries = GeometryStore(connection, self.results, once)
         self.trends = TrendStore(self.results, self.geometries)

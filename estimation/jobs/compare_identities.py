@@ -69,13 +69,19 @@ def load_jumps(unit: UnitOfWork, serials: Sequence[str], context: JobContext) ->
     parameters = context.settings.rules.rule(IdentityRule).parameters
     newest, changes = unit.geometries.newest_numbers(serials), identity_changes(unit, serials)
     before = {result.subject: result.parameters for result in unit.results.in_force(JUMP, serials)}
-    inputs = {}
-    for wheelset in unit.registry.wheelsets_of(serials):
-        serial, change = wheelset.serial, changes.get(wheelset.serial)
+    inputs, wheelsets, calms = {}, unit.registry.wheelsets_of(serials), dict[str, tuple[str, int | None]]()
+    for wheelset in wheelsets:
+        change, stored = changes.get(wheelset.serial), before.get(wheelset.serial, {})
         since = made_from(len(wheelset.reprofilings), change, parameters, context.code_version)
-        stored = before.get(serial, {})
         calm = stored[CALM] if stored.get(SINCE) == since else None
         assert calm is None or isinstance(calm, int)
+        calms[wheelset.serial] = since, calm
+    # a wheelset that was not calm before is looked at whole
+    whole = [one for one in wheelsets if one.mounting is not None and calms[one.serial][1] is None]
+    unit.geometries.read_intervals({one.serial: (len(one.reprofilings), None, None) for one in whole})
+    for wheelset in wheelsets:
+        serial, change, stored = wheelset.serial, changes.get(wheelset.serial), before.get(wheelset.serial, {})
+        since, calm = calms[serial]
         in_service = wheelset.mounting is not None and serial in newest
         if in_service or stored:
             known = _changed_since(unit, wheelset, change, calm, parameters) if in_service else []

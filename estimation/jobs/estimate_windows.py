@@ -21,6 +21,7 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.due_windows import JUDGE, OUTDATED
 from estimation.jobs.steps.load_window import (
     BatchInputs,
+    Facts,
     TrackLookup,
     WindowInputs,
     WindowLoader,
@@ -105,6 +106,7 @@ class TableInputs:
 
     record: WindowRecord
     inputs: WindowInputs
+    facts: Facts = field(metadata={"made_from": False})
     window: Window | Reason = field(metadata={"made_from": False})
     track: TrackAlignment | None = field(metadata={"made_from": False})
     layout: TrackLayout | None = field(metadata={"made_from": False})
@@ -164,7 +166,9 @@ class _Reading:
             inputs = self.batch.of(record.key)
             window, tracks = self._window(record, inputs), self.tracks
             rolls = record.key in self.chosen
-            return TableInputs(record, inputs, window, tracks.alignment(record), tracks.layout(record), rolls)
+            return TableInputs(
+                record, inputs, self.batch.facts, window, tracks.alignment(record), tracks.layout(record), rolls
+            )
         except Exception as error:
             if not fails_alone(error):
                 raise
@@ -249,10 +253,12 @@ def store_tables(
     if not found:
         return {}
     now = {record.key: record for record in unit.windows.several([one.record.key for one, _ in found], held=True)}
-    batch = inputs_of_batch(unit, list(now.values()), ClassLookup(unit, context.settings.estimation))
+    batch = None
+    if not found[0][0].facts.are_same(unit):
+        batch = inputs_of_batch(unit, list(now.values()), ClassLookup(unit, context.settings.estimation))
     changed = {one.record.key for one, _ in found if _changed(one, now.get(one.record.key), batch)}
     same = [(inputs, outcome) for inputs, outcome in found if inputs.record.key not in changed]
-    _store(unit, same)
+    _store(unit, same, now)
     unit.due.list_again(DueStage.TABLES, sorted(changed))
     counts = Counter(estimated=0, refused=0, changed_meanwhile=len(changed))
     for inputs, outcome in same:
@@ -262,13 +268,19 @@ def store_tables(
     return counts
 
 
-def _changed(inputs: TableInputs, now: WindowRecord | None, batch: BatchInputs) -> bool:
-    """Whether something that a window was estimated with is another by now."""
+def _changed(inputs: TableInputs, now: WindowRecord | None, batch: BatchInputs | None) -> bool:
+    """Whether something that a window was estimated with is another by now.
+
+    Args:
+        batch: None where nothing is but what is of the window itself.
+    """
     record = inputs.record
-    return now is None or now.content_digest != record.content_digest or batch.of(record.key) != inputs.inputs
+    if now is None or now.content_digest != record.content_digest:
+        return True
+    return batch is not None and batch.of(record.key) != inputs.inputs
 
 
-def _store(unit: UnitOfWork, found: Sequence[Made]) -> None:
+def _store(unit: UnitOfWork, found: Sequence[Made], standing: Mapping[WindowKey, WindowRecord]) -> None:
     tables, marks, refused, rolling = [], [], {}, []
     for inputs, outcome in found:
         record, version = inputs.record, inputs.track.version if inputs.track is not None else None
@@ -284,7 +296,7 @@ def _store(unit: UnitOfWork, found: Sequence[Made]) -> None:
                 rolling.append(WindowRollingSums(*record.key, *made_from, outcome.rolling))
             marks.append(WindowMark(*record.key, WindowState.ESTIMATED))
     unit.tables.put_all(tables)
-    unit.windows.mark_all(marks)
+    unit.windows.mark_all(marks, standing)
     unit.epochs.note_all_refused(refused)
     unit.roll_ups.put_rolling(rolling)
 

@@ -27,15 +27,17 @@ from estimation.jobs.steps.store_alignment import (
     classes_of,
     cut,
     is_hardly_another,
+    rests_on_other,
     store_epoch,
     survey_checked,
 )
-from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.track.passes import Entry, Journey, newest_within
 from estimation.track.results import place_alone
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import UpdateOutcome, update_alignment
+from estimation.values.reasons import Reason
 from estimation.values.results import Due as Seen
 from estimation.values.results import Facet, Mark, StageInputs
 from estimation.values.runs import SubjectKind
@@ -52,7 +54,7 @@ _COUNTED = {
     UpdateOutcome.SURVEY_REFUSED: "versions",
 }
 _COUNTS = ("epochs", "windows", "passes", "kept", "unestimated", "changed_meanwhile")
-_HELD = ("track_section", "vehicle", "content_digest", "mileage_km")
+_HELD = ("track_section", "vehicle", "content_digest", "mileage_km", "samples_purged")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +80,7 @@ class Known:
         alignment: After the epoch before; None where nothing is known.
         base: The oldest version from which that does not differ materially.
         classes: By vehicle.
+        assumed: Of windows, by vehicle and wheelset.
         chosen: Windows that are solved together, those that make the version first, with what was measured of their
             wheelsets.
     """
@@ -85,6 +88,7 @@ class Known:
     alignment: TrackAlignment | None
     base: TrackAlignment | None
     classes: Mapping[str, ClassOnFile]
+    assumed: Mapping[tuple[str, str], Assumed | Reason]
     chosen: Sequence[tuple[Sequence[Entry], Measured]]
 
 
@@ -93,23 +97,27 @@ class FoldInputs:
     """What is to be done of the epochs of a section; samples are read where they are looked at.
 
     Attributes:
+        versions: Of what is declared, as of these inputs.
         number: Of the epoch that is due; None for none.
         digest: Of what that rests on.
         later: Whether the last epoch is left for a later run.
+        last: Whether nothing else is due once the epoch is stored.
         seen: Windows that are listed and done with when this is stored, with the versions that were read.
         known: None where no epoch is due, or it has no window left.
     """
 
     section: str
+    versions: int
     number: int | None
     digest: str
     later: bool
+    last: bool
     seen: Mapping[WindowKey, int]
     on_file: OnFile
     found: Found = field(metadata={"made_from": False})
     known: Known | None = field(metadata={"made_from": False})
     settings: AlignmentSettings = field(metadata={"made_from": False})
-    passes: Callable[[Sequence[Entry]], EpochPasses] = field(metadata={"made_from": False})
+    passes: Callable[[Sequence[Entry], Known], EpochPasses] = field(metadata={"made_from": False})
 
     @property
     def writes(self) -> bool:
@@ -126,8 +134,8 @@ def load(unit: UnitOfWork, codes: Sequence[str], context: JobContext) -> Mapping
 def _inputs(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext) -> FoldInputs:
     code, settings = section.code, context.settings.alignment
     lookup = FileLookup(unit, context.settings, ClassLookup(unit, context.settings.estimation))
-    on_file = _on_file(unit, lookup, code, context)
     stored = unit.epochs.list(code)
+    on_file = _on_file(unit, lookup, code, context) if stored else OnFile()
     listed_ns = changed_from(unit, lookup, code) if stored else None
     starts = (listed_ns, *on_file.changed.values())
     changed_ns = min((start_ns for start_ns in starts if start_ns is not None), default=None)
@@ -136,20 +144,28 @@ def _inputs(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext) 
     own = {member.record.key for kept in found.kept for member in kept.own}
     own |= {member.record.key for member in due.own} if due is not None else set()
     until_ns = max((start_ns for _, start_ns in own), default=0)
-    at_rest = due is None and not found.later
+    last = found.last and all(key in own for key in on_file.changed)
+    at_rest = last or (due is None and not found.later)
     seen = unit.due.of_section(DueStage.ALIGNMENT, code, None if at_rest else until_ns)
     return FoldInputs(
         section=code,
+        versions=_versions(unit, code, context),
         number=None if due is None else due.number,
         digest="" if due is None else due.digest,
         later=found.later,
+        last=last,
         seen={key: version for key, version in seen.items() if at_rest or key in own},
         on_file=on_file,
         found=found,
         known=_known(unit, due, lookup.classes, settings) if due is not None and due.own else None,
         settings=settings,
-        passes=partial(epoch_passes, context),
+        passes=lambda chosen, known: epoch_passes(context, chosen, known.assumed),
     )
+
+
+def _versions(unit: UnitOfWork, code: str, context: JobContext) -> int:
+    """Return the sum of the versions of what the stage declares of a section that is due; 0 where it is at rest."""
+    return unit.marks.due(ALIGNMENT.inputs(context), context.clock.now_ns(), [code]).get(code, Seen(0)).seen
 
 
 def _on_file(unit: UnitOfWork, lookup: FileLookup, code: str, context: JobContext) -> OnFile:
@@ -177,6 +193,7 @@ def _known(unit: UnitOfWork, due: Due, classes: ClassLookup, settings: Alignment
         alignment=alignment,
         base=alignment if since == version or since is None else unit.tracks.alignment(code, since),
         classes=classes_of(classes, records),
+        assumed={key: classes.assumed(*key) for key in dict.fromkeys((one.vehicle, one.wheelset) for one in records)},
         chosen=parts,
     )
 
@@ -198,7 +215,8 @@ def compute(inputs: FoldInputs) -> Outcome[Computed]:
         alone = place_alone(due.section, grouped, alignment, settings.section, of_chosen.curves)
     if not solved.update.outcome.windows_wait:
         parts += [_solve(inputs, *part, solved.update.alignment, checked=True) for part in rest]
-    return Outcome([Part(Computed(due, alignment, parts, known.classes, of_chosen.notes, alone))], more=True)
+    made = Part(Computed(due, alignment, parts, known.classes, of_chosen.notes, alone))
+    return Outcome([made], more=not inputs.last, counted="epochs")
 
 
 def _solve(
@@ -206,7 +224,8 @@ def _solve(
 ) -> Solved:
     """Return what some windows make of an alignment."""
     assert inputs.found.due is not None
-    made = inputs.passes(chosen)
+    assert inputs.known is not None
+    made = inputs.passes(chosen, inputs.known)
     update = update_alignment(
         inputs.found.due.section,
         made.found,
@@ -233,7 +252,7 @@ def _store(
     unit: UnitOfWork, context: JobContext, inputs: FoldInputs, outcome: Outcome[Computed], counts: Counter[str]
 ) -> None:
     found, code, on_file = inputs.found, inputs.section, inputs.on_file
-    _check_unchanged(unit, found, code)
+    standing = _check_unchanged(unit, context, inputs)
     own = {member.record.key for kept in found.kept for member in kept.own}
     for kept in found.kept:
         unit.epochs.put(kept.epoch, kept.own)
@@ -243,8 +262,9 @@ def _store(
             cut(unit, found.due, context)
     for part in outcome.parts:
         assert part.value is not None
-        store_epoch(unit, part.value, context)
+        store_epoch(unit, part.value, context, standing)
         counts.update(_counts(part.value))
+        counts["epochs"] += outcome.more  # the last one is counted with the section
     unit.due.settle_all(DueStage.ALIGNMENT, inputs.seen)
     if on_file.seen is not None:
         unit.epochs.list_again(code, [key for key in on_file.changed if key not in own])
@@ -253,18 +273,27 @@ def _store(
         unit.marks.note(_files(context), {code: Mark(on_file.seen.seen, "")})
 
 
-def _check_unchanged(unit: UnitOfWork, found: Found, code: str) -> None:
+def _check_unchanged(unit: UnitOfWork, context: JobContext, inputs: FoldInputs) -> Mapping[WindowKey, WindowRecord]:
     """Hold the windows of epochs until they are stored: who changes them later finds that an epoch holds them.
+
+    Returns:
+        Them as they are.
 
     Raises:
         ConflictError: Something has changed since it was read.
     """
+    found, code = inputs.found, inputs.section
     own = [member.record for kept in found.kept for member in kept.own]
-    own += [member.record for member in found.due.own] if found.due is not None else []
+    own += [record for record, _ in found.due.entries] if found.due is not None else []
     now = {record.key: record for record in unit.windows.several([record.key for record in own], held=True)}
     same = all(_same(record, now.get(record.key)) for record in own)
-    if not same or (found and unit.epochs.list(code) != found.stored):
-        raise ConflictError("windows or epochs have changed", kind="track section", key=code)
+    if same and found and _versions(unit, code, context) != inputs.versions:
+        due, known = found.due, inputs.known
+        other = due is not None and known is not None and rests_on_other(unit, due, known.classes, context)
+        same = unit.epochs.list(code) == found.stored and not other
+    if not same:
+        raise ConflictError("windows, epochs or what they rest on have changed", kind="track section", key=code)
+    return now
 
 
 def _same(record: WindowRecord, now: WindowRecord | None) -> bool:
@@ -275,7 +304,6 @@ def _same(record: WindowRecord, now: WindowRecord | None) -> bool:
 def _counts(computed: Computed) -> Mapping[str, int]:
     return {
         _COUNTED[computed.update.outcome]: 1,
-        "epochs": 1,
         "windows": len(computed.due.own),
         "passes": sum(len(part.passes.found) for part in computed.parts),
     }

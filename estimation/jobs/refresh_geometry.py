@@ -113,12 +113,11 @@ def store(
     unit.tables.note_running({serial: one.mileages for serial, one in due.items()})
     looked_at = {(serial, at_ns): version for serial, one in due.items() for at_ns, version in one.looked_at.items()}
     unit.due.settle_all(DueStage.SUMS, looked_at)
-    unit.roll_ups.put_states(being_made | {serial: one.state for serial, one in due.items()})
+    earlier = {serial: one.rolled.earlier for serial, one in whole.items() if one.rolled.earlier is not None}
+    unit.roll_ups.put_states(being_made | {serial: one.state for serial, one in due.items()}, earlier)
     for serial, one in due.items():
         unit.roll_ups.drop(serial, one.dropped)
         unit.roll_ups.forget(serial, whole[serial].rolled.forgotten())
-    earlier = {serial: one.rolled.earlier for serial, one in whole.items()}
-    unit.roll_ups.put_earlier({serial: sums for serial, sums in earlier.items() if sums is not None})
     unit.roll_ups.put_rolling([sums for one in whole.values() for sums in one.rolled.radius.fresh.values()])
     chosen = {serial: [at for part in one.parts for _, at in part.roll_up.chosen] for serial, one in due.items()}
     unit.roll_ups.keep_rolling(chosen)

@@ -98,10 +98,11 @@ class StageInputs:
 class Due:
     """A subject that a stage has not seen as it is now."""
 
-    seen: int  # sum of the versions of its facets, in the transaction that reads its inputs
+    seen: int  # sum of the versions of its facets, in the transaction that reads its inputs or before
     made_from: str | None = None  # digest of the inputs seen last; None where it is to compute whatever they are
     marked: bool = False  # it has seen the subject before
     again_ns: int | None = None  # our time from which the inputs that it has seen may say something else
+    registry: str | None = field(default=None, compare=False)  # version of the registry then
 
 
 @dataclass(frozen=True, slots=True)

@@ -221,6 +221,7 @@ class MileageReading:
     mileage_km: float  # of the wheelset since new
     odometer_excess_m: float = 0.0  # by which its change differs from the integral of the speed beyond what is allowed
     off_line_m: float = 0.0  # from the line of the section that it reported, by GNSS; 0 within the limit
+    refused: Reason | None = None  # why it is not believed, as it was judged last
 
 
 OF_FRAME = ("frame_yaw", "frame_yaw_rate", "frame_displacement")

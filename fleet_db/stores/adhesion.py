@@ -127,6 +127,7 @@ class AdhesionStore:
         )
         first = select(func.min(OF_SECTIONS.c.to_ns)).where(*within).scalar_subquery()
         self.connection.execute(delete(OF_SECTIONS).where(*within, OF_SECTIONS.c.to_ns > first))
+        self.subjects.raised(SubjectKind.SECTION, found.track_section, FRICTION)
         return upsert(self.connection, OF_SECTIONS, values)
 
     def made_with(self, sections: Sequence[str]) -> Mapping[str, tuple[int, str]]:

@@ -13,7 +13,6 @@ from sqlalchemy import (
     Connection,
     FromClause,
     Row,
-    Select,
     String,
     and_,
     func,
@@ -31,7 +30,7 @@ from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
 from fleet_db.read_once import ReadOnce
-from fleet_db.rows import insert_all_new, on_sections, replace, replace_all, table_of
+from fleet_db.rows import by_wheelset, on_sections, put_rows, replace_all, table_of
 from fleet_db.stores.window_rows import keys_given, list_for_sums, to_window_record
 from fleet_db.stores.windows import NOT_PASSED_OVER
 from fleet_db.subjects import Subjects
@@ -44,8 +43,12 @@ TabledSpan = tuple[str, int, int | None, int]
 """Wheelset, first start, that behind the last one, and how many windows at most."""
 COMPARED = ("track_version", "window_digest", "parameter_key", "samples", "content_digest", "packed")
 _CONTENT = ("wheelset", "start_ns", "content_digest", "track_section", "table_purged_ns")
-CONTENTS = select(*(WINDOWS.c[name] for name in _CONTENT)).where(keys_given(WINDOWS))
-STORED = select(*(TABLES.c[name] for name in ("wheelset", "start_ns", *COMPARED))).where(keys_given(TABLES))
+STORED = (
+    select(*(WINDOWS.c[name] for name in _CONTENT), *(TABLES.c[name].label(f"table_{name}") for name in COMPARED))
+    .select_from(WINDOWS.outerjoin(TABLES, SAME_WINDOW))
+    .where(keys_given(WINDOWS))
+)
+"""Windows with their tables, if they have one."""
 WITHOUT_TABLES = select(
     WINDOWS,
     *(TABLES.c[name] for name in ("parameter_key", "track_version", "running_km")),
@@ -69,24 +72,20 @@ class BinTableStore:
         """Store the bin tables of different windows as :meth:`put` does; where one has been purged it stays summed."""
         windows = self._checked([(one.key, one.window_digest) for one in tables])
         rows = {one.key: _values(one) for one in tables if windows[one.key].table_purged_ns is None}
-        stored = self._by_key(STORED, list(rows))
-        new = [row for key, row in rows.items() if key not in stored]
-        if insert_all_new(self.connection, TABLES, new) < len(new):  # another transaction has stored some meanwhile
-            stored = self._by_key(STORED, list(rows))
-        changed: list[WindowKey] = []
-        for key, row in rows.items():
-            if key in stored:
-                if all(getattr(stored[key], name) == row[name] for name in COMPARED):
-                    continue
-                replace(self.connection, TABLES, row)
-            changed.append(key)
+        changed = [
+            key
+            for key, row in sorted(rows.items())
+            if any(getattr(windows[key], f"table_{name}") != row[name] for name in COMPARED)
+        ]
+        put_rows(self.connection, TABLES, [rows[key] for key in changed])
+        for key in changed:
             self.subjects.tables(key[0])  # its geometry follows
             self.subjects.places(windows[key].track_section)
         list_for_sums(self.connection, changed)
 
     def _checked(self, expected: Sequence[tuple[WindowKey, str]]) -> Mapping[WindowKey, Row[Any]]:
-        """Return the sections that windows are on, once their contents are those expected."""
-        windows = self._by_key(CONTENTS, [key for key, _ in expected])
+        """Return windows with their tables, once the contents of the windows are those expected."""
+        windows = self._by_key([key for key, _ in expected])
         for key, digest in expected:
             name = f"{key[0]}@{key[1]}"
             if key not in windows:
@@ -95,10 +94,10 @@ class BinTableStore:
                 raise ConflictError(f"window {name} was replaced while it was estimated", kind="window", key=name)
         return windows
 
-    def _by_key(self, statement: Select[Any], keys: Sequence[WindowKey]) -> dict[WindowKey, Row[Any]]:
+    def _by_key(self, keys: Sequence[WindowKey]) -> dict[WindowKey, Row[Any]]:
         found: dict[WindowKey, Row[Any]] = {}
         for first in range(0, len(keys), BATCH):
-            for row in self.connection.execute(statement, {"keys": keys[first : first + BATCH]}):
+            for row in self.connection.execute(STORED, {"keys": keys[first : first + BATCH]}):
                 found[row.wheelset, row.start_ns] = row
         return found
 
@@ -132,6 +131,8 @@ class BinTableStore:
         if limit is not None and from_ns is not None:
             span = (wheelset, from_ns, to_ns, limit)
             return self.once.of("tabled", [span], self._some_tabled).get(span, [])
+        if from_ns is None and to_ns is None and (ahead := self.once.known("all tabled", wheelset)) is not None:
+            return list(ahead)
         statement = WITHOUT_TABLES.where(TABLES.c.wheelset == wheelset)
         if from_ns is not None:
             statement = statement.where(TABLES.c.start_ns >= from_ns)
@@ -149,6 +150,7 @@ class BinTableStore:
         readings: Collection[tuple[str, int, int]] = (),
         spans: Collection[TabledSpan] = (),
         keys: Collection[WindowKey] = (),
+        wheelsets: Collection[str] = (),
     ) -> None:
         """Read together what is asked for one by one afterwards.
 
@@ -156,10 +158,18 @@ class BinTableStore:
             readings: Arguments of :meth:`last_reading`.
             spans: Arguments of :meth:`tabled`.
             keys: Windows whose tables :meth:`cells_of` returns.
+            wheelsets: Of which :meth:`tabled` returns all windows.
         """
+        self.once.of("all tabled", wheelsets, self._all_tabled)
         self.once.of("last reading", readings, self._last_readings)
         self.once.of("tabled", spans, self._some_tabled)
         self.once.of("packed", keys, self._packed)
+
+    def _all_tabled(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[TabledWindow]]:
+        statement = WITHOUT_TABLES.where(TABLES.c.wheelset.in_(wheelsets)).order_by(
+            TABLES.c.wheelset, TABLES.c.start_ns
+        )
+        return by_wheelset(self.connection.execute(statement), lambda row: _tabled([row])[0])
 
     def _last_readings(self, spans: Collection[tuple[str, int, int]]) -> Mapping[tuple[str, int, int], TabledWindow]:
         given = _spans(spans)

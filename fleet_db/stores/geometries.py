@@ -39,6 +39,7 @@ UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in CO
 TABLES, WHEELSETS = table_of(WindowBinTableRow), table_of(WheelsetRow)
 CURRENT: Parts = ("current.", "current.9999")
 INTERVALS: Parts = ("0000", "9999.9999999")
+HAVING = "having a current geometry"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,16 @@ class GeometryStore:
 
     def read_with(self, kinds: Collection[ResultKind[Any]], subjects: Collection[str]) -> None:
         """Read with one statement what :meth:`current_of` is asked next, and what is in force of other kinds."""
-        self.results.read_ahead({GEOMETRY: CURRENT, **dict.fromkeys(kinds)}, subjects)
+        self.results.read_ahead([(GEOMETRY, subjects, CURRENT), *((kind, subjects, None) for kind in kinds)])
+
+    def read_intervals(self, wanted: Mapping[str, tuple[int, int | None, int | None]]) -> None:
+        """Read together what :meth:`intervals` is asked of one wheelset after the other.
+
+        Args:
+            wanted: By wheelset its baseline, and the numbers of the first and the last interval of it; None is all.
+        """
+        if wanted:
+            self.results.read_ahead((GEOMETRY, [serial], _intervals(*span)) for serial, span in wanted.items())
 
     def current_of(self, wheelsets: Collection[str]) -> Mapping[str, GeometryRecord]:
         """Return what :meth:`current` does of each of some wheelsets that has one, by serial."""
@@ -99,6 +109,8 @@ class GeometryStore:
 
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]:
         """Return the current geometry of each baseline that there has been, by its number."""
+        if self.once.is_absent(HAVING, wheelset):
+            return ()
         return self.once.of_wheelset("current geometries", wheelset, self._baselines) or ()
 
     def _baselines(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[GeometryRecord]]:
@@ -174,10 +186,13 @@ class GeometryStore:
 
     def estimable(self, wheelsets: Collection[str]) -> frozenset[str]:
         """Return those of some wheelsets that have a bin table or a geometry."""
-        tabled = select(WHEELSETS.c.serial).where(
-            WHEELSETS.c.serial.in_(wheelsets), exists().where(TABLES.c.wheelset == WHEELSETS.c.serial)
-        )
-        return frozenset(self.connection.scalars(tabled)) | self.results.having(GEOMETRY, wheelsets, CURRENT)
+        tabled = exists().where(TABLES.c.wheelset == WHEELSETS.c.serial)
+        current = (RESULTS.c.stage == GEOMETRY.stage, RESULTS.c.part.between(*CURRENT))
+        having = exists().where(*current, RESULTS.c.subject == WHEELSETS.c.serial, RESULTS.c.superseded_ns.is_(None))
+        columns = (WHEELSETS.c.serial, tabled.label("tabled"), having.label("having"))
+        rows = self.connection.execute(select(*columns).where(WHEELSETS.c.serial.in_(wheelsets))).all()
+        self.once.of(HAVING, wheelsets, lambda _: {row.serial: True for row in rows if row.having})
+        return frozenset(row.serial for row in rows if row.tabled or row.having)
 
     def bins_are_current(self, wheelset: str) -> bool:
         """Whether the plain rows of bins are those of the current geometry."""
@@ -203,7 +218,7 @@ class GeometryStore:
             if one.value is not None and one.number != shown.get(serial)
         }
         rows = [row for result, value in changed.values() for row in _bin_rows(result, value)]
-        if changed:
+        if changed.keys() & shown.keys():
             self.connection.execute(delete(BINS).where(BINS.c.wheelset.in_(changed)))
         if rows:
             self.connection.execute(insert(BINS), rows)

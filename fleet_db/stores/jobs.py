@@ -13,6 +13,7 @@ from sqlalchemy import (
     Connection,
     Row,
     Select,
+    and_,
     cast,
     delete,
     func,
@@ -21,6 +22,7 @@ from sqlalchemy import (
     not_,
     or_,
     select,
+    text,
     tuple_,
     update,
 )
@@ -205,6 +207,10 @@ def _locked(lease: int, *, ending: bool = False) -> Select[tuple[int]]:
 
 RUNS, RESULTS = table_of(JobRunRow), table_of(ResultRow)
 RUNNING = JobOutcome.RUNNING.value
+# what is returned by an insertion is written without the names of tables
+_LEFT_BY_THE_SAME = text(
+    "earlier.owner = job_runs.owner AND earlier.outcome = 'running' AND earlier.run_id < job_runs.run_id"
+)
 GONE = "the process ended during the run"
 
 
@@ -220,12 +226,14 @@ class JobRunStore:
 
         A process runs one job at a time: what it ran before has ended.
         """
-        if self.owner is not None:
-            self._abandon(started_ns, RUNS.c.owner == self.owner)
         run = JobRun(0, job, trigger, started_ns, None, JobOutcome.RUNNING, {})
         statement = insert(RUNS).values(columns_of(run, "run_id") | {"owner": self.owner})
         newest_ns = select(func.max(RESULTS.c.recorded_ns)).scalar_subquery()
-        row = self.connection.execute(statement.returning(RUNS.c.run_id, newest_ns.label("newest_ns"))).one()
+        earlier = select(func.count()).select_from(RUNS.alias("earlier")).where(_LEFT_BY_THE_SAME)
+        columns = (RUNS.c.run_id, newest_ns.label("newest_ns"), earlier.scalar_subquery().label("earlier"))
+        row = self.connection.execute(statement.returning(*columns)).one()
+        if row.earlier:
+            self._abandon(started_ns, and_(RUNS.c.owner == self.owner, RUNS.c.run_id != row.run_id))
         return replace(run, run_id=row.run_id), row.newest_ns is not None and row.newest_ns > started_ns
 
     def finish(

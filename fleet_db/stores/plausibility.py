@@ -14,7 +14,6 @@ from sqlalchemy import (
     Select,
     String,
     and_,
-    exists,
     func,
     literal,
     select,
@@ -42,7 +41,8 @@ from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import WindowRow
 
 WINDOWS, CHUNKS, WHEELSETS = table_of(WindowRow), table_of(ChunkRow), table_of(WheelsetRow)
-READING = (WINDOWS.c.start_ns, WINDOWS.c.mileage_km, WINDOWS.c.odometer_excess_m, WINDOWS.c.off_line_m)
+_READING = ("start_ns", "mileage_km", "odometer_excess_m", "off_line_m", "implausible", "implausible_code")
+READING = [WINDOWS.c[name] for name in _READING]
 DOUBTED = WINDOWS.c.implausible_code.is_not(None)  # word for word that of the index
 SPANS = 100  # of readings, in a statement
 
@@ -72,21 +72,21 @@ class PlausibilityStore:
         """Return the mileages of all windows of a wheelset, oldest first."""
         statement = select(*READING).where(WINDOWS.c.wheelset == wheelset)
         rows = self.connection.execute(statement.order_by(WINDOWS.c.start_ns))
-        return [MileageReading(*row) for row in rows]
+        return [_reading(row) for row in rows]
 
     def new_readings(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[MileageReading]]:
         """Return by serial the mileages of the windows that were not judged as they are, oldest first."""
         statement = select(WINDOWS.c.wheelset, *READING).where(WINDOWS.c.wheelset.in_(wheelsets))
         statement = statement.where(is_due(DueStage.MILEAGES, WINDOWS))
         rows = self.connection.execute(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns))
-        return by_wheelset(rows, lambda row: MileageReading(*row[1:]))
+        return by_wheelset(rows, _reading)
 
     def readings_around(self, spans: Sequence[ReadingSpan]) -> Mapping[ReadingSpan, Sequence[MileageReading]]:
         """Return mileages in spans (wheelset, first, last start), one before and one after each, oldest first."""
         found: dict[ReadingSpan, list[MileageReading]] = {span: [] for span in spans}
         for first in range(0, len(spans), SPANS):
-            for wheelset, from_ns, to_ns, *reading in self.connection.execute(_around(spans[first : first + SPANS])):
-                found[wheelset, from_ns, to_ns].append(MileageReading(*reading))
+            for row in self.connection.execute(_around(spans[first : first + SPANS])):
+                found[row.wheelset, row.from_ns, row.to_ns].append(_reading(row))
         return found
 
     def doubted(self, wheelsets: Collection[str]) -> frozenset[str]:
@@ -127,8 +127,7 @@ class PlausibilityStore:
 
     def left_out(self, wheelset: str, from_ns: int) -> Mapping[ReasonCode, int]:
         """Return how many windows of a wheelset that start at or after a time are not believed, by code."""
-        some = self.windows.once.of_wheelset("left out", wheelset, self._some_left_out)
-        if not some:
+        if "implausible_code" not in self.windows.noted(wheelset):
             return {}
         statement = (
             select(WINDOWS.c.implausible_code, func.count())
@@ -139,12 +138,6 @@ class PlausibilityStore:
         )
         return {ReasonCode(code): int(count) for code, count in self.connection.execute(statement)}
 
-    def _some_left_out(self, wheelsets: Collection[str]) -> Mapping[str, bool]:
-        left_out = exists().where(WINDOWS.c.wheelset == WHEELSETS.c.serial, WINDOWS.c.implausible_code.is_not(None))
-        return dict.fromkeys(
-            self.connection.scalars(select(WHEELSETS.c.serial).where(WHEELSETS.c.serial.in_(wheelsets), left_out)), True
-        )
-
     def rejected(self, vehicles: Collection[str]) -> Mapping[str, Mapping[str, int]]:
         """Return how many recordings of some vehicles are rejected, by vehicle and by reason code."""
         columns = (CHUNKS.c.vehicle, CHUNKS.c.reason_code)
@@ -154,6 +147,10 @@ class PlausibilityStore:
         for vehicle, code, count in self.connection.execute(statement.group_by(*columns).order_by(*columns)):
             found.setdefault(vehicle, {})[code] = int(count)
         return found
+
+
+def _reading(row: Any) -> MileageReading:  # noqa: ANN401 - a row of READING
+    return MileageReading(row.start_ns, row.mileage_km, row.odometer_excess_m, row.off_line_m, implausible_reason(row))
 
 
 def _around(spans: Sequence[ReadingSpan]) -> Select[Any]:

@@ -93,7 +93,7 @@ class RegistryStore:
 
     def vehicles(self) -> Sequence[VehicleRecord]:
         """Return all vehicles, those that are voided too, by code."""
-        return self._vehicles(select(VEHICLES))
+        return self.once.one("all vehicles", None, partial(self._vehicles, select(VEHICLES)))
 
     def vehicles_of(self, codes: Collection[str]) -> Mapping[str, VehicleRecord]:
         """Return vehicles by code; one that is not on file is left out."""

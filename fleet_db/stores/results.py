@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -41,19 +41,26 @@ class ResultStore:
     connection: Connection
     subjects: Subjects
     once: ReadOnce = field(default_factory=ReadOnce)
-    _ahead: dict[tuple[str, Parts | None], tuple[frozenset[str], Sequence[Row[Any]]]] = field(default_factory=dict)
+    _ahead: dict[tuple[str, str, Parts | None], list[Row[Any]]] = field(default_factory=dict)
 
-    def read_ahead(self, kinds: Mapping[ResultKind[Any], Parts | None], subjects: Collection[str]) -> None:
-        """Read with one statement what :meth:`in_force` is asked next of several kinds, of parts of each or of all.
+    def read_ahead(self, asked: Iterable[tuple[ResultKind[Any], Collection[str], Parts | None]]) -> None:
+        """Read with one statement what :meth:`in_force` is asked next.
 
         Args:
-            subjects: Of any of the kinds.
+            asked: Kinds, subjects of each, and parts: first and last; None is all.
         """
-        asked = [_chosen(kind, subjects, None, parts).whereclause for kind, parts in kinds.items()]
-        rows = self.connection.execute(select(RESULTS).where(or_(*(one for one in asked if one is not None)))).all()
-        for kind, parts in kinds.items():
-            own = [row for row in rows if row.stage == kind.stage]
-            self._ahead[kind.stage, parts] = (frozenset(subjects), own)
+        asked, wanted = list(asked), dict[tuple[str, str], list[tuple[Parts | None, list[Row[Any]]]]]()
+        for kind, subjects, parts in asked:
+            for subject in subjects:
+                rows = self._ahead.setdefault((kind.stage, subject, parts), [])
+                rows.clear()
+                wanted.setdefault((kind.stage, subject), []).append((parts, rows))
+        chosen = [_chosen(kind, subjects, None, parts).whereclause for kind, subjects, parts in asked]
+        found = select(RESULTS).where(or_(*(one for one in chosen if one is not None)))
+        for row in self.connection.execute(found.order_by(RESULTS.c.subject, RESULTS.c.part)):
+            for parts, rows in wanted.get((row.stage, row.subject), ()):
+                if parts is None or parts[0] <= row.part <= parts[1]:
+                    rows.append(row)
 
     def in_force(
         self,
@@ -70,10 +77,9 @@ class ResultStore:
             subjects: None is all that have one.
             parts: First and last; None is all.
         """
-        known, ahead = self._ahead.get((kind.stage, parts), (frozenset(), ()))
-        if subjects is not None and as_of_ns is None and known.issuperset(subjects):
-            wanted = set(subjects)
-            own = sorted((row for row in ahead if row.subject in wanted), key=lambda row: (row.subject, row.part))
+        ahead = [self._ahead.get((kind.stage, subject, parts)) for subject in sorted(subjects or ())]
+        if ahead and as_of_ns is None and None not in ahead:
+            own = [row for rows in ahead for row in rows or ()]
             if kind.one_in_force:
                 own.sort(key=lambda row: (row.recorded_ns, row.result_id), reverse=True)
             return [_result(kind, row) for row in own]

@@ -15,12 +15,13 @@ from estimation.values.windows import WindowKey
 from fleet_db.fields import fields_of, value_of
 from fleet_db.packed_values import pack_bin_table, pack_rolling_sums, unpack_bin_table, unpack_rolling_sums
 from fleet_db.read_once import ReadOnce
-from fleet_db.rows import by_wheelset, columns_of, insert_all_new, replace_all, table_of, value_of_row
+from fleet_db.rows import by_wheelset, columns_of, put_rows, replace_all, table_of, value_of_row
 from fleet_db.stores.window_rows import keys_given
 from fleet_db.tables.windows import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 
 ROLL_UPS, STATES, ROLLING = table_of(RollUpRow), table_of(RollUpStateRow), table_of(RollingSumsRow)
 TABLES, WINDOWS = table_of(WindowBinTableRow), table_of(WindowRow)
+STATE = "roll-up state"
 BATCH = 500  # numbers in a statement
 OWN = ("number", "windows", "content", "first_ns", "last_ns", "sealed")  # columns beside those of the key
 KNOWN = (*OWN, "baseline", "baseline_interval", "side", "table_key", "vehicle_class", "summary")
@@ -41,7 +42,7 @@ class RollUpStore:
             rows = self.connection.execute(select(*columns).where(STATES.c.wheelset.in_(some)))
             return {row.wheelset: RollUpState(row.rules, row.classes) for row in rows}
 
-        return self.once.of_wheelset("roll-up state", wheelset, read)
+        return self.once.of_wheelset(STATE, wheelset, read)
 
     def of(self, wheelset: str) -> Sequence[RollUp]:
         """Return what is known of the roll-ups of a wheelset, without their sums."""
@@ -77,16 +78,10 @@ class RollUpStore:
             kept = select(STATES).where(STATES.c.wheelset.in_(some), STATES.c.earlier.is_not(None))
             return {row.wheelset: (row.earlier_digest, row.earlier) for row in self.connection.execute(kept)}
 
+        if self.once.is_absent(STATE, wheelset):
+            return None
         of, packed = self.once.of_wheelset("earlier intervals", wheelset, read) or ("", b"")
         return unpack_bin_table(packed, where=f"earlier intervals of {wheelset}") if of == digest else None
-
-    def put_earlier(self, found: Mapping[str, tuple[str, BinTable]]) -> None:
-        """Keep the forgetting sums of the intervals that are over, with their digests, beside states that are there."""
-        rows = [
-            {"wheelset": wheelset, "earlier_digest": digest, "earlier": pack_bin_table(table)}
-            for wheelset, (digest, table) in found.items()
-        ]
-        replace_all(self.connection, STATES, rows)
 
     def put(self, parts: Mapping[str, Sequence[RolledPart]], now_ns: int) -> None:
         """Store roll-ups of wheelsets with their sums; raises ConflictError where one is another by now."""
@@ -118,14 +113,27 @@ class RollUpStore:
             self.connection.execute(purged, some)
             self.connection.execute(delete(TABLES).where(keys_given(TABLES)), some)
 
-    def put_states(self, states: Mapping[str, RollUpState]) -> None:
-        """Store what the roll-ups of wheelsets were made by."""
-        rows = [
-            {"wheelset": wheelset, "rules": state.rules, "classes": dict(state.classes)}
+    def put_states(
+        self, states: Mapping[str, RollUpState], earlier: Mapping[str, tuple[str, BinTable]] | None = None
+    ) -> None:
+        """Store what the roll-ups of wheelsets were made by.
+
+        Args:
+            earlier: Forgetting sums of the intervals that are over, with their digests, to be kept beside states that
+                are there.
+        """
+        of_states = {
+            wheelset: {"wheelset": wheelset, "rules": state.rules, "classes": dict(state.classes)}
             for wheelset, state in states.items()
-        ]
-        if insert_all_new(self.connection, STATES, rows) < len(rows):
-            replace_all(self.connection, STATES, rows)
+        }
+        of_earlier = {
+            wheelset: {"wheelset": wheelset, "earlier_digest": digest, "earlier": pack_bin_table(table)}
+            for wheelset, (digest, table) in (earlier or {}).items()
+        }
+        both = sorted(of_states.keys() & of_earlier.keys())
+        put_rows(self.connection, STATES, [of_states.pop(serial) | of_earlier.pop(serial) for serial in both])
+        put_rows(self.connection, STATES, [of_states[serial] for serial in sorted(of_states)])
+        replace_all(self.connection, STATES, list(of_earlier.values()))
 
     def drop(self, wheelset: str, roll_ups: Sequence[int]) -> None:
         """Remove roll-ups without windows."""
@@ -156,8 +164,7 @@ class RollUpStore:
     def put_rolling(self, found: Sequence[WindowRollingSums]) -> None:
         """Keep what windows say of their rolling radius, in the place of what was known of them."""
         rows = [columns_of(one, "parts") | {"packed": pack_rolling_sums(one.parts)} for one in found]
-        if insert_all_new(self.connection, ROLLING, rows) < len(rows):
-            replace_all(self.connection, ROLLING, rows)
+        put_rows(self.connection, ROLLING, sorted(rows, key=lambda row: (row["wheelset"], row["start_ns"])))
 
     def newest_chosen(self, wheelsets: Sequence[str]) -> Mapping[str, Sequence[str]]:
         """Return by wheelset the digests of the windows behind its newest roll-up, and of later ones beside it."""

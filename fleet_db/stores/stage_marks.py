@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -28,6 +28,8 @@ from sqlalchemy.dialects import postgresql, sqlite
 from estimation.values.results import EVERYTHING, Due, Look, Mark, StageInputs
 from estimation.values.runs import QuarantineState, SubjectKind
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
+from fleet_db.on_file import VERSION
+from fleet_db.read_once import ReadOnce
 from fleet_db.rows import table_of
 from fleet_db.stores.stale_spans import SPANS, StaleSpanStore
 from fleet_db.subjects import VERSIONS, Subjects
@@ -49,6 +51,8 @@ class StageMarkStore:
     connection: Connection
     subjects: Subjects
     windows: WindowDueStore
+    once: ReadOnce = field(default_factory=ReadOnce)
+    on_file: ReadOnce = field(default_factory=ReadOnce)
 
     def due(self, inputs: StageInputs, now_ns: int, subjects: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return what a stage has not seen as it is now, by subject, in their order; one statement.
@@ -65,16 +69,29 @@ class StageMarkStore:
             if inputs.kind is SubjectKind.VEHICLE:
                 return StaleSpanStore(self.connection).due(subjects)
             return self.windows.wheelsets(inputs, subjects)
-        rows = self.connection.execute(_due(inputs, now_ns, subjects))
-        return {
-            row.subject: Due(
-                seen=int(row.now),
-                made_from=None if row.come else row.made_from,
-                marked=row.made_from is not None,
-                again_ns=row.again_ns,
-            )
-            for row in rows
-        }
+
+        def read(some: Collection[str] | None) -> Mapping[str, Due]:
+            rows = self.connection.execute(_due(inputs, now_ns, some))
+            return {
+                row.subject: Due(
+                    seen=int(row.now),
+                    made_from=None if row.come else row.made_from,
+                    marked=row.made_from is not None,
+                    again_ns=row.again_ns,
+                    registry=row.registry,
+                )
+                for row in rows
+            }
+
+        return read(None) if subjects is None else self.once.of(f"mark of {inputs.stage}", subjects, read)
+
+    def take_over(self, inputs: StageInputs, due: Mapping[str, Due]) -> None:
+        """Go on with what a transaction before this one has read of subjects that are due.
+
+        What has changed since then lets them be due again.
+        """
+        self.once.remember(f"mark of {inputs.stage}", due)
+        self.on_file.renew(next((one.registry for one in due.values()), None))
 
     def look(self, stages: Sequence[StageInputs], now_ns: int, counted: Collection[str], job: str) -> Look:
         """Return of which stages something is due; one statement for all.
@@ -164,7 +181,13 @@ def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> 
     of_stage = and_(MARKS.c.stage == inputs.stage, MARKS.c.subject == subject)
     come = and_(MARKS.c.again_ns.is_not(None), MARKS.c.again_ns <= now_ns)
     marked = (MARKS.c.seen, MARKS.c.common, MARKS.c.made_from, MARKS.c.again_ns)
-    columns = (subject.label("subject"), SUM.label("now"), MARKS.c.made_from, MARKS.c.again_ns)
+    columns = (
+        subject.label("subject"),
+        SUM.label("now"),
+        MARKS.c.made_from,
+        MARKS.c.again_ns,
+        VERSION.label("registry"),
+    )
     statement = select(*columns, func.coalesce(come, false()).label("come")).select_from(
         VERSIONS.outerjoin(MARKS, of_stage)
     )

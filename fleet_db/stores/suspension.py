@@ -14,7 +14,7 @@ from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
 from estimation.values.trend import SuspensionFinding
 from fleet_db.packed_values import pack_window_damper, unpack_window_damper
-from fleet_db.rows import columns_of, insert_all_new, replace_all, table_of, upsert, value_of_row
+from fleet_db.rows import columns_of, put_rows, table_of, value_of_row
 from fleet_db.stores.results import ResultStore
 from fleet_db.subjects import Subjects
 from fleet_db.tables.track import SuspensionFindingRow
@@ -33,7 +33,7 @@ class SuspensionStore:
     def put(self, finding: SuspensionFinding, epoch: int | None = None) -> None:
         """Store a finding of an epoch; one of the same vehicle, section and time is replaced."""
         values = columns_of(finding, "assumed") | {"assumed_m": finding.assumed, "epoch": epoch}
-        upsert(self.connection, FINDINGS, values)
+        put_rows(self.connection, FINDINGS, [values])
         self.subjects.raised(SubjectKind.VEHICLE, finding.vehicle, Facet.STIFFNESS)
 
     def forget(self, section: str, epoch: int, *, behind: bool) -> None:
@@ -79,9 +79,7 @@ class DamperStore:
 
     def put_all(self, found: Sequence[WindowDamper]) -> None:
         """Store what windows say of dampers; what they said before is replaced."""
-        rows = [_values(one) for one in found]
-        if insert_all_new(self.connection, OF_WINDOWS, rows) < len(rows):
-            replace_all(self.connection, OF_WINDOWS, rows)
+        put_rows(self.connection, OF_WINDOWS, [_values(one) for one in found])
 
     def gears(self, vehicles: Sequence[str]) -> Sequence[GEAR]:
         """Return the running gears of some vehicles of which windows say something."""

@@ -23,6 +23,8 @@ from sqlalchemy import (
     or_,
     select,
     tuple_,
+    union,
+    union_all,
     update,
 )
 
@@ -32,7 +34,7 @@ from estimation.values.runs import SubjectKind
 from estimation.values.track import EpochMember, FoldState, FoundOfVehicles, HeldWindow, ListedWindow, TrackEpoch
 from estimation.values.windows import DueStage, WindowKey, WindowRecord, WindowState
 from fleet_db.due import BATCH, DUE, OF_WINDOW, list_due, stale_epochs
-from fleet_db.rows import columns_of, insert_all_new, replace_all, table_of, upsert, value_of_row
+from fleet_db.rows import columns_of, put_rows, table_of, value_of_row
 from fleet_db.stores.window_rows import keys_given, to_window_record
 from fleet_db.subjects import Subjects
 from fleet_db.tables.track import TrackEpochRow, TrackEpochVehicleRow, TrackEpochWindowRow
@@ -137,9 +139,9 @@ class EpochStore:
         Those whose samples have been purged are left out. Windows that no epoch holds are listed, so that those before
         the first of these and of the epochs behind are not read.
         """
-        first_ns = self._first(section, number)
-        if first_ns is None:
-            return []
+        listed = select(func.min(DUE.c.start_ns).label("start_ns")).where(*_listed(section))
+        behind = select(func.min(MEMBERS.c.start_ns)).where(MEMBERS.c.section == section, MEMBERS.c.epoch >= number)
+        first_ns = select(func.min(union_all(listed, behind).subquery().c.start_ns)).scalar_subquery()
         statement = (
             select(WINDOWS)
             .select_from(WINDOWS.outerjoin(MEMBERS, OF_WINDOW))
@@ -188,13 +190,12 @@ class EpochStore:
         Windows that it held before are listed; another epoch that has held some of its windows is stale.
         """
         self.subjects.places(epoch.section)
-        upsert(self.connection, EPOCHS, _values(epoch))
+        put_rows(self.connection, EPOCHS, [_values(epoch)])
         of_epoch = and_(MEMBERS.c.section == epoch.section, MEMBERS.c.epoch == epoch.number)
-        held = self.connection.execute(select(MEMBERS.c.wheelset, MEMBERS.c.start_ns).where(of_epoch))
-        before = {(row.wheelset, row.start_ns) for row in held}
-        keys = [member.record.key for member in members]
-        self._let_go(epoch.section, sorted(before - set(keys)), of_epoch)
-        elsewhere = {(row.section, row.epoch) for row in self._held(sorted(set(keys) - before))}
+        keys = {member.record.key for member in members}
+        before, own = self._held(of_epoch, sorted(keys)), (epoch.section, epoch.number)
+        self._let_go(epoch.section, sorted(before.keys() - keys), of_epoch)
+        elsewhere = set(before.values()) - {own}
         for section, _ in sorted(elsewhere):
             self.subjects.places(section)
         stale_epochs(self.subjects, sorted(elsewhere))
@@ -291,11 +292,16 @@ class EpochStore:
             list_due(self.connection, DueStage.ALIGNMENT, own, **given)
             self.connection.execute(delete(MEMBERS).where(of_epoch, keys_given(MEMBERS)), given)
 
-    def _held(self, keys: Sequence[WindowKey]) -> Iterator[Any]:
-        """Yield the epochs that hold some windows."""
-        for first in range(0, len(keys), BATCH):
-            of_windows = select(MEMBERS.c.section, MEMBERS.c.epoch).where(keys_given(MEMBERS)).distinct()
-            yield from self.connection.execute(of_windows, {"keys": keys[first : first + BATCH]})
+    def _held(self, of_epoch: ColumnElement[bool], keys: Sequence[WindowKey]) -> dict[WindowKey, tuple[str, int]]:
+        """Return section and number of the epochs that hold some windows, with all windows of one epoch."""
+        columns = (MEMBERS.c.wheelset, MEMBERS.c.start_ns, MEMBERS.c.section, MEMBERS.c.epoch)
+        held: dict[WindowKey, tuple[str, int]] = {}
+        for first in range(0, max(len(keys), 1), BATCH):
+            given = {"keys": keys[first : first + BATCH]}
+            some = union(select(*columns).where(of_epoch), select(*columns).where(keys_given(MEMBERS)))
+            rows = self.connection.execute(some, given)
+            held.update({(row.wheelset, row.start_ns): (row.section, row.epoch) for row in rows})
+        return held
 
     def _put_members(self, epoch: TrackEpoch, members: Sequence[EpochMember]) -> None:
         rows = [
@@ -312,15 +318,7 @@ class EpochStore:
             }
             for member in sorted(members, key=lambda member: member.record.key)
         ]
-        if insert_all_new(self.connection, MEMBERS, rows) < len(rows):
-            replace_all(self.connection, MEMBERS, rows)
-
-    def _first(self, section: str, number: int) -> int | None:
-        """Return before which start every window is held by an epoch before ``number``; None where all are."""
-        listed = select(func.min(DUE.c.start_ns)).where(*_listed(section))
-        behind = select(func.min(MEMBERS.c.start_ns)).where(MEMBERS.c.section == section, MEMBERS.c.epoch >= number)
-        found = self.connection.execute(select(listed.scalar_subquery(), behind.scalar_subquery())).one()
-        return min((start_ns for start_ns in found if start_ns is not None), default=None)
+        put_rows(self.connection, MEMBERS, rows)
 
     def _records(self, statement: Select[Any]) -> Sequence[WindowRecord]:
         return [to_window_record(row) for row in self.connection.execute(statement)]

@@ -196,12 +196,7 @@ class TrackStore:
 
     def registered(self, section: str) -> int | None:
         """Return the newest version of the alignment of a section that the operator registered; None without one."""
-        statement = (
-            select(func.max(ALIGNMENTS.c.version))
-            .select_from(ALIGNMENTS.outerjoin(VERSIONS, SAME_VERSION))
-            .where(ALIGNMENTS.c.section == section, VERSIONS.c.version.is_(None))
-        )
-        found: int | None = self.connection.scalar(statement)
+        found: int | None = self.connection.scalar(_registered(section))
         return found
 
     def same_content(self, section: str, version: int, alignment: TrackAlignment, same_since: int) -> bool:
@@ -252,8 +247,8 @@ class TrackStore:
         """Return by wheelset and start where those of some windows were that have been looked at."""
         return positions_of(self.connection, keys)
 
-    def put_positions(self, positions: Sequence[WindowPosition]) -> frozenset[WindowKey]:
-        """Store where windows were, in the place of what was known; return those of which that has changed."""
+    def put_positions(self, positions: Sequence[WindowPosition]) -> Mapping[WindowKey, WindowPosition | None]:
+        """Store where windows were, in the place of what was known; return that of those of which it has changed."""
         return put_positions(self.connection, positions)
 
     def forget_positions_of(self, keys: Sequence[WindowKey]) -> None:
@@ -273,14 +268,21 @@ class TrackStore:
 
     def layout(self, section: str, version: int | None = None) -> TrackLayout | None:
         """Return one version of the layout of a section, or the newest; None where there is none."""
+        version = self.layout_version(section) if version is None else version
+        if version is None:
+            return None
         return self.once.one("layout", (section, version), partial(find_layout, self.connection, section, version))
+
+    def given(self, section: str) -> tuple[int | None, int | None]:
+        """Return the versions of a section's alignment and layout as :meth:`registered` and :meth:`layout_version`."""
+        layout = select(func.max(LAYOUTS.c.version)).where(LAYOUTS.c.section == section)
+        row = self.connection.execute(select(_registered(section).scalar_subquery(), layout.scalar_subquery())).one()
+        return row[0], row[1]
 
     def layout_version(self, section: str) -> int | None:
         """Return the newest version of the layout of a section without reading it; None where there is none."""
-        found: int | None = self.connection.scalar(
-            select(func.max(LAYOUTS.c.version)).where(LAYOUTS.c.section == section)
-        )
-        return found
+        newest = select(func.max(LAYOUTS.c.version)).where(LAYOUTS.c.section == section)
+        return self.once.one("layout version", section, partial(self.connection.scalar, newest))
 
     def add_layout(self, layout: TrackLayout) -> int:
         """Store a layout as the next version and return that; the content of the newest again changes nothing."""
@@ -293,6 +295,14 @@ class TrackStore:
 
     def _sections(self, statement: Select[Any]) -> Sequence[TrackSectionRecord]:
         return [TrackSectionRecord(*row) for row in self.connection.execute(statement)]
+
+
+def _registered(section: str) -> Select[Any]:
+    return (
+        select(func.max(ALIGNMENTS.c.version))
+        .select_from(ALIGNMENTS.outerjoin(VERSIONS, SAME_VERSION))
+        .where(ALIGNMENTS.c.section == section, VERSIONS.c.version.is_(None))
+    )
 
 
 def _version_values(alignment: TrackAlignment, same_since: int, recorded_ns: int) -> dict[str, Any]:
@@ -312,12 +322,10 @@ def _alignment_record(row: Any) -> AlignmentRecord:  # noqa: ANN401 - a row of R
     return value_of_row(AlignmentRecord, row, cut_off_m=np.inf if row.cut_off_m is None else row.cut_off_m)
 
 
-def find_layout(connection: Connection, section: str, version: int | None) -> TrackLayout | None:
-    """Return one version of the layout of a section, None for the newest; None where there is none."""
+def find_layout(connection: Connection, section: str, version: int) -> TrackLayout | None:
+    """Return one version of the layout of a section; None where there is none."""
     statement = select(LAYOUTS.c.version, LAYOUTS.c.packed).where(LAYOUTS.c.section == section)
-    if version is not None:
-        statement = statement.where(LAYOUTS.c.version == version)
-    row = connection.execute(statement.order_by(LAYOUTS.c.version.desc()).limit(1)).first()
+    row = connection.execute(statement.where(LAYOUTS.c.version == version)).first()
     if row is None:
         return None
     return unpack_layout(row.packed, row.version, where=f"layout {row.version} of track section {section!r}")

@@ -8,7 +8,7 @@ from sqlalchemy import Connection, delete, select
 
 from estimation.values.windows import WindowKey, WindowPosition
 from fleet_db.due import BATCH
-from fleet_db.rows import columns_of, insert_all_new, replace_all, table_of, value_of_row
+from fleet_db.rows import columns_of, put_rows, table_of, value_of_row
 from fleet_db.stores.window_rows import keys_given
 from fleet_db.tables.track import WindowPositionRow
 from fleet_db.tables.windows import WindowRow
@@ -26,18 +26,16 @@ def positions_of(connection: Connection, keys: Sequence[WindowKey]) -> Mapping[W
     return found
 
 
-def put_positions(connection: Connection, positions: Sequence[WindowPosition]) -> frozenset[WindowKey]:
-    """Store where windows were, in the place of what was known; return those of which that has changed."""
+def put_positions(
+    connection: Connection, positions: Sequence[WindowPosition]
+) -> Mapping[WindowKey, WindowPosition | None]:
+    """Store where windows were, in the place of what was known; return that of those of which it has changed."""
     before = positions_of(connection, [(one.wheelset, one.start_ns) for one in positions])
     changed = {
-        (one.wheelset, one.start_ns): columns_of(one)
-        for one in positions
-        if before.get((one.wheelset, one.start_ns)) != one
+        (one.wheelset, one.start_ns): one for one in positions if before.get((one.wheelset, one.start_ns)) != one
     }
-    rows = [changed[key] for key in sorted(changed)]
-    if insert_all_new(connection, POSITIONS, rows) < len(rows):
-        replace_all(connection, POSITIONS, rows)
-    return frozenset(changed)
+    put_rows(connection, POSITIONS, [columns_of(changed[key]) for key in sorted(changed)])
+    return {key: before.get(key) for key in changed}
 
 
 def forget_positions(connection: Connection, keys: Sequence[WindowKey]) -> set[str | None]:

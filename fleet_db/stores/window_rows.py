@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -64,7 +64,9 @@ def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table wit
     return tuple_(table.c.wheelset, table.c.start_ns).in_(bindparam("keys", expanding=True))
 
 
-def mark_all(connection: Connection, subjects: Subjects, marks: Sequence[WindowMark]) -> list[WindowMark]:
+def mark_all(
+    connection: Connection, subjects: Subjects, marks: Sequence[WindowMark], standing: Mapping[WindowKey, WindowRecord]
+) -> list[WindowMark]:
     """Set states of windows; those that are refused lose their bin tables. Return those that have their states now.
 
     A window whose samples have been purged stays as it is; that it was to change is noted.
@@ -72,15 +74,13 @@ def mark_all(connection: Connection, subjects: Subjects, marks: Sequence[WindowM
     Raises:
         NotFoundError: There is no such window.
     """
-    standing = _standing(connection, [mark.key for mark in marks])
     held, changed, gone = [], [], []
     for mark in marks:
         before = standing.get(mark.key)
         if before is None:
             raise NotFoundError("window", f"{mark.wheelset}@{mark.start_ns}")
-        after = {"state": mark.state.value, **reason_columns(mark.reason)}
-        same = all(getattr(before, name) == value for name, value in after.items())
-        if not same and before.samples_purged_ns is not None:
+        same = before.state is mark.state and before.reason == mark.reason
+        if not same and before.samples_purged:
             this = and_(WINDOWS.c.wheelset == mark.wheelset, WINDOWS.c.start_ns == mark.start_ns)
             if pass_over(connection, this, PassedOver.SUPERSEDED):
                 subjects.tables(mark.wheelset)
@@ -88,12 +88,13 @@ def mark_all(connection: Connection, subjects: Subjects, marks: Sequence[WindowM
         held.append(mark)
         if not same:
             subjects.places(before.track_section)
+            after = {"state": mark.state.value, **reason_columns(mark.reason)}
             changed.append({"wheelset": mark.wheelset, "start_ns": mark.start_ns, **after})
             if mark.state is WindowState.REFUSED:
                 gone.append(mark.key)
-            if before.state != mark.state.value:
+            if before.state is not mark.state:
                 subjects.tables(mark.wheelset)
-            if WindowState.REFUSED.value in {before.state, mark.state.value}:  # else the newest usable one stays
+            if WindowState.REFUSED in {before.state, mark.state}:  # else the newest usable one stays
                 subjects.windows(mark.wheelset)
     replace_all(connection, WINDOWS, changed)
     list_waiting(connection, [mark.key for mark in held if mark.state is WindowState.PENDING])
@@ -147,20 +148,6 @@ def pass_over(connection: Connection, chosen: ColumnElement[bool], what: PassedO
     open_ = or_(WINDOWS.c.passed_over.is_(None), WINDOWS.c.passed_over.in_(weaker))
     noted = update(WINDOWS).where(chosen, open_).values(passed_over=what.value)
     return connection.execute(noted.execution_options(preserve_rowcount=True)).rowcount
-
-
-def _standing(connection: Connection, keys: Sequence[WindowKey]) -> dict[WindowKey, Row[Any]]:
-    found: dict[WindowKey, Row[Any]] = {}
-    for first in range(0, len(keys), BATCH):
-        for row in connection.execute(_states(), {"keys": keys[first : first + BATCH]}):
-            found[row.wheelset, row.start_ns] = row
-    return found
-
-
-@cache
-def _states() -> Select[Any]:
-    names = ("wheelset", "start_ns", "state", "reason", "reason_code", "samples_purged_ns", "track_section")
-    return select(*(WINDOWS.c[name] for name in names)).where(keys_given(WINDOWS))
 
 
 @cache

@@ -16,6 +16,7 @@ from sqlalchemy import (
     and_,
     bindparam,
     delete,
+    exists,
     func,
     or_,
     select,
@@ -59,7 +60,7 @@ from fleet_db.stores.window_rows import (
 from fleet_db.subjects import Subjects
 from fleet_db.tables.registry import MountingRow, WheelsetRow
 from fleet_db.tables.track import WindowPositionRow
-from fleet_db.tables.windows import WindowBinTableRow, WindowRow
+from fleet_db.tables.windows import DOUBTED, PASSED_OVER, REFUSED, WindowBinTableRow, WindowRow
 from fleet_db.telemetry import WindowFiles, window_digest
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
@@ -73,6 +74,11 @@ STORED = (
     .select_from(WHEELSETS.outerjoin(WINDOWS, SAME))
     .where(WHEELSETS.c.serial == bindparam("wheelset"))
 )
+NOTED = {  # each by an index of its own, whose condition is word for word the same
+    "reason_code": and_(REFUSED),
+    "passed_over": and_(PASSED_OVER),
+    "implausible_code": and_(DOUBTED),
+}
 DIGEST = select(*(WINDOWS.c[name] for name in ("content_digest", "samples_purged_ns"))).where(key_given(WINDOWS))
 
 
@@ -151,6 +157,11 @@ class WindowStore:
         found = self._records(select(WINDOWS).where(*key))
         return found[0] if found else None
 
+    def any_decided(self, section: str) -> bool:
+        """Return whether a window on a section has been estimated or refused; the empty text stands for none."""
+        decided = (on_sections(WINDOWS.c.track_section, [section]), WINDOWS.c.state != WindowState.PENDING.value)
+        return bool(self.connection.scalar(select(exists().where(*decided))))
+
     def refused_on(self, section: str, codes: Sequence[ReasonCode]) -> Sequence[WindowRecord]:
         """Return the windows on a section that were refused for some reasons, and whose state is not passed over.
 
@@ -215,13 +226,20 @@ class WindowStore:
         """
         return bool(self.mark_all([WindowMark(wheelset, start_ns, state, reason)]))
 
-    def mark_all(self, marks: Sequence[WindowMark]) -> Sequence[WindowMark]:
+    def mark_all(
+        self, marks: Sequence[WindowMark], standing: Mapping[WindowKey, WindowRecord] | None = None
+    ) -> Sequence[WindowMark]:
         """Set the states of several windows as :meth:`mark` does; return those that have their states now.
+
+        Args:
+            standing: The windows, where this transaction holds them.
 
         Raises:
             NotFoundError: There is no such window.
         """
-        return mark_all(self.connection, self.subjects, marks)
+        if standing is None:
+            standing = {record.key: record for record in self.several([mark.key for mark in marks])}
+        return mark_all(self.connection, self.subjects, marks, standing)
 
     def pass_over(self, wheelset: str, start_ns: int, what: PassedOver) -> None:
         """Note what would have changed a window that stays as it is; that its table is wrong stands before the rest."""
@@ -230,6 +248,8 @@ class WindowStore:
 
     def passed_over(self, wheelset: str) -> Sequence[tuple[int, PassedOver]]:
         """Return start and cause of the estimated windows of a wheelset that stay as they are, oldest first."""
+        if "passed_over" not in self.noted(wheelset):
+            return ()
 
         def read(some: Collection[str]) -> Mapping[str, Sequence[tuple[int, PassedOver]]]:
             statement = select(WINDOWS.c.wheelset, WINDOWS.c.start_ns, WINDOWS.c.passed_over).where(
@@ -242,6 +262,17 @@ class WindowStore:
 
         return self.once.of_wheelset("passed over", wheelset, read) or ()
 
+    def noted(self, wheelset: str) -> frozenset[str]:
+        """Return which columns of ``NOTED`` are not null of a window of a wheelset: of most wheelsets none is."""
+
+        def read(some: Collection[str]) -> Mapping[str, frozenset[str]]:
+            own = WINDOWS.c.wheelset == WHEELSETS.c.serial
+            columns = [exists().where(own, condition).label(name) for name, condition in NOTED.items()]
+            rows = self.connection.execute(select(WHEELSETS.c.serial, *columns).where(WHEELSETS.c.serial.in_(some)))
+            return {row.serial: frozenset(name for name in NOTED if getattr(row, name)) for row in rows}
+
+        return self.once.of_wheelset("noted", wheelset, read) or frozenset()
+
     def list(self, wheelset: str, from_ns: int | None = None, to_ns: int | None = None) -> Sequence[WindowRecord]:
         """Return windows of a wheelset that start in ``[from_ns, to_ns)``, oldest first."""
         statement = select(WINDOWS).where(WINDOWS.c.wheelset == wheelset)
@@ -253,6 +284,8 @@ class WindowStore:
 
     def refused(self, wheelset: str, codes: Sequence[ReasonCode]) -> Sequence[WindowRecord]:
         """Return the windows of a wheelset that were refused for some reasons, oldest first."""
+        if "reason_code" not in self.noted(wheelset):
+            return ()
 
         def read(some: Collection[str]) -> Mapping[str, Sequence[WindowRecord]]:
             statement = select(WINDOWS).where(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, select
+from sqlalchemy import Column, ColumnElement, Connection, Row, ScalarSelect, select
 
 from estimation.errors import DamagedError
 from estimation.values.alerts import Condition, MileageNow, OpenAlert, Severity
@@ -18,6 +18,7 @@ from estimation.values.trend import TREND
 from estimation.values.windows import WindowState
 from estimation.vehicle.vehicle_class import VehicleClass
 from estimation.worklist.row import WorklistInputs
+from fleet_db.on_file import VERSION
 from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of
 from fleet_db.stores.geometries import GeometryStore
@@ -50,12 +51,11 @@ class WorklistReader:
         Args:
             serials: Some hundreds at most.
         """
-        self.registry.once.renew()
+        windows, alerts = self._windows_and_alerts(serials)
         records = self.registry.wheelsets_of(serials, voided=False)
         serials = [record.serial for record in records]
         if not serials:
             return []
-        alerts, windows = self._alerts(serials), self._windows(serials)
         self.geometries.read_with([TREND], serials)
         geometries, trends = _readable(self.geometries.current_of, serials), _readable(self.trends.of, serials)
         found = []
@@ -110,43 +110,37 @@ class WorklistReader:
             self.classes[code] = None if found is None else found.vehicle_class
         return self.classes[code]
 
-    def _alerts(self, serials: Sequence[str]) -> Mapping[str, Sequence[OpenAlert]]:
-        columns = [ALERTS.c[name] for name in ("wheelset", "alert_id", "kind", "severity", "condition", "opened_ns")]
-        statement = select(*columns, ALERTS.c.acknowledged_ns, ALERTS.c.shelved_until_ns).where(
-            ALERTS.c.wheelset.in_(serials), ALERTS.c.closed_ns.is_(None)
-        )
-        found: dict[str, list[OpenAlert]] = {}
-        for row in self.connection.execute(statement.order_by(ALERTS.c.alert_id)):
-            alert = OpenAlert(
-                alert_id=row.alert_id,
-                kind=row.kind,
-                severity=Severity(row.severity),
-                condition=Condition(row.condition),
-                opened_ns=row.opened_ns,
-                acknowledged=row.acknowledged_ns is not None,
-                shelved_until_ns=row.shelved_until_ns,
-            )
-            found.setdefault(row.wheelset, []).append(alert)
-        return found
+    def _windows_and_alerts(
+        self, serials: Sequence[str]
+    ) -> tuple[Mapping[str, tuple[int | None, MileageNow | None]], Mapping[str, Sequence[OpenAlert]]]:
+        """Return the end of the newest usable window and the newest mileage that is believed, and open alerts.
 
-    def _windows(self, serials: Sequence[str]) -> Mapping[str, tuple[int | None, MileageNow | None]]:
-        """Return the end of the newest usable window, and the newest mileage that is believed."""
-        usable = WINDOWS.c.state != WindowState.REFUSED.value
-        believed = WINDOWS.c.implausible_code.is_(None)
-        statement = select(
-            WHEELSETS.c.serial,
-            _newest(WINDOWS.c.start_ns, usable).label("start_ns"),
-            _newest(WINDOWS.c.length_ns, usable).label("length_ns"),
-            _newest(WINDOWS.c.start_ns, believed).label("read_ns"),
-            _newest(WINDOWS.c.mileage_km, believed).label("mileage_km"),
-        ).where(WHEELSETS.c.serial.in_(serials))
-        return {
-            row.serial: (
+        With the same statement it is asked whether the registry has changed.
+        """
+        rows = self.connection.execute(_WINDOWS_AND_ALERTS.where(WHEELSETS.c.serial.in_(serials))).all()
+        self.registry.once.renew(rows[0].registry if rows else None)
+        windows: dict[str, tuple[int | None, MileageNow | None]] = {}
+        alerts: dict[str, list[OpenAlert]] = {}
+        for row in rows:
+            windows[row.serial] = (
                 None if row.start_ns is None else row.start_ns + row.length_ns,
                 None if row.read_ns is None else MileageNow(row.mileage_km, row.read_ns),
             )
-            for row in self.connection.execute(statement)
-        }
+            if row.alert_id is not None:
+                alerts.setdefault(row.serial, []).append(_open_alert(row))
+        return windows, alerts
+
+
+def _open_alert(row: Row[Any]) -> OpenAlert:
+    return OpenAlert(
+        alert_id=row.alert_id,
+        kind=row.kind,
+        severity=Severity(row.severity),
+        condition=Condition(row.condition),
+        opened_ns=row.opened_ns,
+        acknowledged=row.acknowledged_ns is not None,
+        shelved_until_ns=row.shelved_until_ns,
+    )
 
 
 def _readable(
@@ -165,6 +159,23 @@ def _newest(column: Column[int] | Column[float], chosen: ColumnElement[bool]) ->
     """Return a column of the newest window of a wheelset that is chosen."""
     statement = select(column).where(WINDOWS.c.wheelset == WHEELSETS.c.serial, chosen)
     return statement.order_by(WINDOWS.c.start_ns.desc()).limit(1).correlate(WHEELSETS).scalar_subquery()
+
+
+USABLE, BELIEVED = WINDOWS.c.state != WindowState.REFUSED.value, WINDOWS.c.implausible_code.is_(None)
+_ALERT = ("alert_id", "kind", "severity", "condition", "opened_ns", "acknowledged_ns", "shelved_until_ns")
+_WINDOWS_AND_ALERTS = (
+    select(
+        WHEELSETS.c.serial,
+        _newest(WINDOWS.c.start_ns, USABLE).label("start_ns"),
+        _newest(WINDOWS.c.length_ns, USABLE).label("length_ns"),
+        _newest(WINDOWS.c.start_ns, BELIEVED).label("read_ns"),
+        _newest(WINDOWS.c.mileage_km, BELIEVED).label("mileage_km"),
+        VERSION.label("registry"),
+        *(ALERTS.c[name] for name in _ALERT),
+    )
+    .outerjoin(ALERTS, (ALERTS.c.wheelset == WHEELSETS.c.serial) & ALERTS.c.closed_ns.is_(None))
+    .order_by(ALERTS.c.alert_id)
+)
 
 
 def not_voided(connection: Connection, serials: Sequence[str]) -> list[str]:

@@ -67,12 +67,16 @@ def load_readings(unit: UnitOfWork, serials: Sequence[str], _: JobContext) -> Ma
 
 
 def judge(inputs: Readings) -> Outcome[Verdicts]:
-    """Return why windows of a wheelset are not believed; None for those that are."""
+    """Return why windows of a wheelset are not believed, None for those that are, where that is new."""
     implausible: dict[int, Reason] = dict(implausible_places(inputs.judged))
     for mounting, max_speed in inputs.mounted:
         if within := _within(inputs.judged, mounting):
             implausible.update(implausible_mileages(within, mounting, max_speed))
-    verdicts = {(inputs.wheelset, one.start_ns): implausible.get(one.start_ns) for one in inputs.judged}
+    verdicts = {
+        (inputs.wheelset, one.start_ns): implausible.get(one.start_ns)
+        for one in inputs.judged
+        if implausible.get(one.start_ns) != one.refused
+    }
     return Outcome([Part(verdicts)])
 
 
@@ -161,14 +165,18 @@ def load_outdated(unit: UnitOfWork, sections: Sequence[str], context: JobContext
 
 
 def _of_section(unit: UnitOfWork, classes: ClassLookup, code: str) -> Outdated:
-    known = unit.tracks.in_force(code)
-    has_alignment = known is not None and known.status is Status.ESTIMATED
+    if not unit.windows.any_decided(code):
+        return Outdated((), (), ())
+    refused = unit.windows.refused_on(code, (NO_ALIGNMENT.code, ReasonCode.CLASS_UNKNOWN))
     aligned, classed = [], []
-    for record in unit.windows.refused_on(code, (NO_ALIGNMENT.code, ReasonCode.CLASS_UNKNOWN)):
-        if code_of(record.reason) is ReasonCode.CLASS_UNKNOWN:
-            classed += [] if isinstance(classes.of_vehicle(record.vehicle), Reason) else [record.key]
-        elif has_alignment:
+    for record in refused:
+        if code_of(record.reason) is not ReasonCode.CLASS_UNKNOWN:
             aligned.append(record.key)
+        elif not isinstance(classes.of_vehicle(record.vehicle), Reason):
+            classed.append(record.key)
+    if aligned:
+        known = unit.tracks.in_force(code)
+        aligned = aligned if known is not None and known.status is Status.ESTIMATED else []
     changed = sorted({*unit.epochs.outdated([code]), *_made_otherwise(unit, classes, code)})
     return Outdated(changed, aligned, classed)
 

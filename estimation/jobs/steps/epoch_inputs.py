@@ -111,8 +111,7 @@ def _profiles_digest(item: MeasuredProfiles) -> str:
 
 def given(unit: UnitOfWork, section: TrackSectionRecord, settings: JobSettings) -> tuple[str, FoldState]:
     """Return a digest of what all epochs of a section rest on, and what is known of it before the first."""
-    registered = unit.tracks.registered(section.code)
-    layout = unit.tracks.layout_version(section.code)
+    registered, layout = unit.tracks.given(section.code)
     text = f"{section!r} {layout} {registered} {settings.alignment_parameters()!r}"
     return _digest(text), FoldState(registered, registered)
 
@@ -196,6 +195,12 @@ class Found:
     kept: Sequence[Kept] = ()
     due: Due | None = None
     later: bool = False
+
+    @property
+    def last(self) -> bool:
+        """Whether the epoch that is due holds all windows that are left, and none is stored behind it."""
+        due = self.due
+        return due is not None and due.number >= len(self.stored) and due.horizon_ns == OPEN_NS
 
     def __bool__(self) -> bool:
         return bool(self.kept) or self.due is not None

@@ -10,7 +10,7 @@ from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import WindowLoader
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup, VehicleLookup
+from estimation.jobs.steps.vehicle_classes import Assumed, VehicleLookup
 from estimation.motion.checks import gate, straight_part
 from estimation.storage import UnitOfWork
 from estimation.track.gridded_pass import resampled
@@ -19,9 +19,8 @@ from estimation.track.update import AlignmentUpdate
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import code_of_error, first_line
 from estimation.values.track import Correction, TrackLayout
-from estimation.values.windows import Window, WindowMark, WindowPosition, WindowRecord, WindowState
+from estimation.values.windows import Window, WindowKey, WindowMark, WindowPosition, WindowRecord, WindowState
 
-WindowKey = tuple[str, int]  # wheelset, start
 _Found = tuple[tuple[WindowKey, ...], Sequence[Pass], Reason | None]  # windows, their passes, why there is none
 
 IN_MEMORY = 16
@@ -43,10 +42,15 @@ class EpochPasses:
         return self.members[item.wheelset, item.start_ns]
 
 
-def epoch_passes(context: JobContext, chosen: Sequence[Entry]) -> EpochPasses:
+def epoch_passes(
+    context: JobContext, chosen: Sequence[Entry], assumed: Mapping[tuple[str, str], Assumed | Reason]
+) -> EpochPasses:
     """Return the passes of windows, and the reasons of those that hold none; a few windows at a time in memory.
 
     Windows that follow each other are one pass, for its ends are lost to the filter.
+
+    Args:
+        assumed: By vehicle and wheelset.
     """
     settings, step = context.settings.estimation, context.settings.alignment.pass_step
     found: list[Pass] = []
@@ -62,7 +66,7 @@ def epoch_passes(context: JobContext, chosen: Sequence[Entry]) -> EpochPasses:
     keys = [((r.vehicle, r.axle, name), r.start_ns, r.start_ns + r.length_ns) for r, name in clean]
     done = len(refused)
     for groups in _together(following(clean, keys)):
-        for group, run in zip(groups, _runs(context, groups), strict=True):
+        for group, run in zip(groups, _runs(context, groups, assumed), strict=True):
             context.checkpoint(done, len(chosen))
             done += len(group)
             for serials, made, reason in _examined(run):
@@ -102,22 +106,22 @@ def _together(groups: Iterable[Sequence[Entry]]) -> Iterator[list[Sequence[Entry
         yield together
 
 
-def _runs(context: JobContext, groups: Sequence[Sequence[Entry]]) -> list[_Run]:
+def _runs(
+    context: JobContext, groups: Sequence[Sequence[Entry]], assumptions: Mapping[tuple[str, str], Assumed | Reason]
+) -> list[_Run]:
     """Read the samples of runs."""
     records = [record for group in groups for record, _ in group]
     settings = context.settings.estimation
     with context.storage.read() as unit:
-        classes, vehicles = ClassLookup(unit, settings), VehicleLookup(unit)
-        classes.look_up([record.wheelset for record in records], {record.vehicle for record in records})
-        known = {record.key: record for record in unit.windows.several([record.key for record in records])}
-        loader = WindowLoader(unit, vehicles, known)
+        vehicles = VehicleLookup(unit)
+        loader = WindowLoader(unit, vehicles, {record.key: record for record in records})
         section = records[0].track_section
         layout = unit.tracks.layout(section) if section is not None else None
 
         def run_of(group: Sequence[Entry]) -> _Run:
             own = [record for record, _ in group]
             first = own[0]
-            assumed = classes.assumed(first.vehicle, first.wheelset)
+            assumed = assumptions[first.vehicle, first.wheelset]
             if isinstance(assumed, Reason):
                 return _Run((), [((record.key,), (), assumed) for record in own], assumed, turned=False)
             mounting = vehicles.mounting_at(first.vehicle, first.axle, first.start_ns)
@@ -191,17 +195,18 @@ class Placing:
     waits: bool
 
 
-def place_windows(unit: UnitOfWork, placing: Placing) -> None:
-    """Store where windows were; what was known of the others is forgotten. Those that were elsewhere wait again."""
-    found = _positions(placing)
-    keys = [(position.wheelset, position.start_ns) for position in found]
-    before = unit.tracks.positions(keys)
-    changed = unit.tracks.put_positions(found)
-    placed = {key: position for key, position in zip(keys, found, strict=True) if key in changed}
-    moved = [key for key, position in placed.items() if _moves(position, before.get(key))]
-    estimated = [one.key for one in unit.windows.several(moved) if one.state is not WindowState.PENDING]
-    unit.windows.mark_all([WindowMark(*key, WindowState.PENDING) for key in estimated])
-    unit.tracks.forget_positions_of([record.key for record in placing.part.records if record.key not in set(keys)])
+def place_windows(unit: UnitOfWork, placing: Placing, standing: Mapping[WindowKey, WindowRecord]) -> None:
+    """Store where windows were; what was known of the others is forgotten. Those that were elsewhere wait again.
+
+    Args:
+        standing: The windows as they are.
+    """
+    found = {(position.wheelset, position.start_ns): position for position in _positions(placing)}
+    before = unit.tracks.put_positions(list(found.values()))
+    moved = sorted(key for key, was in before.items() if _moves(found[key], was))
+    estimated = [key for key in moved if standing[key].state is not WindowState.PENDING]
+    unit.windows.mark_all([WindowMark(*key, WindowState.PENDING) for key in estimated], standing)
+    unit.tracks.forget_positions_of([record.key for record in placing.part.records if record.key not in found])
 
 
 def _moves(position: WindowPosition, before: WindowPosition | None) -> bool:

@@ -1,12 +1,12 @@
 """What a window is read with: its samples as its vehicle's class reads them, and what is on file of it.
 
 Blows are bridged, with gravity and the yaw of the bogie's frame, as of a vehicle that runs forward. What is on file is
-read again in the transaction that stores results: where it is another by then, a window waits again.
+read again in the transaction that stores results where it may be another by then: then a window waits again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,12 +24,17 @@ from estimation.motion.axle_distance import (
 )
 from estimation.motion.without_blows import without_blows
 from estimation.storage import UnitOfWork
+from estimation.values.opinions import FRICTION
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
+from estimation.values.results import Facet
+from estimation.values.runs import SubjectKind
 from estimation.values.track import AlignmentRecord, TrackAlignment, TrackLayout
 from estimation.values.windows import Window, WindowKey, WindowPosition, WindowRecord
 from estimation.vehicle.vehicle_class import VehicleClass
 
+FACETS = (Facet.REGISTRY, Facet.PLACES, Facet.WINDOWS, FRICTION)
+"""Of wheelsets, vehicles and sections: one is raised with whatever a window is estimated with."""
 KEPT = 4  # windows, of a megabyte each: both of a bogie need both
 
 
@@ -182,16 +187,38 @@ class WindowInputs:
 
 
 @dataclass(frozen=True, slots=True)
+class Facts:
+    """Subjects of which something is read for windows of a batch, with the sum of their versions then."""
+
+    subjects: frozenset[tuple[SubjectKind, str]]
+    versions: int
+
+    def are_same(self, unit: UnitOfWork) -> bool:
+        """Return whether nothing that was read is another by now."""
+        return unit.subjects.versions(self.subjects, FACETS) == self.versions
+
+
+def _facts(unit: UnitOfWork, records: Sequence[WindowRecord], partners: Collection[WindowKey | None]) -> Facts:
+    wheelsets = {record.wheelset for record in records} | {key[0] for key in partners if key is not None}
+    subjects = {(SubjectKind.WHEELSET, serial) for serial in wheelsets}
+    subjects |= {(SubjectKind.VEHICLE, record.vehicle) for record in records}
+    subjects |= {(SubjectKind.SECTION, record.track_section or "") for record in records}
+    return Facts(frozenset(subjects), unit.subjects.versions(subjects, FACETS))
+
+
+@dataclass(frozen=True, slots=True)
 class BatchInputs:
     """What the windows of a batch are estimated with, as one transaction sees it.
 
     Attributes:
         vehicles: Of the transaction.
         records: Of the windows and of those on the other axles of their bogies.
+        facts: What all of this is of.
     """
 
     vehicles: VehicleLookup
     records: Mapping[WindowKey, WindowRecord]
+    facts: Facts
     _found: Mapping[WindowKey, WindowInputs | Exception]
 
     def of(self, key: WindowKey) -> WindowInputs:
@@ -237,7 +264,7 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
             known[partner].content_digest if partner in known else None,
             low.get(key, ()),
         )
-    return BatchInputs(vehicles, known, found)
+    return BatchInputs(vehicles, known, _facts(unit, records, partners.values()), found)
 
 
 def _low_adhesion(
@@ -296,8 +323,9 @@ class TrackLookup:
 
     def alignment(self, record: WindowRecord) -> TrackAlignment | None:
         """Return the alignment that a window is estimated on; None where there is none."""
-        now, section = self.in_force(record), record.track_section
-        version = self.versions.get(record.key, None if now is None else now.version)
+        section, version = record.track_section, self.versions.get(record.key)
+        if record.key not in self.versions and (now := self.in_force(record)) is not None:
+            version = now.version
         return None if section is None or version is None else self.unit.tracks.alignment(section, version)
 
     def layout(self, record: WindowRecord) -> TrackLayout | None:

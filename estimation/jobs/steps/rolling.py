@@ -90,6 +90,9 @@ def rolled(unit: UnitOfWork, rules: Membership) -> Rolled:
 def read_ahead(unit: UnitOfWork, some: Sequence[Membership]) -> None:
     """Read together what :func:`rolled` asks for one wheelset after the other, of windows that are due."""
     looks = []
+    new = {one.wheelset for one in some if unit.roll_ups.state(one.wheelset) is None}
+    if sum(len(unit.due.of_wheelset(DueStage.SUMS, wheelset)) for wheelset in new) <= READ_AHEAD:
+        unit.tables.read_ahead(wheelsets=sorted(new))  # of these all are due
     for rules in some:
         due, state = unit.due.of_wheelset(DueStage.SUMS, rules.wheelset), unit.roll_ups.state(rules.wheelset)
         if state is not None and _same_rules(state, rules):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from estimation.errors import ConflictError
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.epoch_inputs import Due, given
 from estimation.jobs.steps.epoch_passes import Placing, Solved, place_windows
@@ -27,7 +26,7 @@ from estimation.values.track import (
     TrackReport,
 )
 from estimation.values.trend import SuspensionFinding
-from estimation.values.windows import WindowRecord
+from estimation.values.windows import WindowKey, WindowRecord
 from estimation.vehicle.vehicle_class import ClassOnFile
 
 LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of the ratio
@@ -100,18 +99,18 @@ def survey_checked(survey: Reason | None) -> bool:
     return code_of(survey) not in _UNDECIDED
 
 
-def store_epoch(unit: UnitOfWork, computed: Computed, context: JobContext) -> None:
+def store_epoch(
+    unit: UnitOfWork, computed: Computed, context: JobContext, standing: Mapping[WindowKey, WindowRecord]
+) -> None:
     """Store what an epoch makes of a section.
 
     Windows of an epoch that identified nothing are left for the next, but for those that hold no pass: it is computed
     again with them.
 
-    Raises:
-        ConflictError: What it rests on has changed since it was read.
+    Args:
+        standing: Its windows as they are, which this transaction holds.
     """
     due, section = computed.due, computed.due.section.code
-    if _changed(unit, computed, context):
-        raise ConflictError("what the epoch rests on has changed", kind="track section", key=section)
     after = _after(unit, computed, context)
     found = _report(unit, computed, after.version, context)
     epoch = TrackEpoch(
@@ -138,10 +137,11 @@ def store_epoch(unit: UnitOfWork, computed: Computed, context: JobContext) -> No
             if (refusal := part.passes.refused.get((record.wheelset, record.start_ns))) is not None:
                 assemble_if_lost(unit, record, refusal)
         alone = computed.alone if epoch.estimated_on == due.before.version else {}
-        place_windows(unit, Placing(part, after.version, alone, epoch.waits))
+        place_windows(unit, Placing(part, after.version, alone, epoch.waits), standing)
     of_vehicles = _of_vehicles(unit, computed, after, context.settings.alignment)
     unit.epochs.put(epoch, due.own)
-    unit.epochs.put_found(section, due.number, of_vehicles)
+    if due.old is not None or of_vehicles is not None:
+        unit.epochs.put_found(section, due.number, of_vehicles)
     if epoch.waits and not behind and due.number < len(due.stored):
         unit.epochs.stale(section, due.number + 1)
 
@@ -153,12 +153,12 @@ def cut(unit: UnitOfWork, due: Due, context: JobContext) -> None:
     _supersede(unit, due, due.before, context, kept=0)
 
 
-def _changed(unit: UnitOfWork, computed: Computed, context: JobContext) -> bool:
-    due = computed.due
+def rests_on_other(unit: UnitOfWork, due: Due, classes: Mapping[str, ClassOnFile], context: JobContext) -> bool:
+    """Return whether what is on file of the section of an epoch, or of its vehicles, is another by now."""
     if given(unit, due.section, context.settings)[0] != due.basis:
         return True
     records = [record for record, _ in due.entries]
-    return classes_of(ClassLookup(unit, context.settings.estimation), records) != computed.classes
+    return classes_of(ClassLookup(unit, context.settings.estimation), records) != classes
 
 
 def _after(unit: UnitOfWork, computed: Computed, context: JobContext) -> FoldState:

@@ -45,7 +45,13 @@ def facts_of(unit: UnitOfWork, serials: Sequence[str], settings: JobSettings) ->
         settings: Of all jobs.
     """
     read = _Read.of(unit, serials, settings)
-    return {wheelset.serial: _facts(unit, read, wheelset) for wheelset in read.wheelsets}
+    histories = {one.serial: _history(read, one) for one in read.wheelsets}
+    wanted = {serial: _looked_at(known, read.books[serial]) for serial, known in histories.items() if known}
+    spans = {serial: (known[0].baseline, *_span(known)) for serial, known in wanted.items()}
+    unit.geometries.read_intervals(spans)
+    return {
+        one.serial: _facts(unit, read, one, histories[one.serial], wanted.get(one.serial, ())) for one in read.wheelsets
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +158,13 @@ def _steps_beside(
     }
 
 
-def _facts(unit: UnitOfWork, read: _Read, wheelset: WheelsetRecord) -> WheelsetFacts:
+def _facts(
+    unit: UnitOfWork,
+    read: _Read,
+    wheelset: WheelsetRecord,
+    conicities: Sequence[IntervalConicities],
+    looked_at: Sequence[IntervalConicities],
+) -> WheelsetFacts:
     """Return what the rules need of a wheelset."""
     serial, mounting, alerts = wheelset.serial, wheelset.mounting, tuple(read.alerts.get(wheelset.serial, ()))
     if mounting is None:
@@ -164,11 +176,8 @@ def _facts(unit: UnitOfWork, read: _Read, wheelset: WheelsetRecord) -> WheelsetF
             windows=(),
             open_alerts=alerts,
         )
-    trend, windows, book = read.trends.get(serial), tuple(read.windows.get(serial, ())), read.books[serial]
+    trend, windows = read.trends.get(serial), tuple(read.windows.get(serial, ()))
     step = step_of(trend, wheelset)
-    known = since_change(read.conicities[serial], read.changes.get(serial))
-    held = sorted((one for one in known if one.windows and one.to_ns > mounting.from_ns), key=lambda one: one.to_ns)
-    conicities = behind_step(held, step)
     around = StepSurroundings()
     if step is not None:
         around = surroundings(wheelset, conicities, read.steps[serial], read.rails)
@@ -182,7 +191,7 @@ def _facts(unit: UnitOfWork, read: _Read, wheelset: WheelsetRecord) -> WheelsetF
         step_surroundings=around,
         windows=windows,
         hunted=hunted_beside(unit, mounting.vehicle, windows),
-        intervals=tuple(_newest(unit, serial, conicities, book)),
+        intervals=tuple(_geometries(unit, serial, looked_at)),
         conicities=tuple(conicities),
         open_alerts=alerts,
         identity=read.identities.get(serial),
@@ -207,18 +216,35 @@ def hunted_beside(unit: UnitOfWork, vehicle: str, windows: Sequence[WindowRecord
     return unit.windows.hunted(vehicle, min(clipped)) if clipped else frozenset()
 
 
-def _newest(
-    unit: UnitOfWork, serial: str, conicities: Sequence[IntervalConicities], book: RuleBook
-) -> Sequence[GeometryRecord]:
-    """Return the geometries of the newest intervals, as many as any rule looks at."""
-    if not conicities:
+def _history(read: _Read, wheelset: WheelsetRecord) -> Sequence[IntervalConicities]:
+    """Return the conicities in the present mounting since the last change of identity and the last step."""
+    serial, mounting = wheelset.serial, wheelset.mounting
+    if mounting is None:
         return ()
+    known = since_change(read.conicities[serial], read.changes.get(serial))
+    held = sorted((one for one in known if one.windows and one.to_ns > mounting.from_ns), key=lambda one: one.to_ns)
+    return behind_step(held, step_of(read.trends.get(serial), wheelset))
+
+
+def _looked_at(conicities: Sequence[IntervalConicities], book: RuleBook) -> Sequence[IntervalConicities]:
+    """Return the newest intervals, as many as any rule looks at."""
     far_km = max(reach_km(rule.delays) for rule in book.rules)
-    wanted = conicities[-within_reach([one.mileage_km for one in conicities], LOOK_BACK_INTERVALS, far_km) :]
-    numbers = [one.interval for one in wanted if one.interval is not None]
-    found = unit.geometries.intervals(serial, wanted[0].baseline, first=min(numbers), last=max(numbers))
+    return conicities[-within_reach([one.mileage_km for one in conicities], LOOK_BACK_INTERVALS, far_km) :]
+
+
+def _span(intervals: Sequence[IntervalConicities]) -> tuple[int, int]:
+    numbers = [one.interval for one in intervals if one.interval is not None]
+    return min(numbers), max(numbers)
+
+
+def _geometries(unit: UnitOfWork, serial: str, wanted: Sequence[IntervalConicities]) -> Sequence[GeometryRecord]:
+    """Return the geometries of intervals."""
+    if not wanted:
+        return ()
+    first, last = _span(wanted)
+    found = unit.geometries.intervals(serial, wanted[0].baseline, first=first, last=last)
     by_number = {record.interval: record for record in found}
-    return [by_number[number] for number in numbers]
+    return [by_number[one.interval] for one in wanted if one.interval is not None]
 
 
 def windows_wanted(book: RuleBook) -> tuple[int, float]:
