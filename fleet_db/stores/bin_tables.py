@@ -68,8 +68,15 @@ class BinTableStore:
         """Store the bin table of a window; raises NotFoundError, and ConflictError where its content is other."""
         self.put_all([WindowTable(wheelset, start_ns, window_digest, table, track_version)])
 
-    def put_all(self, tables: Sequence[WindowTable]) -> None:
-        """Store the bin tables of different windows as :meth:`put` does; where one has been purged it stays summed."""
+    def put_all(self, tables: Sequence[WindowTable], *, listed: bool = True) -> Sequence[WindowKey]:
+        """Store the bin tables of different windows as :meth:`put` does; where one has been purged it stays summed.
+
+        Args:
+            listed: Whether windows with another table are listed to be summed here.
+
+        Returns:
+            Those windows.
+        """
         windows = self._checked([(one.key, one.window_digest) for one in tables])
         rows = {one.key: _values(one) for one in tables if windows[one.key].table_purged_ns is None}
         changed = [
@@ -81,7 +88,9 @@ class BinTableStore:
         for key in changed:
             self.subjects.tables(key[0])  # its geometry follows
             self.subjects.places(windows[key].track_section)
-        list_for_sums(self.connection, changed)
+        if listed:
+            list_for_sums(self.connection, changed)
+        return changed
 
     def _checked(self, expected: Sequence[tuple[WindowKey, str]]) -> Mapping[WindowKey, Row[Any]]:
         """Return windows with their tables, once the contents of the windows are those expected."""
