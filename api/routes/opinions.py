@@ -11,10 +11,8 @@ from pydantic import Field
 
 from api.asking import AskedDep, AskedListDep, Code, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.problems import described
-from api.schemas.common import Links, Page, Representation, Uncertain, uncertain
-from api.schemas.derived import Derived, provenance
+from api.schemas.common import Derived, Links, Page, Representation, Uncertain, provenance, segment, uncertain
 from api.schemas.evidence import Stretch
-from api.schemas.registry import segment
 from api.times import Moment, Timestamp
 from estimation.errors import NotFoundError
 from estimation.signatures.answer import most_likely

@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from api.progress import bar
+from api.terminal.progress import bar
 from api.terminal.store import print_line
 from estimation.errors import ParameterError
 from estimation.jobs.stop_signals import stop_on_signals

@@ -150,7 +150,9 @@ class AlertEvent:
     kind: Annotated[AlertEventKind, Served(name="event")]
     alert: Alert  # as it was right after the event
     recorded_ns: int
-    actor: str = "treadwatch"
+    actor: Annotated[str, Served("Who caused it: a person, a maintenance system, or `treadwatch` itself.")] = (
+        "treadwatch"
+    )
     note: str = ""
 
 
@@ -203,7 +205,7 @@ class OpenAlert:
     severity: Severity
     condition: Condition
     opened_ns: int
-    acknowledged: bool
+    acknowledged: Annotated[bool, Served("Whether somebody has acknowledged it.")]
     shelved_until_ns: Annotated[int | None, Served(name="shelved_until")]
 
 

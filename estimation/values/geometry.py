@@ -180,10 +180,14 @@ class WheelsetGeometry(FrozenArrays):
     reported_amplitude: Annotated[
         float, in_mm("3 mm, or the largest amplitude covered.", "equivalent_conicity_amplitude_mm")
     ]
-    equivalent_conicity: Annotated[Estimate, Served(name="equivalent_conicity_1")]  # at reported_amplitude
+    equivalent_conicity: Annotated[
+        Estimate, Served("Equivalent conicity at `equivalent_conicity_amplitude_mm`.", "equivalent_conicity_1")
+    ]  # at reported_amplitude
+    # NP, 1/mm: (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2
     nonlinearity: Annotated[
-        Estimate, Served(name="nonlinearity_parameter_per_mm")
-    ]  # NP, 1/mm as in EN 15302: (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2
+        Estimate,
+        Served("Slope of the conicity against the amplitude at 3 mm (EN 15302).", "nonlinearity_parameter_per_mm"),
+    ]
     zero_crossing: Annotated[
         Estimate, Served("Lateral displacement at which both rolling radii are equal.", "zero_crossing_mm", IN_MM)
     ]
@@ -273,7 +277,7 @@ class GeometryRecord:
         Mapping[str, Sequence[int]],
         Served("By section, the versions of its alignment that the windows were estimated with, increasing."),
     ]
-    parameters: Mapping[str, JsonValue]
+    parameters: Annotated[Mapping[str, JsonValue], Served("Settings that shaped it, each under its name.")]
     code_version: str
     recorded_ns: int
 

@@ -42,13 +42,13 @@ class JobRun:
     """One run of one job; ``finished_ns`` None until its end is recorded. ``counts`` are what it did."""
 
     run_id: Annotated[int, Served("", "id", example=42)]
-    job: Annotated[str, Served(example="estimate_windows")]
-    trigger: JobTrigger
-    started_ns: int
-    finished_ns: int | None
-    outcome: JobOutcome
+    job: Annotated[str, Served("Name of the job.", example="estimate_windows")]
+    trigger: Annotated[JobTrigger, Served("What started it.")]
+    started_ns: Annotated[int, Served("When it began.")]
+    finished_ns: Annotated[int | None, Served("When it ended; null while it runs.")]
+    outcome: Annotated[JobOutcome, Served("How it ended.")]
     counts: Mapping[str, int]
-    error: str | None = None
+    error: Annotated[str | None, Served("First line of the error; null where it succeeded.")] = None
 
 
 MOST_ENDED = 3  # workers that end at one thing before it is set aside
@@ -111,8 +111,8 @@ class Quarantined:
     code: Annotated[ReasonCode, Served("", "reason_code")]
     error: str
     inputs: str  # digest or counter of what it was made from; with another one it is tried at once
-    first_ns: Annotated[int, Served("", "first_failed_at")]
-    last_ns: Annotated[int, Served("", "last_failed_at")]
+    first_ns: Annotated[int, Served("When it failed first.", "first_failed_at")]
+    last_ns: Annotated[int, Served("When it failed last.", "last_failed_at")]
     due_ns: int
     attempts: Annotated[int, Served("Failures in a row.")]
     state: QuarantineState = QuarantineState.HELD  # held, or resolved by a later success

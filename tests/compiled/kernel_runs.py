@@ -19,7 +19,7 @@ import numpy as np
 from numba import types
 from numba.core.registry import CPUDispatcher
 
-from api.compiled_code import SIGNATURES
+from api.commands.deployment import SIGNATURES
 from estimation.adhesion.creep_forces import filter_forward, smooth_back
 from estimation.adhesion.window_adhesion import add_saturated, excess_table
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel
@@ -344,7 +344,7 @@ def recorded(kernels: Mapping[str, CPUDispatcher]) -> str:
 
 
 def _described(kind: types.Type) -> object:
-    """Return a type as ``api.compiled_code`` reads it."""
+    """Return a type as ``api.commands.deployment`` reads it."""
     if isinstance(kind, types.Array):
         assert kind.layout == "C"
         return f"{kind.dtype} {kind.ndim}" + ("" if kind.mutable else " readonly")

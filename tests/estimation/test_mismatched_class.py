@@ -14,7 +14,7 @@ from alignment_job import LENGTH, surveyed
 from bogie_run import SOFT, WHEELBASE, of_bogie, windows
 from smooth_wheelset import SmoothTable
 
-from api.comparison.current_geometry import geometry_by
+from api.comparison.trial import geometry_by
 from api.factory import create_app
 from api.settings import Settings
 from bench.put_values import put_geometry
