@@ -8,7 +8,6 @@ For the alignment an epoch is stale as well when a window that it holds has gone
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -95,7 +94,13 @@ class WindowDueStore:
 
     def of_wheelset(self, stage: DueStage, wheelset: str) -> Mapping[int, int]:
         """Return start and version of the due windows of a wheelset, oldest first."""
-        return dict(self._starts(stage, [wheelset]).get(wheelset, ()))
+
+        def read(some: Collection[str]) -> Mapping[str, Sequence[tuple[int, int]]]:
+            statement = select(DUE).where(DUE.c.stage == stage.value, DUE.c.wheelset.in_(some))
+            rows = self.connection.execute(statement.order_by(DUE.c.start_ns))
+            return by_wheelset(rows, lambda row: (row.start_ns, row.version))
+
+        return dict(self.once.of_wheelset(f"due {stage}", wheelset, read) or ())
 
     def of_section(self, stage: str, section: str, until_ns: int | None = None) -> Mapping[WindowKey, int]:
         """Return the due windows of a section, up to a start, with their versions."""
@@ -126,30 +131,12 @@ class WindowDueStore:
 
     def wheelsets(self, inputs: StageInputs, serials: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return the wheelsets, some or all, with windows that are due, by serial."""
-        if serials is not None:
-            windows = self.of_wheelsets(inputs.stage, serials)
-            seen = Counter[str]()
-            for (wheelset, _), version in windows.items():
-                seen[wheelset] += version
-            return {wheelset: Due(version) for wheelset, version in sorted(seen.items())}
         columns = (DUE.c.wheelset, func.sum(DUE.c.version).label("seen"), REGISTRY_VERSION.label("registry"))
         statement = select(*columns).where(DUE.c.stage == inputs.stage)
+        if serials is not None:
+            statement = statement.where(DUE.c.wheelset.in_(serials))
         rows = self.connection.execute(statement.group_by(DUE.c.wheelset).order_by(DUE.c.wheelset))
         return {row.wheelset: Due(int(row.seen), registry=row.registry) for row in rows}
-
-    def of_wheelsets(self, stage: str, serials: Collection[str]) -> Mapping[WindowKey, int]:
-        """Return the due windows of some wheelsets with their versions, by wheelset and start."""
-        found = self._starts(stage, serials)
-        return {(serial, start_ns): version for serial in sorted(found) for start_ns, version in found[serial]}
-
-    def _starts(self, stage: str, serials: Collection[str]) -> Mapping[str, Sequence[tuple[int, int]]]:
-
-        def read(some: Collection[str]) -> Mapping[str, Sequence[tuple[int, int]]]:
-            statement = select(DUE).where(DUE.c.stage == stage, DUE.c.wheelset.in_(some))
-            rows = self.connection.execute(statement.order_by(DUE.c.start_ns))
-            return by_wheelset(rows, lambda row: (row.start_ns, row.version))
-
-        return self.once.of_wheelsets(f"due {stage}", serials, read)
 
     def list_again(self, stage: str, keys: Sequence[WindowKey]) -> None:
         """Let windows be due still that a stage is about to settle."""
@@ -212,15 +199,23 @@ def _list_keys(
         connection.execute(_listed(connection.dialect.name, stages, chosen, raised=raised))
 
 
-def estimated(connection: Connection, keys: Sequence[WindowKey]) -> None:
-    """List windows that are estimated for the stages that read what the windows beside them are needed for."""
+def estimated(connection: Connection, keys: Sequence[WindowKey], tabled: Collection[WindowKey] = ()) -> None:
+    """List windows that are estimated for the stages that read what the windows beside them are needed for.
+
+    Args:
+        tabled: Those that are listed to be summed as well.
+    """
+    to_sum = set(tabled)
     for first in range(0, len(keys), BATCH):
-        own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys[first : first + BATCH])
+        some = keys[first : first + BATCH]
+        own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(some)
+        summed = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_([key for key in some if key in to_sum])
         lacked = [code.value for code in OF_OTHERS]
         signed = select(OF_WINDOWS.c.places).where(SAME_WINDOW, OF_WINDOWS.c.reason_code.in_(lacked))
-        lacking = and_(NAMED == SIGNATURES, WINDOWS.c.samples_purged_ns.is_(None), signed.exists())
-        chosen = and_(own, or_(lacking, and_(NAMED == CREEP, NOT_LOOKED_AT)))
-        connection.execute(_listed(connection.dialect.name, (SIGNATURES, CREEP), chosen))
+        lacking = and_(NAMED.in_([SIGNATURES]), WINDOWS.c.samples_purged_ns.is_(None), signed.exists())
+        looked_at = and_(NAMED.in_([CREEP]), NOT_LOOKED_AT)
+        chosen = and_(own, or_(lacking, looked_at, and_(NAMED.in_([DueStage.SUMS]), summed)))
+        connection.execute(_listed(connection.dialect.name, (SIGNATURES, CREEP, DueStage.SUMS), chosen))
 
 
 def is_due(stage: DueStage, table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows

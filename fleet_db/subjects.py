@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Insert, String, bindparam, cast, exists, func, select, tuple_
+from sqlalchemy import ColumnElement, Connection, Insert, String, bindparam, cast, exists, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.opinions import GEAR_DAMPERS
@@ -86,13 +86,6 @@ class Subjects:
         return sum(
             count for (kind, name, facet), count in grown.items() if facet in facets and subject in {None, (kind, name)}
         )
-
-    def versions(self, subjects: Collection[tuple[SubjectKind, str]], facets: Collection[str]) -> int:
-        """Return the sum of the versions of some facets of some subjects: it is another where one of them is."""
-        self.flush()
-        own = tuple_(VERSIONS.c.kind, VERSIONS.c.subject).in_(sorted(subjects))
-        summed = select(func.sum(VERSIONS.c.version)).where(own, VERSIONS.c.facet.in_(facets))
-        return int(self.connection.scalar(summed) or 0)
 
     def wheelset_on_file(self, serial: str) -> None:
         """Something on file of a wheelset has changed: sections with its windows follow."""

@@ -295,8 +295,8 @@ def _store(unit: UnitOfWork, found: Sequence[Made], standing: Mapping[WindowKey,
                 made_from = (record.content_digest, inputs.inputs.assumed.digest)
                 rolling.append(WindowRollingSums(*record.key, *made_from, outcome.rolling))
             marks.append(WindowMark(*record.key, WindowState.ESTIMATED))
-    unit.tables.put_all(tables)
-    unit.windows.mark_all(marks, standing)
+    tabled = unit.tables.put_all(tables, listed=False)
+    unit.windows.mark_all(marks, standing, tabled)
     unit.epochs.note_all_refused(refused)
     unit.roll_ups.put_rolling(rolling)
 

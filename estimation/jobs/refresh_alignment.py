@@ -20,7 +20,7 @@ from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.epoch_inputs import Due, EpochSearch, FileLookup, Found, changed_from, otherwise_on_file
-from estimation.jobs.steps.epoch_passes import EpochPasses, Solved, epoch_passes
+from estimation.jobs.steps.epoch_passes import EpochPasses, RunsOnFile, Solved, epoch_passes
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
 from estimation.jobs.steps.store_alignment import (
     Computed,
@@ -31,13 +31,12 @@ from estimation.jobs.steps.store_alignment import (
     store_epoch,
     survey_checked,
 )
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
+from estimation.jobs.steps.vehicle_classes import ClassLookup, VehicleLookup
 from estimation.storage import UnitOfWork
 from estimation.track.passes import Entry, Journey, newest_within
 from estimation.track.results import place_alone
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import UpdateOutcome, update_alignment
-from estimation.values.reasons import Reason
 from estimation.values.results import Due as Seen
 from estimation.values.results import Facet, Mark, StageInputs
 from estimation.values.runs import SubjectKind
@@ -80,7 +79,7 @@ class Known:
         alignment: After the epoch before; None where nothing is known.
         base: The oldest version from which that does not differ materially.
         classes: By vehicle.
-        assumed: Of windows, by vehicle and wheelset.
+        on_file: What else windows are looked at with.
         chosen: Windows that are solved together, those that make the version first, with what was measured of their
             wheelsets.
     """
@@ -88,7 +87,7 @@ class Known:
     alignment: TrackAlignment | None
     base: TrackAlignment | None
     classes: Mapping[str, ClassOnFile]
-    assumed: Mapping[tuple[str, str], Assumed | Reason]
+    on_file: RunsOnFile
     chosen: Sequence[tuple[Sequence[Entry], Measured]]
 
 
@@ -159,7 +158,7 @@ def _inputs(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext) 
         found=found,
         known=_known(unit, due, lookup.classes, settings) if due is not None and due.own else None,
         settings=settings,
-        passes=lambda chosen, known: epoch_passes(context, chosen, known.assumed),
+        passes=lambda chosen, known: epoch_passes(context, chosen, known.on_file),
     )
 
 
@@ -193,7 +192,11 @@ def _known(unit: UnitOfWork, due: Due, classes: ClassLookup, settings: Alignment
         alignment=alignment,
         base=alignment if since == version or since is None else unit.tracks.alignment(code, since),
         classes=classes_of(classes, records),
-        assumed={key: classes.assumed(*key) for key in dict.fromkeys((one.vehicle, one.wheelset) for one in records)},
+        on_file=RunsOnFile(
+            {key: classes.assumed(*key) for key in dict.fromkeys((one.vehicle, one.wheelset) for one in records)},
+            VehicleLookup(unit).with_mountings(dict.fromkeys(record.vehicle for record in records)),
+            unit.tracks.layout(code),
+        ),
         chosen=parts,
     )
 

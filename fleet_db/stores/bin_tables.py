@@ -63,8 +63,14 @@ class BinTableStore:
     subjects: Subjects
     once: ReadOnce = field(default_factory=ReadOnce)
 
-    def put_all(self, tables: Sequence[WindowTable]) -> None:
+    def put_all(self, tables: Sequence[WindowTable], *, listed: bool = True) -> Sequence[WindowKey]:
         """Store the bin tables of different windows; where one has been purged it stays summed.
+
+        Args:
+            listed: Whether windows with another table are listed to be summed here.
+
+        Returns:
+            Those windows.
 
         Raises:
             NotFoundError: There is no such window.
@@ -81,7 +87,9 @@ class BinTableStore:
         for key in changed:
             self.subjects.tables(key[0])  # its geometry follows
             self.subjects.places(windows[key].track_section)
-        list_for_sums(self.connection, changed)
+        if listed:
+            list_for_sums(self.connection, changed)
+        return changed
 
     def _checked(self, expected: Sequence[tuple[WindowKey, str]]) -> Mapping[WindowKey, Row[Any]]:
         """Return windows with their tables, once the contents of the windows are those expected."""

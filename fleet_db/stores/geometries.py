@@ -29,6 +29,7 @@ from estimation.values.results import Result, ResultKind
 from estimation.values.trend import TREND, TrendRecord, WearTrend
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultStore
+from fleet_db.stores.window_rows import NOTED_OF, noted_columns, noted_in
 from fleet_db.subjects import ReadOnce
 from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import WheelsetBinRow, WindowBinTableRow
@@ -39,7 +40,7 @@ UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in CO
 TABLES, WHEELSETS = table_of(WindowBinTableRow), table_of(WheelsetRow)
 CURRENT: Parts = ("current.", "current.9999")
 INTERVALS: Parts = ("0000", "9999.9999999")
-HAVING = "having a current geometry"
+HAVING, HAVING_ANY = "having a current geometry", "having had a geometry"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +114,8 @@ class GeometryStore:
 
     def interval_digests(self, wheelset: str) -> Mapping[tuple[int, int], IntervalDigest]:
         """Return by baseline and interval what the newest geometry was made from, and why it holds no number."""
+        if self.once.is_absent(HAVING_ANY, wheelset):
+            return {}
 
         def read(some: Collection[str]) -> Mapping[str, Sequence[tuple[tuple[int, int], IntervalDigest]]]:
             return _by_subject(self.results.heads(GEOMETRY, some, INTERVALS), _interval_digest)
@@ -171,9 +174,14 @@ class GeometryStore:
         tabled = exists().where(TABLES.c.wheelset == WHEELSETS.c.serial)
         current = (RESULTS.c.stage == GEOMETRY.stage, RESULTS.c.part.between(*CURRENT))
         having = exists().where(*current, RESULTS.c.subject == WHEELSETS.c.serial, RESULTS.c.superseded_ns.is_(None))
-        columns = (WHEELSETS.c.serial, tabled.label("tabled"), having.label("having"))
-        rows = self.connection.execute(select(*columns).where(WHEELSETS.c.serial.in_(wheelsets))).all()
+        some = exists().where(RESULTS.c.stage == GEOMETRY.stage, RESULTS.c.subject == WHEELSETS.c.serial)
+        columns = (WHEELSETS.c.serial, tabled.label("tabled"), having.label("having"), some.label("some"))
+        rows = self.connection.execute(
+            select(*columns, *noted_columns()).where(WHEELSETS.c.serial.in_(wheelsets))
+        ).all()
         self.once.of(HAVING, wheelsets, lambda _: {row.serial: True for row in rows if row.having})
+        self.once.of(HAVING_ANY, wheelsets, lambda _: {row.serial: True for row in rows if row.some})
+        self.once.of(NOTED_OF, wheelsets, lambda _: {row.serial: noted_in(row) for row in rows})
         return frozenset(row.serial for row in rows if row.tabled or row.having)
 
     def bins_are_current(self, wheelset: str) -> bool:

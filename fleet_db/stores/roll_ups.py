@@ -17,10 +17,11 @@ from fleet_db.packed_values import pack_bin_table, pack_rolling_sums, unpack_bin
 from fleet_db.rows import by_wheelset, columns_of, put_rows, replace_all, table_of, value_of_row
 from fleet_db.stores.window_rows import keys_given
 from fleet_db.subjects import ReadOnce
+from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 
 ROLL_UPS, STATES, ROLLING = table_of(RollUpRow), table_of(RollUpStateRow), table_of(RollingSumsRow)
-TABLES, WINDOWS = table_of(WindowBinTableRow), table_of(WindowRow)
+TABLES, WINDOWS, WHEELSETS = table_of(WindowBinTableRow), table_of(WindowRow), table_of(WheelsetRow)
 STATE = "roll-up state"
 BATCH = 500  # numbers in a statement
 OWN = ("number", "windows", "content", "first_ns", "last_ns", "sealed")  # columns beside those of the key
@@ -168,18 +169,18 @@ class RollUpStore:
 
     def newest_chosen(self, wheelsets: Sequence[str]) -> Mapping[str, Sequence[str]]:
         """Return by wheelset the digests of the windows behind its newest roll-up, and of later ones beside it."""
-        newest = (
-            select(func.max(ROLL_UPS.c.number)).where(ROLL_UPS.c.wheelset.in_(wheelsets)).group_by(ROLL_UPS.c.wheelset)
-        )
-        columns = (ROLL_UPS.c.wheelset, ROLL_UPS.c.last_ns, ROLL_UPS.c.summary)
-        rows = {
-            row.wheelset: row for row in self.connection.execute(select(*columns).where(ROLL_UPS.c.number.in_(newest)))
-        }
-        found = {wheelset: [digest for digest, _ in row.summary["chosen"]] for wheelset, row in rows.items()}
-        kept = select(ROLLING.c.wheelset, ROLLING.c.start_ns, ROLLING.c.window_digest)
-        for row in self.connection.execute(kept.where(ROLLING.c.wheelset.in_(wheelsets))):
-            if row.wheelset not in rows or row.start_ns > rows[row.wheelset].last_ns:
-                found.setdefault(row.wheelset, []).append(row.window_digest)
+        own = ROLL_UPS.alias("own")
+        last = select(func.max(own.c.number)).where(own.c.wheelset == WHEELSETS.c.serial).scalar_subquery()
+        later = or_(ROLL_UPS.c.last_ns.is_(None), ROLLING.c.start_ns > ROLL_UPS.c.last_ns)
+        joined = WHEELSETS.outerjoin(ROLL_UPS, ROLL_UPS.c.number == last)
+        joined = joined.outerjoin(ROLLING, and_(ROLLING.c.wheelset == WHEELSETS.c.serial, later))
+        chosen = select(WHEELSETS.c.serial, ROLL_UPS.c.summary, ROLLING.c.window_digest).select_from(joined)
+        found: dict[str, list[str]] = {}
+        for serial, summary, digest in self.connection.execute(chosen.where(WHEELSETS.c.serial.in_(wheelsets))):
+            if serial not in found:
+                found[serial] = [] if summary is None else [chosen_digest for chosen_digest, _ in summary["chosen"]]
+            if digest is not None:
+                found[serial].append(digest)
         return found
 
     def keep_rolling(self, starts: Mapping[str, Sequence[int]]) -> None:

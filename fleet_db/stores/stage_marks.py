@@ -35,7 +35,7 @@ from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.rows import columns_of, equal, given, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.assembled import SPANS, StaleSpanStore
-from fleet_db.subjects import REGISTRY_VERSION, VERSIONS, ReadOnce, Subjects
+from fleet_db.subjects import MOUNTINGS, REGISTRY_VERSION, VERSIONS, ReadOnce, Subjects
 from fleet_db.tables.operation import StageMarkRow
 from fleet_db.tables.recordings import ChunkRow, QuarantineRow
 from fleet_db.tables.windows import WindowRow
@@ -97,6 +97,26 @@ class StageMarkStore:
         """
         self.once.remember(f"mark of {inputs.stage}", due)
         self.on_file.renew(next((one.registry for one in due.values()), None))
+
+    def versions(
+        self, subjects: Collection[tuple[SubjectKind, str]], vehicles: Collection[str], facets: Collection[str]
+    ) -> int:
+        """Return the sum of the versions of some facets: it is another where one of them is.
+
+        Records of the registry are read as they are now from here on.
+
+        Args:
+            vehicles: All wheelsets that have ever been mounted there are among the subjects.
+        """
+        self.subjects.flush()
+        facts = VERSIONS.alias("facts")
+        own = tuple_(facts.c.kind, facts.c.subject).in_(sorted(subjects))
+        mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle.in_(vehicles))
+        beside = and_(facts.c.kind == SubjectKind.WHEELSET.value, facts.c.subject.in_(mounted))
+        summed = select(func.sum(facts.c.version).label("now"), REGISTRY_VERSION.label("registry"))
+        row = self.connection.execute(summed.where(or_(own, beside), facts.c.facet.in_(facets))).one()
+        self.on_file.renew(row.registry)
+        return int(row.now or 0)
 
     def look(self, stages: Sequence[StageInputs], now_ns: int, counted: Collection[str], job: str) -> Look:
         """Return of which stages something is due; one statement for all.

@@ -276,6 +276,7 @@ class TrackStore:
         """Return the versions of a section's alignment and layout as :meth:`registered` and :meth:`layout_version`."""
         layout = select(func.max(LAYOUTS.c.version)).where(LAYOUTS.c.section == section)
         row = self.connection.execute(select(_registered(section).scalar_subquery(), layout.scalar_subquery())).one()
+        self.once.remember("layout version", {section: (row[1],)})
         return row[0], row[1]
 
     def layout_version(self, section: str) -> int | None:

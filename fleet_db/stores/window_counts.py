@@ -18,6 +18,7 @@ from sqlalchemy import (
     and_,
     bindparam,
     case,
+    exists,
     false,
     func,
     literal,
@@ -37,14 +38,13 @@ from estimation.values.windows import (
     WindowMark,
     WindowState,
 )
-from fleet_db.due import BATCH, IS_PENDING, PLACED, is_due, list_due
+from fleet_db.due import BATCH, DUE, IS_PENDING, PLACED, is_due, list_due
 from fleet_db.records import ChunkState
 from fleet_db.rows import by_wheelset, equal, given, replace_all, stored_reason, table_of, value_of_row
 from fleet_db.stores.window_rows import implausible_reason, keys_given
 from fleet_db.stores.windows import WindowStore
 from fleet_db.tables.operation import WorklistEntryRow
 from fleet_db.tables.recordings import ChunkRow
-from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import WindowRow
 
 WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
@@ -225,7 +225,6 @@ def backlog_of(connection: Connection) -> Backlog:
     )
 
 
-WHEELSETS = table_of(WheelsetRow)
 _READING = ("start_ns", "mileage_km", "odometer_excess_m", "off_line_m", "implausible", "implausible_code")
 READING = [WINDOWS.c[name] for name in _READING]
 DOUBTED = WINDOWS.c.implausible_code.is_not(None)  # word for word that of the index
@@ -274,11 +273,20 @@ class PlausibilityStore:
                 found[row.wheelset, row.from_ns, row.to_ns].append(_reading(row))
         return found
 
-    def doubted(self, wheelsets: Collection[str]) -> frozenset[str]:
-        """Return of which wheelsets the mileage of a window is not believed."""
-        doubted = (WINDOWS.c.implausible_code == ReasonCode.ODOMETER_IMPLAUSIBLE.value, DOUBTED)
-        statement = select(WINDOWS.c.wheelset).where(WINDOWS.c.wheelset.in_(wheelsets), *doubted)
-        return frozenset(self.connection.scalars(statement.distinct()))
+    def due(self, wheelsets: Collection[str]) -> tuple[Mapping[WindowKey, int], frozenset[str]]:
+        """Return the windows of wheelsets that are to be judged, oldest first, and which of these are doubted.
+
+        Returns:
+            Versions in which windows are due, by key, and of which wheelsets with some the mileage of a window is not
+            believed.
+        """
+        of_odometer = WINDOWS.c.implausible_code == ReasonCode.ODOMETER_IMPLAUSIBLE.value
+        doubted = exists().where(WINDOWS.c.wheelset == DUE.c.wheelset, of_odometer, DOUBTED)
+        statement = select(DUE.c.wheelset, DUE.c.start_ns, DUE.c.version, doubted.label("doubted"))
+        statement = statement.where(DUE.c.stage == DueStage.MILEAGES.value, DUE.c.wheelset.in_(wheelsets))
+        rows = self.connection.execute(statement.order_by(DUE.c.wheelset, DUE.c.start_ns)).all()
+        seen = {(row.wheelset, row.start_ns): row.version for row in rows}
+        return seen, frozenset(row.wheelset for row in rows if row.doubted)
 
     def judge(self, verdicts: Mapping[WindowKey, Reason | None]) -> int:
         """Store which windows have a mileage or place that is not believed; return how many changed.

@@ -51,11 +51,18 @@ from fleet_db.rows import (
     value_of_row,
 )
 from fleet_db.subjects import Subjects
+from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.track import WindowPositionRow
-from fleet_db.tables.windows import WindowBinTableRow, WindowRow
+from fleet_db.tables.windows import DOUBTED, PASSED_OVER, REFUSED, WindowBinTableRow, WindowRow
 
-WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
+WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
 OF_WINDOW = ("wheelset", "start_ns", "length_ns", "vehicle", "axle", "track_section")
+NOTED = {  # each by an index of its own, whose condition is word for word the same
+    "reason_code": and_(REFUSED),
+    "passed_over": and_(PASSED_OVER),
+    "implausible_code": and_(DOUBTED),
+}
+NOTED_OF = "noted of windows"  # kind of what a transaction has read
 REALS = (
     "coverage",
     "longest_gap_s",
@@ -67,13 +74,28 @@ REALS = (
 )
 
 
+def noted_columns() -> list[ColumnElement[bool]]:
+    """Return for a statement on wheelsets which columns of ``NOTED`` are not null in one of their windows."""
+    own = WINDOWS.c.wheelset == WHEELSETS.c.serial
+    return [exists().where(own, condition).label(name) for name, condition in NOTED.items()]
+
+
+def noted_in(row: Row[Any]) -> frozenset[str]:
+    """Return the names of the columns of :func:`noted_columns` in a row that are true."""
+    return frozenset(name for name in NOTED if getattr(row, name))
+
+
 def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
     """Return the condition that wheelset and start of a row are among the parameters ``keys``."""
     return tuple_(table.c.wheelset, table.c.start_ns).in_(bindparam("keys", expanding=True))
 
 
 def mark_all(
-    connection: Connection, subjects: Subjects, marks: Sequence[WindowMark], standing: Mapping[WindowKey, WindowRecord]
+    connection: Connection,
+    subjects: Subjects,
+    marks: Sequence[WindowMark],
+    standing: Mapping[WindowKey, WindowRecord],
+    tabled: Sequence[WindowKey],
 ) -> list[WindowMark]:
     """Set states of windows; those that are refused lose their bin tables. Return those that have their states now.
 
@@ -103,7 +125,9 @@ def mark_all(
                 subjects.windows(mark.wheelset)
     replace_all(connection, WINDOWS, changed)
     list_waiting(connection, [mark.key for mark in held if mark.state is WindowState.PENDING])
-    estimated(connection, [mark.key for mark in held if mark.state is WindowState.ESTIMATED])
+    made = {mark.key: None for mark in held if mark.state is WindowState.ESTIMATED}
+    estimated(connection, list(made), tabled)
+    list_for_sums(connection, [key for key in tabled if key not in made])
     remove_tables(connection, subjects, gone)
     return held
 

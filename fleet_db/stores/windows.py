@@ -39,9 +39,12 @@ from estimation.values.windows import (
 from fleet_db.due import BATCH, list_due, list_for_alignment, positions_forgotten, windows_changed, windows_left
 from fleet_db.rows import by_wheelset, insert_new, key_given, key_of, on_sections, replace, table_of
 from fleet_db.stores.window_rows import (
+    NOTED_OF,
     keys_given,
     list_for_sums,
     mark_all,
+    noted_columns,
+    noted_in,
     pass_over,
     remove_tables,
     to_window_record,
@@ -51,7 +54,7 @@ from fleet_db.stores.window_rows import (
 from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.registry import MountingRow, WheelsetRow
 from fleet_db.tables.track import WindowPositionRow
-from fleet_db.tables.windows import DOUBTED, PASSED_OVER, REFUSED, WindowBinTableRow, WindowRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 from fleet_db.telemetry import WindowFiles, window_digest
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
@@ -65,11 +68,6 @@ STORED = (
     .select_from(WHEELSETS.outerjoin(WINDOWS, SAME))
     .where(WHEELSETS.c.serial == bindparam("wheelset"))
 )
-NOTED = {  # each by an index of its own, whose condition is word for word the same
-    "reason_code": and_(REFUSED),
-    "passed_over": and_(PASSED_OVER),
-    "implausible_code": and_(DOUBTED),
-}
 DIGEST = select(*(WINDOWS.c[name] for name in ("content_digest", "samples_purged_ns"))).where(key_given(WINDOWS))
 
 
@@ -144,9 +142,7 @@ class WindowStore:
 
     def get(self, wheelset: str, start_ns: int) -> WindowRecord | None:
         """Return one window's record."""
-        key = (WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
-        found = self._records(select(WINDOWS).where(*key))
-        return found[0] if found else None
+        return next(iter(self.several([(wheelset, start_ns)])), None)
 
     def any_decided(self, section: str) -> bool:
         """Return whether a window on a section has been estimated or refused; the empty text stands for none."""
@@ -214,12 +210,20 @@ class WindowStore:
         return bool(self.mark_all([WindowMark(wheelset, start_ns, state, reason)]))
 
     def mark_all(
-        self, marks: Sequence[WindowMark], standing: Mapping[WindowKey, WindowRecord] | None = None
+        self,
+        marks: Sequence[WindowMark],
+        standing: Mapping[WindowKey, WindowRecord] | None = None,
+        tabled: Sequence[WindowKey] = (),
     ) -> Sequence[WindowMark]:
-        """Set the states of several windows as :meth:`mark` does; return those that have their states now."""
+        """Set the states of several windows as :meth:`mark` does; return those that have their states now.
+
+        Args:
+            standing: The windows, where this transaction holds them.
+            tabled: Those that have another bin table and are to be listed to be summed.
+        """
         if standing is None:
             standing = {record.key: record for record in self.several([mark.key for mark in marks])}
-        return mark_all(self.connection, self.subjects, marks, standing)
+        return mark_all(self.connection, self.subjects, marks, standing, tabled)
 
     def pass_over(self, wheelset: str, start_ns: int, what: PassedOver) -> None:
         """Note what would have changed a window that stays as it is; that its table is wrong stands before the rest."""
@@ -246,12 +250,10 @@ class WindowStore:
         """Return which columns of ``NOTED`` are not null of a window of a wheelset: of most wheelsets none is."""
 
         def read(some: Collection[str]) -> Mapping[str, frozenset[str]]:
-            own = WINDOWS.c.wheelset == WHEELSETS.c.serial
-            columns = [exists().where(own, condition).label(name) for name, condition in NOTED.items()]
-            rows = self.connection.execute(select(WHEELSETS.c.serial, *columns).where(WHEELSETS.c.serial.in_(some)))
-            return {row.serial: frozenset(name for name in NOTED if getattr(row, name)) for row in rows}
+            noted = select(WHEELSETS.c.serial, *noted_columns()).where(WHEELSETS.c.serial.in_(some))
+            return {row.serial: noted_in(row) for row in self.connection.execute(noted)}
 
-        return self.once.of_wheelset("noted", wheelset, read) or frozenset()
+        return self.once.of_wheelset(NOTED_OF, wheelset, read) or frozenset()
 
     def list(self, wheelset: str, from_ns: int | None = None, to_ns: int | None = None) -> Sequence[WindowRecord]:
         """Return windows of a wheelset that start in ``[from_ns, to_ns)``, oldest first."""

@@ -9,16 +9,16 @@ import pytest
 from bench.house import CORE_JOBS, job_statements
 
 MOST = {
-    "refresh_alignment": 78,
-    "estimate_windows": 86,
-    "refresh_geometry": 63,
-    "refresh_adhesion": 115,
-    "refresh_trends": 37,
-    "evaluate_alerts": 88,
-    "refresh_rails": 65,
-    "refresh_signatures": 85,
+    "refresh_alignment": 39,
+    "estimate_windows": 53,
+    "refresh_geometry": 39,
+    "refresh_adhesion": 99,
+    "refresh_trends": 23,
+    "evaluate_alerts": 64,
+    "refresh_rails": 54,
+    "refresh_signatures": 65,
 }
-MOST_TO_ALERTS = 343
+MOST_TO_ALERTS = 218
 
 
 @pytest.mark.slow

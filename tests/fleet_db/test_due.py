@@ -55,7 +55,7 @@ def test_wheelsets_are_due_by_their_windows(fleet: SqlStorage) -> None:
     with fleet.read() as unit:
         assert unit.marks.due(inputs, 0) == {"WS-1": Due(3)}
         assert unit.marks.due(inputs, 0, ["WS-2"]) == {}
-        seen = unit.due.of_wheelsets(DueStage.MILEAGES, ["WS-1"])
+        seen = unit.plausibility.due(["WS-1"])[0]
     with fleet.write() as unit:
         unit.due.settle_all(DueStage.MILEAGES, seen)
         assert unit.marks.due(inputs, 0) == {}

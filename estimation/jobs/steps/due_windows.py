@@ -7,8 +7,8 @@ is none to estimate again for, nor is a recording of the gauge alone.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.jobs.job import JobContext
@@ -50,10 +50,17 @@ Verdicts = Mapping[WindowKey, Reason | None]
 
 def load_readings(unit: UnitOfWork, serials: Sequence[str], _: JobContext) -> Mapping[str, Readings]:
     """Return the new readings of some wheelsets, or all where one is doubted or something speaks against a new one."""
-    due, new = unit.due.of_wheelsets(DueStage.MILEAGES, serials), unit.plausibility.new_readings(serials)
-    doubted, mounted = unit.plausibility.doubted(serials), _mounted(unit, serials)
-    spans = {serial: _spans(serial, own) for serial, own in new.items() if serial not in doubted}
+    (due, doubted), mounted = unit.plausibility.due(serials), _mounted(unit, serials)
+    spans = {serial: _spans(serial, own) for serial, own in _starts(due).items() if serial not in doubted}
     around = unit.plausibility.readings_around([span for own in spans.values() for span in own])
+    new: Mapping[str, Sequence[MileageReading]] = {
+        serial: [one for span in own for one in around[span] if _is_new(one, span, due)]
+        for serial, own in spans.items()
+    }
+    if sum(map(len, new.values())) < sum(serial in spans for serial, _ in due):  # some are gone
+        new = unit.plausibility.new_readings(list(spans))
+        spans = {serial: _spans(serial, [one.start_ns for one in own]) for serial, own in new.items()}
+        around = unit.plausibility.readings_around([span for own in spans.values() for span in own])
     found = {}
     for serial in serials:
         seen = {key: version for key, version in due.items() if key[0] == serial}
@@ -95,6 +102,12 @@ def store_verdicts(
     return {"mileages_judged": changed}
 
 
+def _is_new(reading: MileageReading, span: ReadingSpan, due: Collection[WindowKey]) -> bool:
+    """Return whether a reading in or beside a span is one of those that the span was made of."""
+    wheelset, from_ns, to_ns = span
+    return from_ns <= reading.start_ns <= to_ns and (wheelset, reading.start_ns) in due
+
+
 def _mounted(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, tuple[Mounted, ...]]:
     mountings = unit.registry.mountings_of(serials)
     vehicles = unit.registry.vehicles_of({one.vehicle for own in mountings.values() for one in own})
@@ -102,6 +115,13 @@ def _mounted(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, tuple[Mou
         serial: tuple((mounting, vehicles[mounting.vehicle].max_speed_m_s) for mounting in own)
         for serial, own in mountings.items()
     }
+
+
+def _starts(due: Iterable[WindowKey]) -> Mapping[str, Sequence[int]]:
+    starts: defaultdict[str, list[int]] = defaultdict(list)
+    for serial, start_ns in due:
+        starts[serial].append(start_ns)
+    return starts
 
 
 def _without_doubt(beside: Sequence[Sequence[MileageReading]], mounted: Sequence[Mounted]) -> bool:
@@ -113,14 +133,14 @@ def _without_doubt(beside: Sequence[Sequence[MileageReading]], mounted: Sequence
     )
 
 
-def _spans(wheelset: str, readings: Sequence[MileageReading]) -> list[ReadingSpan]:
-    """Return first and last start of readings in order of time in groups that are apart."""
+def _spans(wheelset: str, starts: Sequence[int]) -> list[ReadingSpan]:
+    """Return first and last of starts in order of time in groups that are apart."""
     spans: list[ReadingSpan] = []
-    for one in readings:
-        if spans and one.start_ns - spans[-1][2] <= APART_NS:
-            spans[-1] = (wheelset, spans[-1][1], one.start_ns)
+    for start_ns in starts:
+        if spans and start_ns - spans[-1][2] <= APART_NS:
+            spans[-1] = (wheelset, spans[-1][1], start_ns)
         else:
-            spans.append((wheelset, one.start_ns, one.start_ns))
+            spans.append((wheelset, start_ns, start_ns))
     return spans
 
 

@@ -42,15 +42,19 @@ class EpochPasses:
         return self.members[item.wheelset, item.start_ns]
 
 
-def epoch_passes(
-    context: JobContext, chosen: Sequence[Entry], assumed: Mapping[tuple[str, str], Assumed | Reason]
-) -> EpochPasses:
+@dataclass(frozen=True, slots=True)
+class RunsOnFile:
+    """What windows of a section are looked at with: what is assumed, by vehicle and wheelset, mountings and layout."""
+
+    assumed: Mapping[tuple[str, str], Assumed | Reason]
+    vehicles: VehicleLookup
+    layout: TrackLayout | None
+
+
+def epoch_passes(context: JobContext, chosen: Sequence[Entry], on_file: RunsOnFile) -> EpochPasses:
     """Return the passes of windows, and the reasons of those that hold none; a few windows at a time in memory.
 
     Windows that follow each other are one pass, for its ends are lost to the filter.
-
-    Args:
-        assumed: By vehicle and wheelset.
     """
     settings, step = context.settings.estimation, context.settings.alignment.pass_step
     found: list[Pass] = []
@@ -66,7 +70,7 @@ def epoch_passes(
     keys = [((r.vehicle, r.axle, name), r.start_ns, r.start_ns + r.length_ns) for r, name in clean]
     done = len(refused)
     for groups in _together(following(clean, keys)):
-        for group, run in zip(groups, _runs(context, groups, assumed), strict=True):
+        for group, run in zip(groups, _runs(context, groups, on_file), strict=True):
             context.checkpoint(done, len(chosen))
             done += len(group)
             for serials, made, reason in _examined(run):
@@ -106,26 +110,22 @@ def _together(groups: Iterable[Sequence[Entry]]) -> Iterator[list[Sequence[Entry
         yield together
 
 
-def _runs(
-    context: JobContext, groups: Sequence[Sequence[Entry]], assumptions: Mapping[tuple[str, str], Assumed | Reason]
-) -> list[_Run]:
+def _runs(context: JobContext, groups: Sequence[Sequence[Entry]], on_file: RunsOnFile) -> list[_Run]:
     """Read the samples of runs."""
     records = [record for group in groups for record, _ in group]
     settings = context.settings.estimation
     with context.storage.read() as unit:
-        vehicles = VehicleLookup(unit)
+        vehicles = replace(on_file.vehicles, unit=unit)
         loader = WindowLoader(unit, vehicles, {record.key: record for record in records})
-        section = records[0].track_section
-        layout = unit.tracks.layout(section) if section is not None else None
 
         def run_of(group: Sequence[Entry]) -> _Run:
             own = [record for record, _ in group]
             first = own[0]
-            assumed = assumptions[first.vehicle, first.wheelset]
+            assumed = on_file.assumed[first.vehicle, first.wheelset]
             if isinstance(assumed, Reason):
                 return _Run((), [((record.key,), (), assumed) for record in own], assumed, turned=False)
             mounting = vehicles.mounting_at(first.vehicle, first.axle, first.start_ns)
-            loaded = [(record, _loaded(loader, record, assumed, layout, settings)) for record in own]
+            loaded = [(record, _loaded(loader, record, assumed, on_file.layout, settings)) for record in own]
             windows = [one for _, one in loaded if not isinstance(one, Reason)]
             refused = [((record.key,), (), one) for record, one in loaded if isinstance(one, Reason)]
             return _Run(windows, refused, assumed, turned=mounting is not None and mounting.reversed)

@@ -6,7 +6,7 @@ read again in the transaction that stores results where it may be another by the
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -188,22 +188,26 @@ class WindowInputs:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Subjects of which something is read for windows of a batch, with the sum of their versions then."""
+    """Subjects of which something is read for windows of a batch, with the sum of their versions then.
+
+    Those of other wheelsets of the vehicles are counted as well: one may be on the other axle of a bogie.
+    """
 
     subjects: frozenset[tuple[SubjectKind, str]]
+    vehicles: frozenset[str]
     versions: int
 
     def are_same(self, unit: UnitOfWork) -> bool:
         """Return whether nothing that was read is another by now."""
-        return unit.subjects.versions(self.subjects, FACETS) == self.versions
+        return unit.marks.versions(self.subjects, self.vehicles, FACETS) == self.versions
 
 
-def _facts(unit: UnitOfWork, records: Sequence[WindowRecord], partners: Collection[WindowKey | None]) -> Facts:
-    wheelsets = {record.wheelset for record in records} | {key[0] for key in partners if key is not None}
-    subjects = {(SubjectKind.WHEELSET, serial) for serial in wheelsets}
-    subjects |= {(SubjectKind.VEHICLE, record.vehicle) for record in records}
+def _facts(unit: UnitOfWork, records: Sequence[WindowRecord]) -> Facts:
+    vehicles = frozenset(record.vehicle for record in records)
+    subjects = {(SubjectKind.WHEELSET, record.wheelset) for record in records}
+    subjects |= {(SubjectKind.VEHICLE, vehicle) for vehicle in vehicles}
     subjects |= {(SubjectKind.SECTION, record.track_section or "") for record in records}
-    return Facts(frozenset(subjects), unit.subjects.versions(subjects, FACETS))
+    return Facts(frozenset(subjects), vehicles, unit.marks.versions(subjects, vehicles, FACETS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +243,8 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
     Args:
         classes: Of the same transaction.
     """
-    vehicles = VehicleLookup(unit)
+    # before records of the registry are read: those that were read earlier may be of the time before
+    facts, vehicles = _facts(unit, records), VehicleLookup(unit)
     positions = unit.tracks.positions([record.key for record in records])
     sections = {record.track_section for record in records} - {None}
     layouts = {section: unit.tracks.layout_version(section) for section in sorted(filter(None, sections))}
@@ -264,7 +269,7 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
             known[partner].content_digest if partner in known else None,
             low.get(key, ()),
         )
-    return BatchInputs(vehicles, known, _facts(unit, records, partners.values()), found)
+    return BatchInputs(vehicles, known, facts, found)
 
 
 def _low_adhesion(

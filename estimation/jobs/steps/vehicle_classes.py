@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 from estimation.jobs.settings import EstimationSettings
@@ -129,6 +129,11 @@ class VehicleLookup:
         if code not in self._vehicles:
             self._vehicles[code] = self.unit.registry.vehicle(code)
         return self._vehicles[code]
+
+    def with_mountings(self, vehicles: Iterable[str]) -> VehicleLookup:
+        """Return the lookup with all mountings on some vehicles, to go on with in another transaction."""
+        self._mountings.update({code: self.unit.registry.mountings_on(code, 0, LATEST_NS) for code in vehicles})
+        return self
 
     def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
         """Return which wheelset ran at an axle at a time; None where there was none.

@@ -57,7 +57,7 @@ def test_a_run_of_the_job_judges_where_nothing_else_is_due(storage: SqlStorage) 
 def verdicts(storage: SqlStorage) -> Mapping[int, Reason]:
     with storage.read() as unit:
         rows = unit.connection.execute(select(WINDOWS)).all()
-        assert unit.due.of_wheelsets(DueStage.MILEAGES, ["W1"]) == {}
+        assert unit.plausibility.due(["W1"])[0] == {}
     return {row.start_ns: reason for row in rows if (reason := implausible_reason(row)) is not None}
 
 
@@ -124,7 +124,8 @@ def test_windows_a_day_apart_are_read_for_themselves(storage: SqlStorage) -> Non
     put(storage, 1)
     put(storage, 8 * DAY_NS // WINDOW_NS + 1)
     with storage.read() as unit:
-        spans = due_windows._spans("W1", unit.plausibility.new_readings(["W1"])["W1"])
+        new = unit.plausibility.new_readings(["W1"])["W1"]
+        spans = due_windows._spans("W1", [one.start_ns for one in new])
         around = unit.plausibility.readings_around(spans)
     assert due_windows.APART_NS == DAY_NS
     assert [len(found) for found in around.values()] == [3, 2]
