@@ -18,7 +18,7 @@ from http import HTTPMethod, HTTPStatus
 from operator import itemgetter
 from threading import Lock
 from types import NoneType, UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from urllib.parse import quote, urlencode
 
 import orjson
@@ -114,6 +114,7 @@ def _plain(value: Any) -> object:  # noqa: ANN401 - what orjson does not know
 
 
 Table = tuple[Sequence[str], Iterable[Sequence[object]]]
+BodyT = TypeVar("BodyT", bound=BaseModel)
 
 Limit = Annotated[int, Query(ge=1, le=1000, description="How many items at most.")]
 Cursor = Annotated[str | None, Query(description="`next_cursor` of the page before, with the same filter.")]
@@ -201,9 +202,9 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
     return text.getvalue().encode()
 
 
-def table_payload(body: BaseModel, media_type: str, rows: Table) -> bytes:
+def table_payload(body: BodyT, media_type: str, table: Callable[[BodyT], Table]) -> bytes:
     """Return a representation as JSON, or its table as CSV."""
-    return csv_text(*rows) if media_type == CSV else payload_of(body)
+    return csv_text(*table(body)) if media_type == CSV else payload_of(body)
 
 
 def answer_payload(request: Request, payload: bytes, media_type: str) -> Response:
@@ -256,15 +257,7 @@ class RepresentationCache:
 
     def get_or_make(self, key: Hashable, make: Callable[[], bytes]) -> bytes:
         """Return what is kept under a key, or make it and keep it."""
-        with self._lock:
-            known = self._held.get(key)
-            if known is not None:
-                self._held.move_to_end(key)
-                return known
-        made = make()
-        with self._lock:
-            self._keep(key, made)
-        return made
+        return self.get_or_make_all({0: key}, lambda _: {0: make()})[0]
 
     def get_or_make_all(
         self, keys: Mapping[int, Hashable], make: Callable[[Sequence[int]], Mapping[int, bytes]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sys
+import threading
 from collections.abc import AsyncIterator, MutableMapping
 from contextlib import asynccontextmanager
 from importlib.metadata import version
@@ -48,11 +49,10 @@ from api.routes import (
     webhooks,
     worklist,
 )
-from api.services import Services
-from api.visible_objects import visible
-from api.webhooks.delivering import WebhookWorker
-from api.webhooks.sending import TRIALS, Sender
-from api.webhooks.targets import Targets
+from api.services import Services, visible
+from api.webhooks.delivering import INTERVAL_S, PATIENCE_S, deliver
+from api.webhooks.sending import TRIALS, Sender, Targets
+from estimation.errors import TreadwatchError
 
 RESOURCES = (
     chunks.router,  # first: a request is compared with one path after the other, and these are the most
@@ -162,11 +162,28 @@ def build_app(
     registry.register(Measured(app.state.waiting_places.measures))
     app.state.webhook_sender = sender or Sender(Targets())
     app.state.webhook_trials = asyncio.Semaphore(TRIALS)
-    app.state.webhook_worker = WebhookWorker(lambda: app.state.services, app.state.webhook_sender)
     app.add_middleware(HeadMiddleware)
     app.add_middleware(RequestContextMiddleware, measures=RequestMeasures(registry), limits=limits, access=guard)
     allow_pages(app, guard.origins)
     return app
+
+
+def _deliver_to_webhooks(app: FastAPI, stopping: threading.Event) -> None:
+    """Deliver from when a webhook is on file; until then neither a lock nor a session is held for it."""
+    while not _is_webhook_on_file(app.state.services):
+        if stopping.wait(INTERVAL_S):
+            return
+    deliver(app.state.services, app.state.webhook_sender, stopping)
+
+
+def _is_webhook_on_file(services: Services | None) -> bool:
+    if services is None:
+        return False
+    try:
+        with services.storage.read() as unit:
+            return bool(unit.webhooks.active())
+    except TreadwatchError:
+        return True  # whoever delivers says what is waited for
 
 
 @asynccontextmanager
@@ -175,14 +192,18 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     embedded = app.state.services is not None and app.state.services.one_reader  # an embedded one is never waited for
     threads = anyio.to_thread.current_default_thread_limiter()
     threads.total_tokens = EMBEDDED_THREADS if embedded else SERVER_THREADS
-    app.state.webhook_worker.start()
+    stopping = threading.Event()
+    webhooks = threading.Thread(target=_deliver_to_webhooks, args=(app, stopping), name="webhooks", daemon=True)
+    webhooks.start()
     yield
-    await anyio.to_thread.run_sync(app.state.webhook_worker.stop)
+    stopping.set()
+    await anyio.to_thread.run_sync(webhooks.join, 2 * PATIENCE_S)  # a silent database must not hold the end up
     await anyio.to_thread.run_sync(app.state.access_book.close)
     services: Services | None = app.state.services
     if services is not None:
         await anyio.to_thread.run_sync(services.runner.close)
-        await anyio.to_thread.run_sync(services.uploads.close)
+        if services.uploads.opened:
+            await anyio.to_thread.run_sync(services.uploads.close)
         if services.references is not None:
             await anyio.to_thread.run_sync(services.references.close)
         services.close()

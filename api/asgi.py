@@ -21,10 +21,10 @@ def app() -> FastAPI:
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is loaded
     from api import factory, logs  # noqa: PLC0415 - not before that
-    from api.compiled_code import choose_compiled_code  # noqa: PLC0415 - the same
+    from api.cli import choose_compiled_code  # noqa: PLC0415 - the same
     from api.http_server import keep_what_is_loaded  # noqa: PLC0415 - the same
+    from api.logs import start_tracing  # noqa: PLC0415 - the same
     from api.settings import load_settings  # noqa: PLC0415 - the same
-    from api.tracing import start_tracing  # noqa: PLC0415 - the same
 
     choose_compiled_code(os.environ)
     settings = load_settings()

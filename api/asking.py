@@ -1,20 +1,23 @@
-"""What routes are asked with: the request and the services, the page of a list, the conditions of a change."""
+"""What routes are asked with: the request and the services, the page of a list, the conditions of a change.
+
+Changes of the registry are entered as a registry file is, and answered with the record.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from http import HTTPStatus
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import orjson
 from fastapi import Depends, Path, Query, Request, Response
-from pydantic import BaseModel, SerializeAsAny
+from pydantic import BaseModel, Field, SerializeAsAny
 
 from api import cursors
-from api.access.caller import Caller, CallerDep, known_caller
+from api.access.caller import Caller, CallerDep
 from api.answers import (
     DEFAULT_LIMIT,
     Cursor,
@@ -29,13 +32,19 @@ from api.answers import (
     next_path,
     operation,
     payload_of,
+    require_match,
     wants_table,
 )
 from api.problems import ProblemError, invalid
-from api.schemas.common import Page
+from api.schemas.common import Body, Page
 from api.services import Services, ServicesDep
 from api.times import Moment, to_rfc3339
+from estimation.errors import InputError
+from fleet_db.records import Decision
 from fleet_db.storage import SqlUnitOfWork
+from ingest.input_file import MEBIBYTE, Location, dotted
+from ingest.registry_entry.contents import Entry, RegistryContents, Rule
+from ingest.registry_entry.enter import enter
 
 CODE = r"^[^\x00-\x1f\x7f]{1,64}$"
 _INT64_MAX = 2**63 - 1
@@ -73,42 +82,6 @@ def not_purged(as_of_ns: int | None, purged_before_ns: int | None) -> None:
         raise ProblemError(410, "history-purged", f"replaced results are kept from {kept} on, see the retention")
 
 
-@dataclass(frozen=True, slots=True)
-class IdempotentPost:
-    """One POST with its key; without a key every request is a new one."""
-
-    key: str | None
-    request_digest: str
-
-    def earlier(self, request: Request, unit: SqlUnitOfWork) -> Response | None:
-        """Return the answer that was already given under this key."""
-        known = None if self.key is None else unit.idempotency.get(self.key)
-        if known is None:
-            return None
-        digest, status, body = known
-        if digest != self.request_digest:
-            detail = "this Idempotency-Key was used for another request; use a new one"
-            raise ProblemError(422, "idempotency-key-reused", detail)
-        headers = {"Idempotency-Replayed": "true"}
-        if status == HTTPStatus.ACCEPTED:
-            headers["Location"] = orjson.loads(body)["links"]["self"]
-        return answer_bytes(request, body.encode(), status=status, headers=headers)
-
-    def remember(self, unit: SqlUnitOfWork, status: int, body: BaseModel, now_ns: int) -> None:
-        """Keep the answer, in the transaction of the change itself."""
-        if self.key is not None:
-            unit.idempotency.put(self.key, self.request_digest, status, payload_of(body).decode(), now_ns)
-
-
-def idempotent_post(request: Request, key: str | None, body: BaseModel | None = None) -> IdempotentPost:
-    """Return this POST's identity: its key, and a digest of what it asks for."""
-    request_parts = [request.method, request.scope["path"], None if body is None else body.model_dump(mode="json")]
-    identity = None if (caller := known_caller(request.scope)) is None else caller.identity
-    if key is not None and identity is not None:  # another key's answers are not for this caller
-        key = f"{hashlib.sha256(identity.encode()).hexdigest()[:32]} {hashlib.sha256(key.encode()).hexdigest()}"
-    return IdempotentPost(key, hashlib.sha256(orjson.dumps(request_parts)).hexdigest())
-
-
 RecordT = TypeVar("RecordT")
 Filters = Mapping[str, object]
 
@@ -127,6 +100,11 @@ class Asked:
     def answer(self, body: BaseModel) -> Response:
         """Return a representation with its ETag."""
         return answer(self.request, body)
+
+    def one(self, represent: Callable[[SqlUnitOfWork], BaseModel]) -> Response:
+        """Return the representation of what is read, with its ETag."""
+        with self.read() as unit:
+            return self.answer(represent(unit))
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,14 +200,59 @@ class AskedChange(Asked):
         self, body: BaseModel, apply: Callable[[SqlUnitOfWork, int], BaseModel], status: HTTPStatus = HTTPStatus.OK
     ) -> Response:
         """Change something in one transaction; the same request again changes nothing and gets the same answer."""
-        post, now_ns = idempotent_post(self.request, self.key, body), self.services.clock.now_ns()
+        post, now_ns = self._post(body), self.services.clock.now_ns()
         with self.services.storage.write() as unit:
-            earlier = post.earlier(self.request, unit)
+            earlier = self._earlier(unit, *post)
             if earlier is not None:
                 return earlier
-            done = apply(unit, now_ns)
-            post.remember(unit, status, done, now_ns)
-        return answer(self.request, done, status=status)
+            done = payload_of(apply(unit, now_ns))
+            self._remember(unit, *post, status, done)
+        return self._answered(done, status)
+
+    def beside(
+        self, body: BaseModel | None, act: Callable[[], BaseModel], status: HTTPStatus = HTTPStatus.OK
+    ) -> Response:
+        """Do what has transactions of its own; the same request again does nothing and gets the same answer."""
+        post = self._post(body)
+        with self.read() as unit:
+            earlier = self._earlier(unit, *post)
+        if earlier is not None:
+            return earlier
+        done = payload_of(act())
+        with self.services.storage.write() as unit:
+            self._remember(unit, *post, status, done)
+        return self._answered(done, status)
+
+    def _post(self, body: BaseModel | None) -> tuple[str | None, str]:
+        """Return under what a request is remembered, None without a key, and a digest of what it asks for."""
+        asked = [
+            self.request.method,
+            self.request.scope["path"],
+            None if body is None else body.model_dump(mode="json"),
+        ]
+        key, identity = self.key, self.caller.identity
+        if key is not None and identity is not None:  # another key's answers are not for this caller
+            key = f"{hashlib.sha256(identity.encode()).hexdigest()[:32]} {hashlib.sha256(key.encode()).hexdigest()}"
+        return key, hashlib.sha256(orjson.dumps(asked)).hexdigest()
+
+    def _earlier(self, unit: SqlUnitOfWork, key: str | None, digest: str) -> Response | None:
+        known = None if key is None else unit.idempotency.get(key)
+        if known is None:
+            return None
+        earlier, status, body = known
+        if earlier != digest:
+            detail = "this Idempotency-Key was used for another request; use a new one"
+            raise ProblemError(422, "idempotency-key-reused", detail)
+        return self._answered(body.encode(), status, {"Idempotency-Replayed": "true"})
+
+    def _remember(self, unit: SqlUnitOfWork, key: str | None, digest: str, status: int, done: bytes) -> None:
+        if key is not None:
+            unit.idempotency.put(key, digest, status, done.decode(), self.services.clock.now_ns())
+
+    def _answered(self, payload: bytes, status: int, headers: Mapping[str, str] = {}) -> Response:
+        if status == HTTPStatus.ACCEPTED:
+            headers = {**headers, "Location": orjson.loads(payload)["links"]["self"]}
+        return answer_bytes(self.request, payload, status=status, headers=headers)
 
 
 async def _asked(request: Request, services: ServicesDep, _held: IfNoneMatch = None) -> Asked:
@@ -267,3 +290,75 @@ AskedListDep = Annotated[AskedList, Depends(_list)]
 ChangeDep = Annotated[AskedChange, Depends(_change)]
 NewDep = Annotated[AskedChange, Depends(_new)]
 PutDep = Annotated[AskedChange, Depends(_put)]
+
+
+TEXT = r"^[^\x00-\x08\x0b-\x1f\x7f]*$"
+MOST_KM = 1e8
+MOST_TEXT = MEBIBYTE  # of one file; a request has at most as much
+UNNAMED = "unnamed client"  # who changes something where access is open and nobody says who it is
+Confirmable = Literal["odometer_backwards", "odometer_jump", "unknown_profile", "unusual_gauge", "unusual_radius"]
+Key = Annotated[str, Field(pattern=CODE)]
+Note = Annotated[str, Field(max_length=2000, pattern=TEXT)]
+Kilometres = Annotated[float, Field(ge=0.0, le=MOST_KM)]
+
+
+class RegistryChange(Body):
+    """What every change of the registry may say."""
+
+    why: Note = Field(default="", description="Kept with the record in its history.", examples=["work order 4711"])
+    by: Key | None = Field(
+        default=None, description="Who; read only where access control is off.", examples=["j.smith"]
+    )
+    confirm: list[Confirmable] = Field(
+        default=[], description="Doubts of a refusal that are unfounded: it is so all the same.", examples=[[]]
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class BodySource:
+    """Names the field of a request's body for a field of a registry file.
+
+    Attributes:
+        names: By field of the file; by array and index before it (``mountings[1].from``) where several records are
+            entered.
+    """
+
+    names: Mapping[str, str] = field(default_factory=dict)
+
+    def error(self, reason: str, location: Location = ()) -> InputError:
+        """Return the error that names the field of the body."""
+        last = next((str(part) for part in location[2:3]), "")
+        return InputError(reason, field=self.names.get(dotted(location)) or self.names.get(last, last) or None)
+
+
+@dataclass(frozen=True, slots=True)
+class RegistryRequest:
+    """A request that changes the registry."""
+
+    asked: AskedChange
+    body: RegistryChange
+
+    def visible(self, find: Callable[[SqlUnitOfWork], object]) -> None:
+        """Refuse what the body names and the caller does not see, as if it did not exist."""
+        with self.asked.read() as unit:
+            find(unit)
+
+    def change(
+        self,
+        current: Callable[[SqlUnitOfWork], BaseModel] | None,
+        apply: Callable[[SqlUnitOfWork, Decision], BaseModel],
+        status: HTTPStatus = HTTPStatus.CREATED,
+    ) -> Response:
+        """Change something once, in one transaction; ``current`` is what ``If-Match`` is of, None if new."""
+
+        def entered(unit: SqlUnitOfWork, now_ns: int) -> BaseModel:
+            if current is not None:
+                require_match(self.asked.if_match, current(unit))
+            return apply(unit, Decision(self.asked.caller.acts_as(self.body.by, UNNAMED), self.body.why, now_ns))
+
+        return self.asked.once(self.body, entered, status)
+
+    def enter(self, unit: SqlUnitOfWork, decision: Decision, contents: RegistryContents, source: BodySource) -> None:
+        """Enter records as a registry file does."""
+        confirmed = frozenset(map(Rule, self.body.confirm))
+        enter(contents, unit, source, Entry(decision, decision.recorded_ns, confirmed))

@@ -7,15 +7,16 @@ wait for the numerics or the web server.
 from __future__ import annotations
 
 import os
+import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import MutableMapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from api.compiled_code import choose_compiled_code
 from estimation.errors import TreadwatchError
 
 REFUSED = 2
@@ -46,12 +47,12 @@ COMMANDS = (
     Command("recordings", "receiving", "List and correct what was received."),
     Command("chunk", "receiving", "Watch a drop folder, decode what is received, scrub raw files."),
     Command("quarantine", "receiving", "List and retry what failed by itself."),
-    Command("estimate", "processes", "Run the scheduled jobs once, now, in order."),
-    Command("serve", "processes", "Serve the REST API."),
+    Command("estimate", "deployment", "Run the scheduled jobs once, now, in order."),
+    Command("serve", "deployment", "Serve the REST API."),
     Command("keys", "clients", "Make, list and revoke keys of the REST API."),
     Command("webhooks", "clients", "Make, list, try out and move webhooks."),
-    Command("schedule", "processes", "Run the jobs on schedule; one per deployment."),
-    Command("worker", "processes", "Work for a Dask scheduler, on any machine."),
+    Command("schedule", "deployment", "Run the jobs on schedule; one per deployment."),
+    Command("worker", "deployment", "Work for a Dask scheduler, on any machine."),
     Command("feed", "clients", "Print what happens to alerts, or follow it.", reads_settings=False),
     Command("rules", "registry", "Check alert rules, and try them on what is stored."),
     Command("contact", "studies", "Compute the contact geometry of a wheel on a rail.", reads_settings=False),
@@ -115,6 +116,44 @@ def build(arguments: Sequence[str]) -> typer.Typer:
 def _being_completed() -> list[str]:
     """Return the words behind the command's name that a shell asks to complete; none where it does not."""
     return next((os.environ[name].split()[1:] for name in COMPLETED if name in os.environ), [])
+
+
+DIRECTORY, CPU = "TREADWATCH_COMPILED_DIR", "TREADWATCH_COMPILED_CPU"
+PORTABLE = "portable"
+GENERIC = ("generic", "")
+LEVEL_3 = ("x86-64-v3", "+avx2,+fma,+bmi,+bmi2,+f16c,+lzcnt,+movbe")
+"""Name and features, as LLVM takes them, of what servers have had since 2015."""
+NEEDED_OF_LEVEL_3 = frozenset({"avx2", "fma", "bmi1", "bmi2", "f16c", "abm", "movbe"})  # as Linux names them
+CPU_FACTS = Path("/proc/cpuinfo")
+
+
+def choose_compiled_code(environment: MutableMapping[str, str], dot_env: Path = Path(".env")) -> None:
+    """Say to numba, and to every process that this one starts, where compiled code is and for which CPU."""
+    settings = _of_file(dot_env) | dict(environment)
+    if settings.get(DIRECTORY):
+        environment.setdefault("NUMBA_CACHE_DIR", str(Path(settings[DIRECTORY]).absolute()))
+    if settings.get(CPU) == PORTABLE and "NUMBA_CPU_NAME" not in environment:
+        environment["NUMBA_CPU_NAME"], environment["NUMBA_CPU_FEATURES"] = portable_cpu()
+
+
+def portable_cpu(machine: str | None = None, facts: Path = CPU_FACTS) -> tuple[str, str]:
+    """Return name and features of the CPU to compile for, so that other machines load the same code."""
+    try:
+        lines = facts.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    flags = next((line.partition(":")[2].split() for line in lines if line.startswith("flags")), [])
+    wide = (machine or platform.machine()) == "x86_64" and set(flags) >= NEEDED_OF_LEVEL_3
+    return LEVEL_3 if wide else GENERIC
+
+
+def _of_file(path: Path) -> dict[str, str]:
+    if not path.is_file():
+        return {}
+    from dotenv import dotenv_values  # noqa: PLC0415 - most starts have no such file
+
+    found = dotenv_values(path, interpolate=False)
+    return {name: value for name in (DIRECTORY, CPU) if (value := found.get(name))}
 
 
 def main() -> None:

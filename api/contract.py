@@ -36,32 +36,24 @@ Contracts = Mapping[tuple[str, str], OperationContract]
 def contracts_of(document: Mapping[str, Any]) -> Contracts:
     """Return the contract of every operation of an OpenAPI document, by path template and upper-case method."""
     return {
-        (path, method.upper()): OperationContract(
-            _media_types(operation),
-            frozenset(entry["name"] for entry in _in_query(operation)),
-            frozenset(entry["name"] for entry in _in_query(operation) if _is_list(entry["schema"])),
-            tuple(operation.get("requestBody", {}).get("content", ())) or (JSON,),
-        )
+        (path, method.upper()): _contract_of(operation)
         for path, operations in document["paths"].items()
         for method, operation in operations.items()
     }
 
 
-def _in_query(operation: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
-    return [entry for entry in operation.get("parameters", ()) if entry["in"] == "query"]
-
-
-def _is_list(schema: Mapping[str, Any]) -> bool:
-    return any(one.get("type") == "array" for one in (schema, *schema.get("anyOf", ())))
-
-
-def _media_types(operation: Mapping[str, Any]) -> tuple[str, ...]:
-    return tuple(
-        media_type
-        for status, response in operation["responses"].items()
-        if status.startswith("2")
-        for media_type in response.get("content", {})
-        if media_type != PROBLEM_MEDIA_TYPE
+def _contract_of(operation: Mapping[str, Any]) -> OperationContract:
+    succeeded = [response for status, response in operation["responses"].items() if status.startswith("2")]
+    offered = [media_type for response in succeeded for media_type in response.get("content", {})]
+    asked = {entry["name"]: entry["schema"] for entry in operation.get("parameters", ()) if entry["in"] == "query"}
+    lists = [
+        name for name, of in asked.items() if any(one.get("type") == "array" for one in (of, *of.get("anyOf", ())))
+    ]
+    return OperationContract(
+        tuple(media_type for media_type in offered if media_type != PROBLEM_MEDIA_TYPE),
+        frozenset(asked),
+        frozenset(lists),
+        tuple(operation.get("requestBody", {}).get("content", ())) or (JSON,),
     )
 
 
@@ -83,13 +75,6 @@ def _refuse_unknown_parameters(request: Request, contract: OperationContract) ->
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "invalid-request", detail, items)
 
 
-def _refuse_other_body(request: Request, taken: Sequence[str]) -> None:
-    given = request.headers.get("content-type", taken[0]).split(";", maxsplit=1)[0].strip().lower()
-    if request.method in {HTTPMethod.POST, HTTPMethod.PUT, HTTPMethod.PATCH} and given not in taken:
-        detail = f"send {' or '.join(taken)}"
-        raise ProblemError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", detail)
-
-
 async def media_type(request: Request) -> str:
     """Return the media type that the client accepts best of what the operation offers (else 406, 415, 422)."""
     contracts: Contracts = request.app.state.contracts
@@ -101,7 +86,10 @@ async def media_type(request: Request) -> str:
     if chosen is None:
         offered = ", ".join(contract.media_types)
         raise ProblemError(HTTPStatus.NOT_ACCEPTABLE, "not-acceptable", f"offered: {offered}")
-    _refuse_other_body(request, contract.body_types)
+    given = request.headers.get("content-type", contract.body_types[0]).split(";", maxsplit=1)[0].strip().lower()
+    if request.method in {HTTPMethod.POST, HTTPMethod.PUT, HTTPMethod.PATCH} and given not in contract.body_types:
+        detail = f"send {' or '.join(contract.body_types)}"
+        raise ProblemError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", detail)
     _refuse_unknown_parameters(request, contract)
     request.state.media_type = chosen
     return chosen
@@ -128,7 +116,6 @@ def _ranges(accept: str) -> list[tuple[str, float]]:
 
 
 def _quality(media_type: str, ranges: Sequence[tuple[str, float]]) -> float:
-    """Return the weight of the most specific range that covers ``media_type``; 0 where none does."""
     family = media_type.split("/", maxsplit=1)[0] + "/*"
     for wanted in (media_type, family, "*/*"):
         weights = [weight for name, weight in ranges if name == wanted]

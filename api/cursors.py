@@ -44,10 +44,7 @@ def _unpack(cursor: str) -> tuple[str, object]:
 
 
 def decode_number(operation: str, filters: Mapping[str, object], cursor: str | None) -> int | None:
-    """Return the key of a list that is ordered by a number; None at its beginning.
-
-    Parameters and errors are those of :func:`decode`.
-    """
+    """Return the key of a list that is ordered by a number, as :func:`decode` does."""
     return number_of(decode(operation, filters, cursor))
 
 
@@ -66,10 +63,7 @@ def is_number(key: float) -> bool:
 
 
 def decode_text(operation: str, filters: Mapping[str, object], cursor: str | None) -> str | None:
-    """Return the key of a list that is ordered by a text; None at its beginning.
-
-    Parameters and errors are those of :func:`decode`.
-    """
+    """Return the key of a list that is ordered by a text, as :func:`decode` does."""
     key = decode(operation, filters, cursor)
     if key is not None and (not isinstance(key, str) or "\0" in key):
         raise refused()

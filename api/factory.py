@@ -14,37 +14,35 @@ from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, TypeVar
+from urllib.parse import unquote, urlsplit
 
-from api.raw_stores import open_raw_store
+from api.logs import traced
 from api.rules_file import load_rules
 from api.settings import PREFIX, Settings, known_sections, load_retention
-from api.tracing import traced
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.errors import InputError, MigrationError, ParameterError, StorageError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.numerics_version import NUMERICS_VERSION
-from estimation.rails.parameters import RailsParameters
+from estimation.rails.cell import RailsParameters
 from estimation.storage import Clock
 from fleet_db.keeping.purge import purge_job
 from fleet_db.keeping.retention import Retention
 from fleet_db.migrate import check_head
-from fleet_db.raw import RawStore
+from fleet_db.raw import FileRawStore, RawStore
 from fleet_db.session import ServerLimits, database_engine
 from fleet_db.storage import SqlStorage
-from ingest.assemble_windows import assemble_windows
 from ingest.catalogue import default_catalogue
-from ingest.intake.backlog import BacklogLimits, BacklogWatch
-from ingest.intake.store import ChunkStorage
-from ingest.live.backoff import Backoff
-from ingest.own_bus.bus import bus_choice
+from ingest.intake.backlog import BacklogLimits, BacklogWatch, assemble_windows
+from ingest.live.status import Backoff
 from ingest.own_bus.loading import load_own_bus
-from ingest.receipts import Announce, to_nobody
+from ingest.reassembly import ASSEMBLY
+from ingest.receipts import Announce, ChunkStorage, to_nobody
 from ingest.receiver import Receiver
-from ingest.stored_settings import SECOND_NS, check_window_length, claim
+from ingest.stored_settings import SECOND_NS, bus_choice, check_window_length, claim
 from ingest.topic.client import Topic, load_properties
-from ingest.topic.publishing import Publisher
+from ingest.topic.references import Publisher
 from ingest.vehicle_class_schema import class_of_package
 
 if TYPE_CHECKING:
@@ -52,7 +50,6 @@ if TYPE_CHECKING:
     from fastapi import FastAPI
 
     from api.services import Services
-    from api.uploads import Uploads
 
 
 Client = TypeVar("Client")
@@ -175,25 +172,21 @@ def open_store(settings: Settings) -> SqlStorage:
 
 
 def raw_store(settings: Settings) -> RawStore:
-    """Return where raw recordings are kept; refuses where :func:`open_raw_store` does."""
-    return open_raw_store(settings)
+    """Return where raw recordings are kept; a bucket is not asked yet, but its credentials must be there."""
+    place = urlsplit(settings.raw_store or "")
+    if place.scheme in {"", "file"}:
+        return FileRawStore(Path(unquote(place.path)) if place.path else settings.data_dir / "raw")
+    from api.bucket import bucket_store  # noqa: PLC0415 - most deployments have none
+
+    return bucket_store(settings)
 
 
-def job_context(
-    settings: Settings, storage: SqlStorage, progress: Callable[[int, int], None] | None = None
-) -> JobContext:
-    """Return what the jobs of this deployment may touch; ``progress`` is called with (done, total)."""
+def job_context(settings: Settings, storage: SqlStorage) -> JobContext:
+    """Return what the jobs of this deployment may touch."""
     rules = RuleBook() if settings.rules_file is None else load_rules(settings.rules_file)
     chosen = JobSettings(rules=rules, rails=rails_settings(settings))
-    return JobContext(
-        storage,
-        SystemClock(),
-        code_version(),
-        chosen,
-        progress=progress,
-        holder=process_name(),
-        lease_s=settings.lease_s,
-    )
+    holder = process_name()
+    return JobContext(storage, SystemClock(), code_version(), chosen, holder=holder, lease_s=settings.lease_s)
 
 
 def rails_settings(settings: Settings) -> RailsSettings:
@@ -210,7 +203,9 @@ def retention_of(settings: Settings) -> Retention:
 
 def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:
     """Return the jobs in the order in which one hands its results to the next, at the intervals of this deployment."""
-    jobs = (assemble_windows(_sql_storage, partial(_job_receiver, settings)), *ALL_JOBS)
+    assembly = partial(assemble_windows, lambda context: receiver(settings, _sql_storage(context), context.clock))
+    title = "Assemble windows again whose recordings, registry or files have changed"
+    jobs = (Job(ASSEMBLY, title, every_s=60.0, run=assembly), *ALL_JOBS)
     if settings.jobs_every_s is not None:
         jobs = tuple(replace(job, every_s=settings.jobs_every_s) for job in jobs)
     return tuple(traced(job) for job in jobs)
@@ -254,22 +249,24 @@ def _sql_storage(context: JobContext) -> SqlStorage:
     return context.storage
 
 
-def _job_receiver(settings: Settings, context: JobContext) -> Receiver:
-    return receiver(settings, _sql_storage(context), context.clock)
-
-
 def open_services(settings: Settings) -> Services:
     """Return what the routes work with; refuses where :func:`open_store` or :func:`job_context` do."""
     # the receiver and the scheduler are built in this module too and do not wait for the web framework
     from api.answers import RepresentationCache  # noqa: PLC0415 - the same
     from api.services import PATIENCE_S, JobRunner, Services, WriterSlots  # noqa: PLC0415 - the same
+    from api.uploads import UploadLimits, Uploads  # noqa: PLC0415 - the same
 
     storage = replace(open_store(settings), patience_s=PATIENCE_S)
     context = job_context(settings, storage)
     one_reader = not settings.on_server
     references = publisher(settings, lambda: storage)
+    raw, announce = raw_store(settings), to_nobody if references is None else references.publish
+    chunks = ChunkStorage(replace(storage, patience_s=RECEIPT_PATIENCE_S), raw, context.clock, announce)
+    limits = UploadLimits(
+        settings.max_chunk_mb * MEGABYTE, settings.max_uploads, settings.upload_timeout_s, settings.body_timeout_s
+    )
     return Services(
-        raw=raw_store(settings),
+        raw=raw,
         storage=storage,
         clock=context.clock,
         jobs={job.name: job for job in (*scheduled_jobs(settings), *upkeep_jobs(settings))},
@@ -278,7 +275,7 @@ def open_services(settings: Settings) -> Services:
         close=storage.close,
         writers=WriterSlots(1 if one_reader else WRITERS, PATIENCE_S),
         cache=RepresentationCache(),
-        uploads=_uploads(settings, storage, context.clock, references),
+        uploads=Uploads(raw, chunks, backlog_watch(settings, storage, raw), limits),
         references=references,
         one_reader=one_reader,
     )
@@ -288,18 +285,6 @@ def backlog_watch(settings: Settings, storage: SqlStorage, raw: RawStore) -> Bac
     """Return what says whether more chunks may come, which are received where ``raw`` wants them."""
     limits = BacklogLimits(settings.backlog_chunks, settings.backlog_mb * MEGABYTE, settings.free_disk_mb * MEGABYTE)
     return BacklogWatch(storage, raw.receiving, limits)
-
-
-def _uploads(settings: Settings, storage: SqlStorage, clock: Clock, references: Publisher | None) -> Uploads:
-    from api.uploads import UploadLimits, Uploads  # noqa: PLC0415 - the same
-
-    patient = replace(storage, patience_s=RECEIPT_PATIENCE_S)
-    limits = UploadLimits(
-        settings.max_chunk_mb * MEGABYTE, settings.max_uploads, settings.upload_timeout_s, settings.body_timeout_s
-    )
-    raw, announce = raw_store(settings), to_nobody if references is None else references.publish
-    chunks = ChunkStorage(patient, raw, clock, announce)
-    return Uploads(raw, chunks, backlog_watch(settings, storage, raw), limits)
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -345,7 +330,6 @@ def serve(settings: Settings, stopping: Event) -> None:
 
 
 def _join(app: FastAPI, server: uvicorn.Server, opening: Future[Services | None]) -> None:
-    """Let the app answer with what was opened; end the server where nothing was."""
     app.state.services = None if opening.exception() else opening.result()
     if app.state.services is None:
         server.should_exit = True

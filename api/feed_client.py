@@ -1,19 +1,25 @@
-"""The reference client of the feed of alerts over HTTP: events in order, each handed over before its cursor is kept."""
+"""The reference client of the feed of alerts over HTTP: events in order, each handed over before its cursor is kept.
+
+On a terminal an event is a line, and the cursor is in a file once the line is out.
+"""
 
 from __future__ import annotations
 
 import random
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from http import HTTPStatus
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, TextIO
 
 import httpx
 import orjson
 
-from estimation.errors import TreadwatchError
-from ingest.live.backoff import Backoff
+from estimation.errors import InputError, TreadwatchError
+from fleet_db.atomic_files import write_atomically
+from ingest.live.status import Backoff
 
 TRY_AGAIN = frozenset({HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.REQUEST_TIMEOUT})
 NEEDS_KEY = {
@@ -103,29 +109,13 @@ STREAM_FAILURES = 3  # streams that break without a word, one after the other, u
 Event = dict[str, Any]
 
 
-class Taker(Protocol):
-    """What is done with events."""
-
-    def event(self, event: Event, cursor: str) -> None:
-        """Take an event; returns when its effect is kept, and the cursor with it."""
-
-    def moved(self, cursor: str) -> None:
-        """Keep a cursor behind which nothing else is known yet."""
-
-    def restored(self, reason: str, open_now: Sequence[Event], cursor: str | None) -> None:
-        """Drop what is not open now: what follows is another history, from a cursor or from its beginning."""
-
-    def waiting(self, reason: str) -> None:
-        """Hear why nothing comes."""
-
-
 @dataclass(slots=True)
 class Follower:
     """A client of the feed."""
 
     http: httpx.Client
     query: Sequence[tuple[str, str]]
-    taker: Taker
+    taker: Lines
     cursor: str | None
     sleep: Callable[[float], None] = time.sleep
     _delays: Backoff = field(default_factory=lambda: Backoff(FIRST_DELAY_S, LONGEST_DELAY_S))
@@ -151,17 +141,14 @@ class Follower:
         try:
             return ask()
         except OtherHistoryError as error:
-            self._begin_again(error)
+            try:
+                self.taker.restored(str(error), self._open_now(), error.cursor)
+            except httpx.HTTPError as failed:
+                raise UnreachableError(f"{self.http.base_url}: {failed or type(failed).__name__}") from None
+            self.cursor = error.cursor
             return True
         except httpx.HTTPError as error:
             raise UnreachableError(f"{self.http.base_url}: {error or type(error).__name__}") from None
-
-    def _begin_again(self, error: OtherHistoryError) -> None:
-        try:
-            self.taker.restored(str(error), self._open_now(), error.cursor)
-        except httpx.HTTPError as failed:
-            raise UnreachableError(f"{self.http.base_url}: {failed or type(failed).__name__}") from None
-        self.cursor = error.cursor
 
     def _parameters(self, **more: int) -> httpx.QueryParams:
         given: list[tuple[str, str | int | float | bool | None]] = [*self.query, *more.items()]
@@ -197,15 +184,12 @@ class Follower:
                 self._silent_streams = 0
                 self._delays.succeeded()
                 if block.identity is not None:
-                    self._take(block.identity, block.data)
+                    if block.data is None:
+                        self.taker.moved(block.identity)
+                    else:
+                        self.taker.event(orjson.loads(block.data), block.identity)
+                    self.cursor = block.identity
         return True
-
-    def _take(self, cursor: str, data: str | None) -> None:
-        if data is None:
-            self.taker.moved(cursor)
-        else:
-            self.taker.event(orjson.loads(data), cursor)
-        self.cursor = cursor
 
     def _open_now(self) -> list[Event]:
         """Return the alerts that are open: what a client holds and is not among them is to be dropped."""
@@ -216,3 +200,68 @@ class Follower:
             found += page["items"]
             path = page["next"]
         return found
+
+
+LONGEST_CURSOR = 4096
+
+
+def read_state(file: Path | None) -> str | None:
+    """Return the cursor that an earlier call kept; None where there is none."""
+    if file is None or not file.exists():
+        return None
+    try:
+        text = file.read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read: {error}", file=str(file)) from None
+    if not text or len(text) > LONGEST_CURSOR or not text.replace("-", "").replace("_", "").isalnum():
+        raise InputError("holds no cursor of the feed; name another file, or remove it to begin again", file=str(file))
+    return text
+
+
+@dataclass(slots=True)
+class Lines:
+    """Prints events, for people or as JSON, and keeps the cursor behind them in a file; ``state`` None keeps none."""
+
+    as_json: bool
+    state: Path | None
+    output: TextIO = sys.stdout
+    errors: TextIO = sys.stderr
+    _kept: str | None = None
+
+    def event(self, event: Event, cursor: str) -> None:
+        """Print an event, then keep its cursor."""
+        self._print(orjson.dumps(event).decode() if self.as_json else readable(event))
+        self.moved(cursor)
+
+    def moved(self, cursor: str) -> None:
+        """Keep a cursor."""
+        if self.state is not None and cursor and cursor != self._kept:
+            write_atomically(self.state, cursor.encode("ascii") + b"\n", durable=True)
+            self._kept = cursor
+
+    def restored(self, reason: str, open_now: Sequence[Event], cursor: str | None) -> None:
+        """Say that what follows is another history, and what is open now in it."""
+        identities = [alert["id"] for alert in open_now]
+        if self.as_json:
+            self._print(orjson.dumps({"event": "restored", "detail": reason, "open_alerts": identities}).decode())
+        else:
+            listed = ", ".join(map(str, identities)) or "none"
+            self._print(f"restored: {reason}; alerts open now: {listed}")
+        self.moved(cursor or "")
+
+    def waiting(self, reason: str) -> None:
+        """Say on the side why nothing comes."""
+        print(f"treadwatch: {reason}", file=self.errors, flush=True)
+
+    def _print(self, line: str) -> None:
+        print(line, file=self.output, flush=True)
+
+
+def readable(event: Event) -> str:
+    """Return the line of an event for people, with control characters shown and not sent."""
+    alert = event["alert"]
+    subject = alert["wheelset"] or f"fleet {alert['fleet']}"
+    line = f"{event['recorded_at']}  {event['event']:<12}  {alert['id']:>6}  {alert['severity']:<8}  {alert['kind']}"
+    line = f"{line}  {subject}" + (f"  by {event['actor']}" if event["actor"] != "treadwatch" else "")
+    line += f"  {event['note']}" if event["note"] else ""
+    return "".join(one if one.isprintable() else repr(one)[1:-1] for one in line)

@@ -17,6 +17,7 @@ from typing import Any, cast
 import uvicorn
 from fastapi import FastAPI
 from prometheus_client.core import GaugeMetricFamily, Metric
+from starlette.types import Scope
 from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
@@ -46,6 +47,11 @@ class HttpLimits:
     request_timeout_s: float = 60.0
     max_body_bytes: int = MAX_BODY_BYTES
     streams: int = 500
+
+
+def is_upload(scope: Scope) -> bool:
+    """Return whether a request sends a chunk, whose route takes the body piece by piece."""
+    return bool(scope["method"] == "PUT" and scope["path"].startswith("/v1/chunks/"))
 
 
 def limits_of(settings: Settings) -> HttpLimits:

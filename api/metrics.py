@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter as Tally
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
@@ -17,21 +17,20 @@ from estimation.values.alerts import AlertScope
 from estimation.values.runs import TRIED_AGAIN, SubjectKind
 from estimation.values.windows import WindowState
 from fleet_db.records import ChunkState, Webhook, WebhookState
-from fleet_db.storage import SqlStorage
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.window_counts import backlog_of
 from ingest.intake.backlog import Limit, free_bytes
 
 SILENT_AFTER_NS = 86_400 * 1_000_000_000  # a vehicle without data for longer is counted as silent
 
 
-def backlog_measures(services: Services) -> list[Metric]:
+def _waiting(unit: SqlUnitOfWork, now_ns: int) -> list[Metric]:
     """Return what waits, since when, and how many vehicles of each fleet are silent."""
-    with services.storage.read() as unit:
-        found = backlog_of(unit.connection)
+    found = backlog_of(unit.connection)
     states = {state.value: found.recordings.get(state, 0) for state in ChunkState}
     oldest = {"recording": found.oldest_recording_ns, "window": found.oldest_window_ns}
     since = {what: 0.0 if at_ns is None else at_ns / 1e9 for what, at_ns in oldest.items()}
-    long_ago_ns = services.clock.now_ns() - SILENT_AFTER_NS
+    long_ago_ns = now_ns - SILENT_AFTER_NS
     every = Tally(fleet for fleet, _ in found.last_data)
     quiet = Tally(fleet for fleet, at_ns in found.last_data if at_ns is None or at_ns < long_ago_ns)
     silent = {fleet: quiet[fleet] for fleet in sorted(every)}
@@ -70,30 +69,25 @@ def stored_measures(services: Services | None) -> list[Metric]:
     measures: list[Metric] = []
     try:
         if services is not None:
-            measures = [
-                _windows(services),
-                _alerts(services),
-                *_runs(services),
-                _quarantined(services),
-                *backlog_measures(services),
-                *webhook_measures(services.storage),
-            ]
+            with services.storage.read() as unit:
+                counts = unit.windows.counts()
+                numbers = {state.value: counts.get(state.value, 0) for state in WindowState}
+                stored = [
+                    gauge("treadwatch_windows", "Windows by state.", "state", numbers),
+                    _alerts(unit),
+                    *_runs(unit, services.jobs),
+                    _quarantined(unit),
+                    *_waiting(unit, services.clock.now_ns()),
+                ]
+            measures = [*stored, *webhook_measures(services.storage)]
     except TreadwatchError as error:
         _log.warning("the database does not answer: %s", error)
     up.add_metric([], 1.0 if measures else 0.0)
     return [up, *measures]
 
 
-def _windows(services: Services) -> Metric:
-    with services.storage.read() as unit:
-        counts = unit.windows.counts()
-    numbers = {state.value: counts.get(state.value, 0) for state in WindowState}
-    return gauge("treadwatch_windows", "Windows by state.", "state", numbers)
-
-
-def _quarantined(services: Services) -> Metric:
-    with services.storage.read() as unit:
-        counts = unit.quarantine.counts()
+def _quarantined(unit: SqlUnitOfWork) -> Metric:
+    counts = unit.quarantine.counts()
     numbers = {
         (kind.value, code.value): counts.get((kind, code), 0)
         for kind in SubjectKind
@@ -102,16 +96,14 @@ def _quarantined(services: Services) -> Metric:
     return gauge("treadwatch_quarantined", "What failed by itself and waits.", "kind reason_code", numbers)
 
 
-def _alerts(services: Services) -> Metric:
-    with services.storage.read() as unit:
-        of_wheelsets = [alert for alert in unit.alerts.all_open() if alert.scope is AlertScope.WHEELSET]
+def _alerts(unit: SqlUnitOfWork) -> Metric:
+    of_wheelsets = [alert for alert in unit.alerts.all_open() if alert.scope is AlertScope.WHEELSET]
     found = Tally((alert.fleet, alert.kind, alert.severity.value) for alert in of_wheelsets)
     return gauge("treadwatch_alerts_open", "Open alerts.", "fleet kind severity", dict(sorted(found.items())))
 
 
-def _runs(services: Services) -> list[Metric]:
-    with services.storage.read() as unit:
-        last = [run for name in services.jobs for run in unit.jobs.page(name, None, 1)]
+def _runs(unit: SqlUnitOfWork, jobs: Iterable[str]) -> list[Metric]:
+    last = [run for name in jobs for run in unit.jobs.page(name, None, 1)]
     started = {(run.job, run.outcome.value): run.started_ns / 1e9 for run in last}
     took = {run.job: (run.finished_ns - run.started_ns) / 1e9 for run in last if run.finished_ns is not None}
     return [
@@ -124,41 +116,33 @@ def upload_measures(services: Services | None) -> list[Metric]:
     """Return the measures of this process's uploads, and of the backlog of all."""
     if services is None:
         return []
-    measures = _counted(services)
-    try:
-        measures += _backlog(services)
-    except TreadwatchError as error:
-        _log.warning("the backlog of chunks cannot be measured: %s", error)
-    return measures
-
-
-def _counted(services: Services) -> list[Metric]:
     uploads = services.uploads
     ended = {outcome.value: uploads.ended[outcome] for outcome in Taken}
     limits = (*(one.value for one in Limit), UPLOADS_FULL, NO_STORAGE)
     refused = {limit: uploads.refused[limit] for limit in limits}
     text = "Bytes of new chunks that have their receipt."
-    return [
+    measures = [
         GaugeMetricFamily("treadwatch_uploads_running", "Chunks that are being received.", value=uploads.running),
         counter("treadwatch_uploads", "Uploads by how they ended.", "outcome", ended),
         counter("treadwatch_uploads_behind", "Uploads refused with 503.", "limit", refused),
         CounterMetricFamily("treadwatch_upload_bytes", text, value=uploads.bytes_stored),
     ]
-
-
-def _backlog(services: Services) -> list[Metric]:
-    watch = services.uploads.backlog
-    with watch.storage.read() as unit:
-        found = unit.chunks.undecoded_size()
-    values = {
-        "treadwatch_chunks_waiting": ("Chunks with a receipt that wait to be decoded.", found.count),
-        "treadwatch_chunks_waiting_bytes": ("Their size.", found.size_bytes),
-        "treadwatch_chunks_waiting_limit": ("How many may.", watch.limits.chunks),
-        "treadwatch_chunks_waiting_limit_bytes": ("How large they may be.", watch.limits.size_bytes),
-        "treadwatch_raw_free_bytes": ("Room on the disk on which chunks are received.", free_bytes(watch.folder)),
-        "treadwatch_raw_free_limit_bytes": ("How much of it stays free.", watch.limits.free_bytes),
-    }
-    return [GaugeMetricFamily(name, text, value=value) for name, (text, value) in values.items()]
+    try:
+        watch = services.uploads.backlog
+        with watch.storage.read() as unit:
+            found = unit.chunks.undecoded_size()
+        values = {
+            "treadwatch_chunks_waiting": ("Chunks with a receipt that wait to be decoded.", found.count),
+            "treadwatch_chunks_waiting_bytes": ("Their size.", found.size_bytes),
+            "treadwatch_chunks_waiting_limit": ("How many may.", watch.limits.chunks),
+            "treadwatch_chunks_waiting_limit_bytes": ("How large they may be.", watch.limits.size_bytes),
+            "treadwatch_raw_free_bytes": ("Room on the disk on which chunks are received.", free_bytes(watch.folder)),
+            "treadwatch_raw_free_limit_bytes": ("How much of it stays free.", watch.limits.free_bytes),
+        }
+        measures += [GaugeMetricFamily(name, text, value=value) for name, (text, value) in values.items()]
+    except TreadwatchError as error:
+        _log.warning("the backlog of chunks cannot be measured: %s", error)
+    return measures
 
 
 def webhook_measures(storage: SqlStorage) -> list[Metric]:

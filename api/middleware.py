@@ -16,10 +16,9 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.access.guard import Access
-from api.http_server import MAX_BODY_BYTES, MAX_HEAD_BYTES, REQUESTS, HttpLimits
+from api.http_server import MAX_BODY_BYTES, MAX_HEAD_BYTES, REQUESTS, HttpLimits, is_upload
 from api.metrics import RequestMeasures
 from api.problems import ProblemError, from_error, problem_response
-from api.uploads import is_upload
 
 ALWAYS_ANSWERED = "/healthz"
 WITHOUT_DATABASE = (ALWAYS_ANSWERED, "/metrics")  # what is answered before the database has answered for the first time
@@ -134,7 +133,7 @@ class RequestContextMiddleware:
                 _refuse_large_head(scope)
                 _refuse_without_database(scope)
                 await self.access.gate.admit(scope)
-                if not is_upload(scope):  # whose route takes the body piece by piece
+                if not is_upload(scope):
                     receive = await with_body(scope, receive, self.limits.body_timeout_s, self.limits.max_body_bytes)
                 await self._run(scope, receive, answer)
             except Exception as error:

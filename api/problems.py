@@ -72,7 +72,11 @@ TYPES: Mapping[str, tuple[str, str]] = {  # title, and the detail of an example
 class ProblemItem(BaseModel):
     """One thing that does not validate: a JSON Pointer into the part of the request that is named by ``in``."""
 
-    part: str = Field(serialization_alias="in", examples=["query"])
+    part: str = Field(
+        description="Part of the request: `query`, `path`, `header` or `body`.",
+        serialization_alias="in",
+        examples=["query"],
+    )
     pointer: str = Field(description="JSON Pointer into that part.", examples=["#/limit"])
     detail: str = Field(description="What is wrong there.", examples=["Input should be less than or equal to 1000"])
 
@@ -88,12 +92,17 @@ class ContradictedRecord(BaseModel):
 class Problem(BaseModel):
     """What went wrong, as in RFC 9457."""
 
-    type: str = Field(examples=["urn:treadwatch:problem:not-found"])
+    type: str = Field(
+        description="Stable name of the kind of problem, for programs to compare.",
+        examples=["urn:treadwatch:problem:not-found"],
+    )
     title: str = Field(description="What kind of problem it is.", examples=["No such resource"])
     status: int = Field(ge=400, le=599, description="HTTP status.", examples=[404])
-    detail: str | None = Field(default=None, examples=["no wheelset 'WS-9999'"])
+    detail: str | None = Field(
+        description="What went wrong this time.", default=None, examples=["no wheelset 'WS-9999'"]
+    )
     instance: str | None = Field(default=None, description="Path of the request.", examples=["/v1/wheelsets/WS-9999"])
-    errors: list[ProblemItem] | None = None
+    errors: list[ProblemItem] | None = Field(default=None, description="Each place that does not validate.")
     contradicts: list[ContradictedRecord] | None = Field(
         default=None, description="The records on file that what was sent contradicts."
     )
@@ -178,10 +187,6 @@ def invalid(place: str, detail: str, said: str | None = None, part: str = "body"
     return ProblemError(422, "invalid-request", said or f"{part} {place}: {detail}", [item])
 
 
-def _bad_input(error: InputError) -> ProblemError:
-    return invalid(pointer([error.field] if error.field else []), error.reason, error.reason)
-
-
 def _refused_record(error: RegistryRefusedError) -> ProblemError:
     """Return 409 where a record contradicts others, else 422: it is impossible by itself."""
     items = [
@@ -218,7 +223,7 @@ _TABLE: tuple[tuple[type[Exception], Callable[[Any], ProblemError]], ...] = (
     (NotFoundError, lambda error: ProblemError(404, "not-found", str(error))),
     (ConflictError, lambda error: ProblemError(409, "conflict", str(error))),
     (RegistryRefusedError, _refused_record),
-    (InputError, _bad_input),
+    (InputError, lambda error: invalid(pointer([error.field] if error.field else []), error.reason, error.reason)),
     (MigrationError, lambda error: ProblemError(503, "not-ready", str(error))),
     (BusyError, lambda _: ProblemError(503, "not-ready", _BUSY, headers={"Retry-After": "2"})),
     (StorageError, lambda _: ProblemError(503, "not-ready", _AWAY, headers={"Retry-After": "5"})),
@@ -231,18 +236,14 @@ def from_error(error: Exception) -> ProblemError:
     return next(describe(error) for kind, describe in _TABLE if isinstance(error, kind))
 
 
-def _allowed(request: Request, headers: Mapping[str, str]) -> str:
-    named = next((value for name, value in headers.items() if name.lower() == "allow"), "")
-    return allowed_methods(request.app.state.contracts, request.scope["path"], named)
-
-
 def install(app: FastAPI) -> None:
     """Answer every error of this app with a problem."""
 
     async def respond(request: Request, error: Exception) -> Response:
         problem = from_error(error)
         if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:
-            problem.headers["Allow"] = _allowed(request, problem.headers)
+            named = next((value for name, value in problem.headers.items() if name.lower() == "allow"), "")
+            problem.headers["Allow"] = allowed_methods(request.app.state.contracts, request.scope["path"], named)
         if problem.status >= HTTPStatus.INTERNAL_SERVER_ERROR:
             _log.error("request failed: %s", request.scope.get("path"), exc_info=error)
         return problem_response(request, problem)

@@ -26,7 +26,7 @@ from estimation.values.arrays import FloatArray
 from estimation.values.fields import JsonValue
 from estimation.values.geometry import COMBINATIONS, BinStatus, WheelsetGeometry
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
 from ingest.simulator.track import TrackRecipe, make_track
 

@@ -1,37 +1,15 @@
 """Read alert rules from a TOML file; everything that is not written there keeps its shipped default.
 
-::
-
-    name = "plan 2027-01"        # what alerts keep of the rules that raised them, with a digest
-
-    [conicity_limit]             # of all fleets and classes
-    raise_probability = 0.9
-    delays = { on_delay_km = 500 }
-
-    [[class]]                    # of the vehicles of a class
-    class = "freight"
-    [class.no_data]
-    days = 14
-
-    [[fleet]]                    # of a fleet; goes before [[class]]
-    fleet = "north"
-    [fleet.no_data]
-    days = 3
-
-    [[fleet]]                    # of a class in a fleet; goes before both
-    fleet = "north"
-    class = "freight"
-    [fleet.no_data]
-    days = 5
-
-A table is named after the ``kind`` of a rule; its keys are the fields of the rule, and their ranges stand there.
+A table is named after the ``kind`` of a rule; its keys are the fields of the rule, and their ranges stand there. What a
+file says of the vehicles of a class (``[[class]]``) goes before it, what it says of a fleet (``[[fleet]]``) before
+that, and of a class in a fleet before both.
 """
 
 from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -42,7 +20,7 @@ from pydantic import BaseModel, create_model
 from pydantic import Field as Key
 from pydantic.types import AllowInfNan
 
-from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
+from estimation.alerts.rule_book import AlarmFloodRule, RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.alerts.rules.rule import AlertDelays, AlertRule
 from ingest.input_file import Code, InputFile, InputTable, Location, read_toml
@@ -168,20 +146,16 @@ class _Layer:
 
 
 def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
-    """Return the rule book of a TOML file.
-
-    Raises:
-        InputError: The file cannot be read or is no TOML; an unknown table or key; a value of the wrong type or outside
-            its range; values that contradict each other, such as a clear limit on the wrong side of its raise limit;
-            one scope twice. Names the file, the line and the field.
-    """
+    """Return the rule book of a TOML file; an InputError names the file, the line and the field."""
     book = book if book is not None else RuleBook()
     file = read_toml(path)
     given = file.parse(_schema(book))
     everywhere = _with(book, _Layer(None, None, given, ()), file)
     layers = list(_layers(given, file))
     books = {}
-    for scope in _scopes(layers):
+    fleets = [None, *dict.fromkeys(one.fleet for one in layers if one.fleet is not None)]
+    classes = [None, *dict.fromkeys(one.vehicle_class for one in layers if one.vehicle_class is not None)]
+    for scope in product(fleets, classes) if layers else ():
         found = everywhere
         for layer in layers:
             if layer.holds(*scope):
@@ -229,13 +203,6 @@ def _layers(given: Any, file: InputFile) -> Iterator[_Layer]:  # noqa: ANN401 - 
     yield from sorted(seen.values(), key=lambda one: (one.fleet is not None, one.vehicle_class is not None))
 
 
-def _scopes(layers: Sequence[_Layer]) -> list[tuple[str | None, str | None]]:
-    """Return every pair of a fleet and a class that are named, or any other."""
-    fleets = [None, *dict.fromkeys(one.fleet for one in layers if one.fleet is not None)]
-    classes = [None, *dict.fromkeys(one.vehicle_class for one in layers if one.vehicle_class is not None)]
-    return list(product(fleets, classes)) if layers else []
-
-
 def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
     rules = []
     for rule in book.rules:
@@ -251,14 +218,11 @@ def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
             wrong = contradiction(found)
             if wrong is not None:
                 where, reason = wrong
-                raise file.error(reason + _of(layer), (*layer.location, rule.kind, *where))
+                scope = f", for {layer.named}" if layer.named else ""
+                raise file.error(reason + scope, (*layer.location, rule.kind, *where))
         rules.append(found)
     flood = changed(book.alarm_flood, getattr(layer.tables, _ALARM_FLOOD, None))
     return replace(book, rules=tuple(rules), alarm_flood=flood)
-
-
-def _of(layer: _Layer) -> str:
-    return f", for {layer.named}" if layer.named else ""
 
 
 def resolved(book: RuleBook) -> Mapping[str, RuleBook]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 from typing import Annotated, cast
 
 from fastapi import Depends, Request
+from fastapi.routing import APIRoute
+from starlette.concurrency import run_in_threadpool
 
 from api.access.caller import CallerDep
 from api.accuracy import ContactCache
@@ -22,8 +24,8 @@ from estimation.storage import Clock
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 from fleet_db.raw import RawStore
 from fleet_db.session import BUSY_TIMEOUT_MS
-from fleet_db.storage import SqlStorage
-from ingest.topic.publishing import Publisher
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from ingest.topic.references import Publisher
 
 MOST_WAITING = 16  # requests that may wait for a slot; more are refused at once
 
@@ -77,7 +79,15 @@ class JobRunner:
     def start(self, job: Job) -> JobRun:
         """Start a run and return its record as soon as it is committed; refused while it, or another one here, runs."""
         with self._starting:
-            self._refuse_second(job)
+            if self._running is not None and not self._running.done():
+                raise ConflictError("a job that was started here is still running", kind="job", key=job.name)
+            with self._storage.read() as unit:
+                latest = unit.jobs.page(job.name, None, 1)
+            for run in latest:
+                if run.outcome is JobOutcome.RUNNING:
+                    raise ConflictError(
+                        f"job {job.name} is running (run {run.run_id})", kind="job-run", key=str(run.run_id)
+                    )
             begun: Future[JobRun] = Future()
             self._running = self._executor.submit(self._run, job, begun)
             wait([begun, self._running], return_when=FIRST_COMPLETED)
@@ -87,17 +97,6 @@ class JobRunner:
         with self._storage.owned(JobTrigger.API, self._holder, self._context.lease_s) as owned:
             patient = replace(owned, patience_s=BUSY_TIMEOUT_MS / 1000)  # requests do not wait for the job
             return run_job(job, replace(self._context, storage=patient), JobTrigger.API, started=begun.set_result)
-
-    def _refuse_second(self, job: Job) -> None:
-        if self._running is not None and not self._running.done():
-            raise ConflictError("a job that was started here is still running", kind="job", key=job.name)
-        with self._storage.read() as unit:
-            latest = unit.jobs.page(job.name, None, 1)
-        for run in latest:
-            if run.outcome is JobOutcome.RUNNING:
-                raise ConflictError(
-                    f"job {job.name} is running (run {run.run_id})", kind="job-run", key=str(run.run_id)
-                )
 
     def close(self) -> None:
         """Ask the running job to stop at its next checkpoint and wait for it."""
@@ -147,3 +146,87 @@ async def writer_slot(services: ServicesDep) -> AsyncIterator[None]:
     """Hold a place among the requests that write; for the routes that do."""
     async with services.writers.slot():
         yield
+
+
+def require_known(
+    unit: SqlUnitOfWork,
+    *,
+    fleet: str | None = None,
+    vehicle: str | None = None,
+    wheelset: str | None = None,
+    vehicle_class: str | None = None,
+    fleet_alert: int | None = None,
+) -> None:
+    """Refuse filters that name nothing; to be asked where a page is empty, for one with rows shows that they do."""
+    if fleet is not None and all(one.code != fleet for one in unit.registry.fleets()):
+        raise NotFoundError("fleet", fleet)
+    if vehicle is not None:
+        unit.registry.vehicle(vehicle)
+    if wheelset is not None:
+        unit.registry.wheelset(wheelset)
+    if vehicle_class is not None and unit.registry.vehicle_class(vehicle_class) is None:
+        raise NotFoundError("vehicle class", vehicle_class)
+    if fleet_alert is not None and unit.alerts.get(fleet_alert).wheelset is not None:
+        raise NotFoundError("fleet alert", str(fleet_alert))
+
+
+def require_fleets(storage: SqlStorage, fleets: Iterable[str]) -> None:
+    """Refuse a filter of fleets that are not there, or that the caller does not see: nothing would ever come."""
+    if fleets:
+        with storage.read() as unit:
+            for fleet in sorted(fleets):
+                require_known(unit, fleet=fleet)
+
+
+Find = Callable[[SqlUnitOfWork, str], object]
+_READING = frozenset({"GET", "HEAD"})
+
+
+def _numbered(look_up: Callable[[SqlUnitOfWork, int], object]) -> Find:
+    def find(unit: SqlUnitOfWork, text: str) -> object:
+        return look_up(unit, int(text)) if text.isdecimal() and int(text) < 2**63 else None  # the route refuses others
+
+    return find
+
+
+def _recording(unit: SqlUnitOfWork, digest: str) -> None:
+    if unit.chunks.get(digest) is None:
+        raise NotFoundError("recording", digest)
+
+
+SHARED: Find = lambda _unit, _name: None  # noqa: E731 - a name for what needs no look
+FINDERS: Mapping[str, Find] = {
+    "/v1/alerts/{alert_id}": _numbered(lambda unit, number: unit.alerts.get(number)),
+    "/v1/fleets/{code}": lambda unit, code: require_known(unit, fleet=code),
+    "/v1/vehicles/{code}": lambda unit, code: unit.registry.vehicle(code),
+    "/v1/wheelsets/{serial}": lambda unit, serial: unit.registry.wheelset(serial),
+    "/v1/jobs/{name}": SHARED,
+    "/v1/keys/{prefix}": SHARED,
+    "/v1/recordings/{digest}": _recording,
+    "/v1/chunks/{sha256}": SHARED,  # it need not be there yet; the route looks at its vehicle
+    "/v1/webhooks/{webhook_id}": _numbered(lambda unit, number: unit.webhooks.get(number)),
+}
+"""How the first object in a path is found, by the template of the path up to it."""
+
+
+async def visible(request: Request, services: ServicesDep, caller: CallerDep) -> None:
+    """Refuse a change to something that its caller does not see, as if it did not exist."""
+    route: APIRoute = request.scope["route"]
+    if caller.fleets is None or request.method in _READING or not request.path_params:
+        return
+    template, find = finder_of(route.path_format)
+    name = template.rsplit("{", maxsplit=1)[-1].rstrip("}")
+
+    def look() -> None:
+        with services.storage.read() as unit:
+            find(unit, request.path_params[name])
+
+    await run_in_threadpool(look)
+
+
+def finder_of(path: str) -> tuple[str, Find]:
+    """Return the template of the first object in a path, and how it is found."""
+    template = path[: path.index("}") + 1]
+    if template not in FINDERS:
+        raise LookupError(f"api/services.py does not say how {template} is found")
+    return template, FINDERS[template]

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, ValidationError, create_model, model
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from estimation.errors import ParameterError
-from estimation.rails.parameters import RailsParameters
+from estimation.rails.cell import RailsParameters
 from fleet_db.keeping.retention import Kept, Retention
 from ingest.input_file import InputTable, read_toml
 
@@ -58,8 +58,6 @@ def known_sections(text: str) -> list[tuple[str, int]]:
 PREFIX = "TREADWATCH_"
 MOST_WORKERS = 256
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
-
-
 Given = TypeVar("Given")
 
 
@@ -70,14 +68,6 @@ def _must(is_right: Callable[[Given], bool], reason: str) -> AfterValidator:
         return value
 
     return AfterValidator(checked)
-
-
-def _is_count(workers: int | str) -> bool:
-    return isinstance(workers, str) or 1 <= workers <= MOST_WORKERS
-
-
-def _has_days(sections: str) -> bool:
-    return known_sections(sections) is not None
 
 
 DATABASES = ("sqlite:///", "postgresql://", "postgresql+psycopg://")
@@ -215,9 +205,12 @@ class Settings(BaseSettings):
     jobs_every_s: float | None = Field(default=None, gt=0.0)
     compiled_dir: Path | None = None
     compiled_cpu: Literal["host", "portable"] = "host"
-    rails_known_sections: Annotated[str | None, _must(_has_days, "")] = None
+    rails_known_sections: Annotated[str | None, _must(lambda sections: known_sections(sections) is not None, "")] = None
     rails_limit: float = Field(default=RailsParameters().limit, gt=0.0, lt=1.0)
-    workers: Annotated[int | Literal["auto"], _must(_is_count, f"must be auto, or from 1 to {MOST_WORKERS}")] = 1
+    workers: Annotated[
+        int | Literal["auto"],
+        _must(lambda n: isinstance(n, str) or 1 <= n <= MOST_WORKERS, f"must be auto, or from 1 to {MOST_WORKERS}"),
+    ] = 1
     worker_memory_mb: int = Field(default=1024, ge=256, le=1 << 20)
     lease_s: float = Field(default=60.0, ge=1.0, le=3600.0)
     unit_limit_s: float = Field(default=3600.0, ge=1.0, le=86400.0)
@@ -258,14 +251,11 @@ class Settings(BaseSettings):
         if self.database_url is not None:
             return self.database_url
         if self.database_host is not None:
-            return self._server_url(self.database_host)
+            password = "" if self.database_password is None else f":{quote(self.database_password, safe='')}"
+            where = f"[{self.database_host}]" if ":" in self.database_host else self.database_host
+            who = f"{quote(self.database_user, safe='')}{password}"
+            return f"postgresql://{who}@{where}:{self.database_port}/{quote(self.database_name, safe='')}"
         return f"sqlite:///{(self.data_dir / 'treadwatch.sqlite').resolve()}"
-
-    def _server_url(self, host: str) -> str:
-        password = "" if self.database_password is None else f":{quote(self.database_password, safe='')}"
-        where = f"[{host}]" if ":" in host else host
-        who = f"{quote(self.database_user, safe='')}{password}"
-        return f"postgresql://{who}@{where}:{self.database_port}/{quote(self.database_name, safe='')}"
 
     @property
     def worker_count(self) -> int:

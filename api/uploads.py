@@ -13,22 +13,13 @@ from http import HTTPStatus
 from typing import TypeVar
 
 from starlette.datastructures import Headers
-from starlette.types import Receive, Scope
+from starlette.types import Receive
 
 from api.problems import ProblemError, ProblemItem
 from estimation.errors import PassingFaultError, StorageError
 from fleet_db.raw import IncomingFile, RawStore
 from ingest.intake.backlog import BacklogWatch, Limit
-from ingest.intake.store import Arrival, ChunkStorage, ReceiptGroup, Stored
-from ingest.receipts import Chunk
-
-FOLDER = "/v1/chunks/"
-
-
-def is_upload(scope: Scope) -> bool:
-    """Return whether a request sends a chunk."""
-    return bool(scope["method"] == "PUT" and scope["path"].startswith(FOLDER))
-
+from ingest.receipts import Arrival, Chunk, ChunkStorage, ReceiptGroup, Stored
 
 PIECE_BYTES = 1 << 20  # what is gathered in memory before it is written
 DRAIN_S = 2.0
@@ -133,6 +124,7 @@ class Uploads:
         self._threads = ThreadPoolExecutor(THREADS, thread_name_prefix="upload")
         self._limits = limits
         self.backlog = backlog
+        self.opened = False  # there is something to close
         self.running = 0
         self.ended: Counter[Taken] = Counter()
         self.refused: Counter[str] = Counter()
@@ -152,6 +144,7 @@ class Uploads:
             StorageError: The database cannot be reached: nothing is stored.
         """
         body = UploadBody(headers, receive, self._limits)
+        self.opened = True
         self.running += 1
         try:
             stored = await self._take(body, digest, chunk)

@@ -13,13 +13,19 @@ import numpy as np
 from bench.adhesion_fleet import Fleet, SensedWindow
 from bench.adhesion_friction import STEP, compare
 from bench.adhesion_stored import StoredPasses, path_of, write_passes
-from estimation.adhesion.creep_forces import MOST_INNOVATION, ContactForces, forces_on, gear_segments
-from estimation.adhesion.friction import away_from_low_adhesion, section_adhesion
-from estimation.adhesion.parameters import FrictionParameters
+from estimation.adhesion.creep_forces import (
+    MOST_INNOVATION,
+    ContactForces,
+    FrictionParameters,
+    forces_on,
+    gear_segments,
+)
+from estimation.adhesion.friction import section_adhesion
 from estimation.adhesion.window_adhesion import AdhesionInputs, contact_angles, creep_signals, window_adhesion
 from estimation.filters import remove_wander
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
+from estimation.motion.checks import away_from_low_adhesion
+from estimation.motion.integration import Gates, SignalParameters, WindowParameters
 from estimation.motion.window_motion import window_motion
 from estimation.tables.bin_table import bin_parameters, fill_cells, merge_all
 from estimation.values.arrays import FloatArray
@@ -30,7 +36,7 @@ from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import Motion, Window
 from estimation.vehicle.vehicle_class import VehicleClass
 from ingest.simulator.axle_motion import contact_of, true_geometry
-from ingest.simulator.creep_laws import CreepLaw
+from ingest.simulator.running import CreepLaw
 from ingest.simulator.scenario import Scenario
 
 AMPLITUDES = np.arange(4, 13) * 0.25e-3  # m

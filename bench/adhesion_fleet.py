@@ -19,8 +19,7 @@ from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window, WindowQuality
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import Arrangement, SensorChannel, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import Arrangement, SensorChannel, SensorLayout, VehicleClass, VehicleParameters
 from ingest.simulator.axle_motion import axle_motions, contact_of, together
 from ingest.simulator.campaign import (
     VehicleRun,

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from bench.adhesion_wrong import ONE, WRONG
 from bench.report import BenchRow
-from estimation.adhesion.parameters import FrictionParameters
+from estimation.adhesion.creep_forces import FrictionParameters
 
 LOW = 0.15
 WITHIN = 200.0  # m from the start of a stretch within which it is to be found

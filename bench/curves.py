@@ -13,7 +13,7 @@ from bench.signal_cases import Wheelset, on_track, wheelsets
 from bench.signals import score
 from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.settings import EstimationSettings
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.motion.window_motion import motion
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters

@@ -18,11 +18,16 @@ import numpy as np
 from bench.adhesion_fleet import class_of, simulate
 from estimation.adhesion.creep_forces import gear_segments
 from estimation.dampers.damper import DamperParameters, gear_damper, window_damper
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, ClassOnFile, VehicleClass
+from estimation.vehicle.vehicle_class import (
+    AXLES_OF_A_BOGIE,
+    BogieParameters,
+    ClassOnFile,
+    VehicleClass,
+    VehicleParameters,
+)
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario import Scenario, WeakDamper
 from ingest.simulator.scenario_file import load_scenario

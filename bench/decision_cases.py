@@ -15,7 +15,7 @@ from api.factory import SystemClock, open_store, raw_store
 from api.settings import Settings
 from bench.mems import HIGH, LOW, is_scored
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.motion.window_motion import motion
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters

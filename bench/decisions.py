@@ -33,8 +33,8 @@ from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.vehicle_classes import ClassLookup
-from estimation.motion.parameters import SignalParameters
-from estimation.tables import bin_table, least_squares
+from estimation.motion.integration import SignalParameters
+from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters, bin_parameters
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
@@ -203,7 +203,7 @@ def _spread(estimates: Sequence[WheelsetGeometry]) -> FloatArray:
 
 def _naive(table: BinTable) -> FloatArray:
     packed, weight = table.yaw.sum(axis=0), table.weight.sum(axis=0)
-    solution = least_squares.solve(packed, weight, REGRESSORS, len(YAW_TARGETS))
+    solution = bin_table.solve(packed, weight, REGRESSORS, len(YAW_TARGETS))
     return np.asarray(np.sqrt(solution.residual_variance * solution.inverse[:, 1, 1])[weight > WELL_FILLED])
 
 

@@ -53,7 +53,7 @@ def bus_frames(count: int) -> FrameBatch:
 
 def _decoding(batch: FrameBatch) -> BenchRow:
     catalogue = default_catalogue()
-    database: Any = cantools.database.load_file(str(files("ingest.dbc") / "treadwatch.dbc"))
+    database: Any = cantools.database.load_file(str(files("ingest") / "dbc" / "treadwatch.dbc"))
     part = take(batch, slice(0, len(batch) // SHARE))
     frames = [
         (identifier, bytes(data)) for identifier, data in zip(part.arbitration_id.tolist(), part.data, strict=True)

@@ -24,11 +24,10 @@ from estimation.contact.wear import TreadWear, WearFamily, wear_course, worn
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.sharpening import SLOPES, ContactRoll, held_shares, left_in_difference
 from estimation.geometry.uncertainty import SCALE_STDS, ParameterUncertainty
-from estimation.motion.rolling_radius_difference import standard_displacement
+from estimation.motion.integration import standard_displacement
 from estimation.tables import bin_table
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import TrackRecipe, make_track

@@ -19,7 +19,7 @@ from estimation.errors import ContactError
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
 from estimation.geometry.sharpening import ContactRoll
 from estimation.geometry.uncertainty import SCALE_STDS, DisplacementError
-from estimation.motion.rolling_radius_difference import standard_displacement
+from estimation.motion.integration import standard_displacement
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import FloatArray
 

@@ -24,8 +24,7 @@ from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.epoch_inputs import FileLookup, given
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
-from estimation.values.results import Mark
-from estimation.values.runs import JobTrigger
+from estimation.values.runs import JobTrigger, Mark
 from estimation.values.track import AlignmentSource, FoldState, TrackEpoch
 from fleet_db.due import DUE
 from fleet_db.rows import table_of

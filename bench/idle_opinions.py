@@ -15,7 +15,7 @@ from estimation.jobs import refresh_rails, refresh_signatures
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.signature_windows import ASSUMED
 from estimation.values.registry import Mounting
-from estimation.values.results import Mark
+from estimation.values.runs import Mark
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables.windows import (

@@ -14,10 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.worn_family import AMPLITUDES
-from estimation.alerts.evaluation import findings
-from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.near_limit import MeasureRule
+from estimation.alerts.rule_book import RuleBook, findings
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule, MeasureRule
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.jobs.refresh_trends import trend_of
 from estimation.trend.extrapolation import conicity_points

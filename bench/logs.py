@@ -23,16 +23,15 @@ import numpy as np
 from bench.decoding import bus_frames
 from bench.report import BenchRow
 from estimation.errors import TreadwatchError
-from ingest.bus import messages_of
 from ingest.catalogue import default_catalogue
 from ingest.codec import decode
 from ingest.frames import FrameBatch, channel_number, take
+from ingest.live.listening import messages_of
 from ingest.logs import write_blf
-from ingest.logs.formats import read_content
-from ingest.logs.processes import ReadCost
+from ingest.logs.formats import ReadCost, read_content
 
 FRAMES, SHARE, ROUNDS = 1_000_000, 20, 5
-DATABASE = files("ingest.dbc") / "treadwatch.dbc"
+DATABASE = files("ingest") / "dbc" / "treadwatch.dbc"
 TEXT = {
     ".asc": (can.ASCWriter, can.ASCReader, "ASC"),
     ".log": (can.CanutilsLogWriter, can.CanutilsLogReader, "candump"),

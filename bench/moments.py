@@ -1,4 +1,4 @@
-"""Samples in, packed moments of cells out: what :mod:`estimation.tables.least_squares` solves, from any regressors."""
+"""Samples in, packed moments of cells out: what :mod:`estimation.tables.bin_table` solves, from any regressors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.tables.least_squares import packed_size
+from estimation.tables.bin_table import packed_size
 from estimation.values.arrays import FloatArray, IntArray, frozen_array
 
 

@@ -17,15 +17,14 @@ from bench.report import BenchRow
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.motion.axle_distance import with_frame_yaw
-from estimation.motion.parameters import WindowParameters
+from estimation.motion.integration import WindowParameters
 from estimation.tables.bin_table import bin_parameters, cells_of_window, merge_all
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window, WindowQuality
-from estimation.vehicle.equations_of_motion import GRAVITY
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import GRAVITY, VehicleClass
 from ingest.simulator.axle_motion import axle_motions, contact_of, true_geometry
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
 from ingest.simulator.drawn_fleet import with_seed

@@ -47,7 +47,7 @@ def rival_s_per_frame(path: Path) -> float:
     with can.BLFReader(path) as reader, tempfile.TemporaryDirectory() as folder:
         engine = create_engine(f"sqlite:///{folder}/bins.sqlite")
         _Base.metadata.create_all(engine)
-        database: Any = cantools.database.load_file(str(files("ingest.dbc") / "treadwatch.dbc"))
+        database: Any = cantools.database.load_file(str(files("ingest") / "dbc" / "treadwatch.dbc"))
         read, nodes = 0, dict[int, list[tuple[float, float]]]()
         for message in islice(reader, FRAMES):
             read += 1

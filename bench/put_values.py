@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from estimation.values.geometry import GEOMETRY, BinTable, GeometryRecord, WindowTable, result_of_geometry
 from estimation.values.registry import Mounting
-from estimation.values.results import Result
+from estimation.values.runs import Result
 from estimation.values.trend import TREND, TrendRecord, baseline_part
 from fleet_db.storage import SqlUnitOfWork
 

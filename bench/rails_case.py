@@ -33,8 +33,8 @@ from estimation.storage import Storage, UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS
 from estimation.values.quantities import Estimate
+from ingest.simulator.axle_motion import truth_of, wear_at, worn_contact
 from ingest.simulator.scenario import DrawnFleet, Scenario, VehiclePlan
-from ingest.simulator.wear import truth_of, wear_at, worn_contact
 
 AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1.0 to 3.0 mm, as in the accuracy table
 ANCHORS: Mapping[str, tuple[str, ...]] = {

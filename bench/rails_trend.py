@@ -20,10 +20,10 @@ from estimation.jobs import refresh_rails
 from estimation.jobs.settings import KnownSection, RailsSettings
 from estimation.values.opinions import SECTION_RAILS
 from estimation.values.quantities import Estimate
+from ingest.simulator.axle_motion import section_at
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario import DAY_NS, Scenario, VehiclePlan
 from ingest.simulator.scenario_file import load_scenario
-from ingest.simulator.wear import section_at
 
 CAMPAIGNS = 5
 DAYS_BETWEEN = 200.0  # every campaign is in a period of its own

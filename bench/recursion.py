@@ -10,7 +10,7 @@ import padasip
 
 from bench.moments import collect
 from bench.report import BenchRow
-from estimation.tables.least_squares import solve
+from estimation.tables.bin_table import solve
 
 SAMPLES = 1_000_000
 BINS = 32

@@ -11,18 +11,18 @@ import numpy as np
 
 from bench.refusals_case import AMPLITUDES, RefusalCase
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.geometry.rolling_radius import check_radius, rolling_radius
+from estimation.geometry.model_fit import check_radius, rolling_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.steps.estimated_geometry import CONTRADICTIONS, MOST_SHARE
 from estimation.motion.axle_distance import (
     bogie_runs_backwards,
     check_axle_distance,
     check_frame_sensors,
-    runs_backwards,
     turned_over,
     with_frame_yaw,
 )
-from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
+from estimation.motion.checks import runs_backwards
+from estimation.motion.integration import Gates, SignalParameters, WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.tables.bin_table import bin_parameters, cells_of_window, merge_all
 from estimation.values.geometry import WheelsetGeometry

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from bench.results_page import markdown_table
 from bench.world_table import terminal_table
-from estimation.geometry.rolling_radius import DOUBTED, MISTAKE
+from estimation.geometry.model_fit import DOUBTED, MISTAKE
 from estimation.values.reasons import ReasonCode
 
 RIGHT = "right"

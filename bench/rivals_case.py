@@ -9,16 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from api.comparison.current_geometry import parameters_of, replayed
 from api.comparison.study import TrackInformation, TrueWheelset, on_file, read_truth
-from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, run_jobs
+from api.comparison.trial import ESTIMATION, deploy, opened, parameters_of, receive, record, replayed, run_jobs
 from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import estimators
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters, nothing
 from estimation.jobs.job import JobContext
 from estimation.jobs.refresh_geometry import geometries_of
 from estimation.jobs.steps.rolling import members
-from estimation.motion.rolling_radius_difference import standard_displacement
+from estimation.motion.integration import standard_displacement
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import NORMAL_95, Status

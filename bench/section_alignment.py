@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from estimation.filters import high_pass, local_cubic_kernel
-from estimation.motion.track_lookup import deconvolved
+from estimation.motion.window_motion import deconvolved
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.quantities import NORMAL_95
 from estimation.values.track import TrackAlignment

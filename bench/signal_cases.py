@@ -10,17 +10,17 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve
+from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import WearFamily, wear_course, worn
-from estimation.motion.rolling_radius_difference import standard_displacement
+from estimation.motion.integration import standard_displacement
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment, TrackLayout
 from estimation.values.windows import Window, WindowQuality
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.align.windows import CLIPPING_GUARD_S
-from ingest.simulator.motion import STEP, ContactGeometryTable, WheelsetMotion, simulate_wheelset
+from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
 from ingest.simulator.sensors import Channel, SensorNode, draw_offsets, measure
 from ingest.simulator.track import Curve, TrackRecipe, TrackTruth, make_track
 
@@ -54,7 +54,7 @@ class Wheelset:
     """A named wheelset with its contact geometry and its true conicity at ``AMPLITUDES``."""
 
     name: str
-    table: ContactGeometryTable
+    table: ContactTable
     conicity: FloatArray
 
 

@@ -17,8 +17,7 @@ from estimation.filters import remove_wander
 from estimation.geometry.estimate import estimate_geometry
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.checks import usable_samples
-from estimation.motion.integration import integrate
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters, integrate
 from estimation.motion.window_motion import motion
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters
@@ -26,8 +25,8 @@ from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.reasons import Reason
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import regression
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 SEEDS = (1, 2)
 SHIPPED = SignalParameters()

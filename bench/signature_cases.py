@@ -12,15 +12,13 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import WearFamily, wear_course, worn
-from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
-from estimation.signatures.parameters import SignatureParameters
-from estimation.signatures.window_signatures import window_signatures
+from estimation.motion.integration import Gates, SignalParameters, WindowParameters
+from estimation.signatures.window_signatures import SignatureParameters, window_signatures
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason
 from estimation.values.signatures import ConicitySource, LibraryEntry, Place, Signature
 from estimation.values.windows import Window, WindowQuality
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import Arrangement, VehicleClass
+from estimation.vehicle.vehicle_class import Arrangement, VehicleClass, VehicleParameters
 from ingest.simulator.motion import STEP, PreparedTable, WheelsetMotion, simulate_wheelset
 from ingest.simulator.sensors import Channel, SensorNode, draw_offsets, measure
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track

@@ -10,8 +10,7 @@ import numpy as np
 from bench.signature_cases import SimulatedFleet, entries, tracks, wheelset, window_of, window_parameters
 from estimation.signatures.answer import judged
 from estimation.signatures.library import Libraries, Library, Subject
-from estimation.signatures.parameters import SignatureParameters
-from estimation.signatures.window_signatures import window_signatures
+from estimation.signatures.window_signatures import SignatureParameters, window_signatures
 from estimation.values.signatures import AxlePosition, LibraryEntry
 
 WHEELSETS, EACH = 200, 20

@@ -22,7 +22,7 @@ from bench.signature_cases import (
     wheelsets,
 )
 from bench.signature_foreign import foreign
-from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.signatures import Place
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 

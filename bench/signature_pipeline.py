@@ -9,7 +9,7 @@ from typing import Any
 from api.comparison import trial
 from api.comparison.study import read_truth
 from estimation.jobs import refresh_signatures
-from estimation.values.results import Result
+from estimation.values.runs import Result
 from estimation.values.signatures import ANSWERS, SignatureFinding
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario_file import load_scenario

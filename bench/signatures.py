@@ -30,7 +30,7 @@ from bench.signature_table import rows_of, summary
 from bench.world import seed_range
 from estimation.signatures.answer import judged, most_likely
 from estimation.signatures.library import Library, current, library
-from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.reasons import Reason
 from estimation.values.signatures import ConicitySource, Signature
 

@@ -20,8 +20,7 @@ from bench.steps_suspension import suspension_rows
 from bench.steps_turned import turned_rows
 from estimation.jobs.refresh_trends import trend_of
 from estimation.trend.extrapolation import conicity_points
-from estimation.trend.steps import newest_step
-from estimation.trend.trend import TrendParameters
+from estimation.trend.trend import TrendParameters, newest_step
 from estimation.trend.wear_curve import fit_wear_curve
 from estimation.values.trend import TrendStep
 

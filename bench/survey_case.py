@@ -11,7 +11,7 @@ from bench.survey_fleets import AMPLITUDES, Fleet, drawn_track
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import USUAL_CUTOFF, ParameterUncertainty, alignment_std
-from estimation.motion.track_lookup import alignment_at
+from estimation.motion.window_motion import alignment_at
 from estimation.tables.bin_table import bin_parameters, cells_of_window, merge_all
 from estimation.track.passes import PassStatus, PositionParameters, journeys
 from estimation.track.settings import AlignmentSettings

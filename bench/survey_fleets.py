@@ -19,13 +19,19 @@ from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.axle_distance import with_frame_yaw
-from estimation.motion.parameters import WindowParameters
+from estimation.motion.integration import WindowParameters
 from estimation.track.gridded_pass import resampled
 from estimation.track.passes import Pass, ProfileLife, examine
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window, WindowQuality
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, SensorChannel, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import (
+    Arrangement,
+    BogieParameters,
+    SensorChannel,
+    SensorLayout,
+    VehicleClass,
+    VehicleParameters,
+)
 from ingest.simulator.irregularity import Isolated, IsolatedKind
 from ingest.simulator.motion import STEP, PreparedTable, WheelsetMotion
 from ingest.simulator.running_gear import RunningGear, simulate_gear

@@ -24,7 +24,7 @@ from bench.survey_case import SurveyPlan, moved, on_file, score
 from bench.survey_fleets import COACH, FleetPlan, drawn_fleet
 from bench.survey_table import HEADER, TITLE, USUAL, differences, rows_of, summary
 from bench.world import seed_range
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 ROWS: Mapping[str, FleetPlan] = {
     "plain": FleetPlan(),

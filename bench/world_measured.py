@@ -20,13 +20,12 @@ from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from ingest.simulator.axle_motion import DerailmentError, contact_of, wheelset_motion
+from estimation.vehicle.vehicle_class import VehicleParameters
+from ingest.simulator.axle_motion import DerailmentError, contact_of, rails_of, wheel_in, wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.drawn_fleet import with_wheelset
 from ingest.simulator.scenario import Scenario, SectionPlan, Stream, generator
 from ingest.simulator.track import TrackTruth
-from ingest.simulator.wear import rails_of, wheel_in
 
 NOMINAL_RADIUS = 0.45  # m, of the fleets of the rows
 ROWS = ("measured_known", "measured_unknown")

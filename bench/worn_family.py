@@ -28,8 +28,9 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, profile_from_points, rail_profile, wheel_profile
-from estimation.contact.wear import AMPLITUDES, HOLLOWS, TABLE, UNIT, RailWear, TreadWear, worn, worn_rail
+from estimation.contact.wear import HOLLOWS, RailWear, TreadWear, worn, worn_rail
 from estimation.errors import ContactError
+from estimation.trend.extrapolation import AMPLITUDES, TABLE, UNIT
 from estimation.values.arrays import FloatArray
 
 STEP = 0.2e-3  # m of depth between two searches for contact

@@ -60,11 +60,7 @@ COUNTS = Compilations()
 
 
 def compiled(**options: bool | str) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """Return a decorator that compiles a function when it is called first, or loads what was compiled before.
-
-    Args:
-        **options: Of ``numba.njit``, such as ``nogil`` and ``inline``.
-    """
+    """Return a decorator that compiles a function at its first call, as ``numba.njit`` does, or loads what is kept."""
     wrapper: Any = numba.njit
 
     def decorate(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
@@ -148,7 +144,6 @@ class KernelCache:
 
 
 def _depends_on(function: FunctionType, seen: set[FunctionType]) -> Iterator[str]:
-    """Yield what the machine code of a function follows from: sources, and values of its module."""
     if function in seen:
         return
     seen.add(function)
@@ -164,7 +159,6 @@ def _depends_on(function: FunctionType, seen: set[FunctionType]) -> Iterator[str
 
 
 def _names(code: CodeType) -> Iterator[str]:
-    """Yield the names that code looks up, also that of the loops inside brackets."""
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, CodeType):

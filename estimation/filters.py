@@ -233,8 +233,6 @@ def subtract_smoothing_spline(
 
 @dataclass(frozen=True, slots=True)
 class _Spline:
-    """A smoothing spline on uniform knots, without what it is to smooth."""
-
     weight: FloatArray  # (n,) m, of each sample
     interval: IntArray  # (n,) between knots
     pieces: FloatArray  # (PIECES, n) B-splines at each sample

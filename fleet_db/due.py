@@ -38,8 +38,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.opinions import CREEP
 from estimation.values.quantities import Status
-from estimation.values.results import Due, Facet, Mark, StageInputs
-from estimation.values.runs import FAILED, SubjectKind
+from estimation.values.runs import FAILED, Due, Facet, Mark, StageInputs, SubjectKind
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key

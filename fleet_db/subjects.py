@@ -16,8 +16,7 @@ from sqlalchemy import ColumnElement, Connection, Insert, String, bindparam, cas
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.opinions import GEAR_DAMPERS
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import SUSPENSION, TREND
 from estimation.worklist.row import FACETS as SHOWN
 from fleet_db.rows import table_of

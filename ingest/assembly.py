@@ -41,12 +41,7 @@ from ingest.recordings import (
 
 @dataclass(frozen=True, slots=True)
 class SpanAssembly:
-    """The windows of a vehicle that overlap a span of its clock, and everything that went into them.
-
-    Attributes:
-        again: Receipts of recordings that the vehicle's bus, another one now, places elsewhere than when they were
-            decoded, or cannot read.
-    """
+    """The windows of a vehicle that overlap a span of its clock, and everything that went into them."""
 
     vehicle: str
     from_ns: int
@@ -56,7 +51,9 @@ class SpanAssembly:
     windows: tuple[MountedWindow, ...]  # all that recordings and registry give in the span, but for those of ``kept``
     kept: tuple[Span, ...]  # spans in which a recording cannot be read any more: what is stored of them stays
     lost: tuple[ChunkRecord, ...]  # receipts of those whose raw file is lost or damaged, and was not purged
-    again: tuple[ChunkRecord, ...]
+    again: tuple[
+        ChunkRecord, ...
+    ]  # receipts of those that the vehicle's bus, now another, places elsewhere or cannot read
     counts: Mapping[str, int]
 
     def keeps(self, start_ns: int, length_ns: int) -> bool:
@@ -161,9 +158,7 @@ class Assembler:
     ) -> SpanAssembly:
         """Assemble all windows of a vehicle that overlap a span of its clock.
 
-        Args:
-            keep_unreadable: Whether what is stored of a recording that cannot be read any more stays, and the others go
-                on.
+        With ``keep_unreadable`` what is stored of a recording that cannot be read any more stays, and the others go on.
         """
         on_file = unit.registry.vehicle(vehicle)
         first = span[0] // self.length_ns * self.length_ns

@@ -117,11 +117,7 @@ class Catalogue:
 
 
 def load_catalogue(path: Path) -> Catalogue:
-    """Read a DBC file.
-
-    Args:
-        path: The DBC file; 11-bit identifiers, little endian, integers, no multiplexing.
-    """
+    """Read a DBC file: 11-bit identifiers, little endian, integers, no multiplexing."""
     database = parse_dbc(path)
     messages = {message.frame_id: _message_plan(message, path) for message in database.messages}
     interval = next((plan.cycle_ns for plan in messages.values() if plan.kind == SYNC), 0)
@@ -135,7 +131,7 @@ def load_catalogue(path: Path) -> Catalogue:
 @cache
 def default_catalogue() -> Catalogue:
     """Return the catalogue that comes with the package."""
-    with as_file(files("ingest.dbc") / "treadwatch.dbc") as path:
+    with as_file(files("ingest") / "dbc" / "treadwatch.dbc") as path:
         return load_catalogue(path)
 
 
@@ -234,11 +230,6 @@ def _check_needed(catalogue: Catalogue, path: Path) -> None:
             raise CatalogueError("an acceleration message is four int16", file=path, field=plan.name)
 
 
-def resolution(plan: MessagePlan) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return the value of one count of each signal, (m,)."""
-    return np.array([signal.scale for signal in plan.signals])
-
-
 SYNC_ID = 0x080
 TIME_ID = 0x100
 
@@ -260,11 +251,6 @@ def time_of_day(t_ns: npt.ArrayLike) -> tuple[IntArray, IntArray]:
 
 
 def vehicle_time_ns(milliseconds: npt.ArrayLike, days: npt.ArrayLike) -> IntArray:
-    """Return the vehicle time in ns UTC of a TIME frame.
-
-    Args:
-        milliseconds: (n,) after midnight.
-        days: (n,) since 1984-01-01.
-    """
+    """Return the vehicle time (n,) in ns UTC of TIME frames: ms after midnight, days since 1984-01-01."""
     whole_days = np.asarray(days, dtype=np.int64) + EPOCH_DAYS
     return (whole_days * DAY_MS + np.asarray(milliseconds, dtype=np.int64)) * 1_000_000

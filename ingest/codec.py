@@ -152,8 +152,7 @@ class RawValues:
     def values(self, *, with_clipped: bool = False) -> FloatArray:
         """Return (n, m) values in the units of the catalogue; NaN where not valid.
 
-        Args:
-            with_clipped: Whether a value that stands for clipping is given as it is, at the end of the range.
+        Values that stand for clipping are not valid, or given as they are, at the end of the range.
         """
         scale = np.array([signal.scale for signal in self.plan.signals])
         offset = np.array([signal.offset for signal in self.plan.signals])
@@ -217,7 +216,11 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
             messages[arbitration_id] = MessageValues(plan, unpack(plan, words[span]), index[span])
     invalid, clipped = _count_values(messages)
     strange = len(batch) - wrong - unknown - int(starts[-1])  # without an 11-bit identifier
-    error, remote = _count_flagged(batch.arbitration_id) if strange else (0, 0)
+    error = remote = 0
+    if strange:
+        is_error = (batch.arbitration_id & ERROR_FLAG) != 0
+        error = int(np.count_nonzero(is_error))
+        remote = int(np.count_nonzero(~is_error & ((batch.arbitration_id & REMOTE_FLAG) != 0)))
     counts = FrameCounts(
         frames=len(batch),
         decoded=int(starts[-1]),
@@ -230,12 +233,6 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
         clipped_values=clipped,
     )
     return Decoded(MappingProxyType(messages), counts)
-
-
-def _count_flagged(arbitration_id: npt.NDArray[np.uint32]) -> tuple[int, int]:
-    error = (arbitration_id & ERROR_FLAG) != 0
-    remote = ~error & ((arbitration_id & REMOTE_FLAG) != 0)
-    return int(np.count_nonzero(error)), int(np.count_nonzero(remote))
 
 
 def _count_values(messages: Mapping[int, MessageValues]) -> tuple[int, int]:
@@ -264,13 +261,10 @@ def unpack(plan: MessagePlan, words: npt.NDArray[np.uint64]) -> RawArray:
 
 
 def encode(plan: MessagePlan, t_ns: IntArray, values: Mapping[str, npt.ArrayLike]) -> FrameBatch:
-    """Return one frame per time with signals in the units of the catalogue.
+    """Return one frame per time with signals, (n,) or one value each, in the units of the catalogue.
 
     NaN becomes "not available"; a value beyond a limit is clipped to it; signals that are not given are "not
     available" where the catalogue has a code for that, else 0.
-
-    Args:
-        values: (n,) or one value per signal, in the units of the catalogue.
     """
     unknown = set(values) - set(plan.names)
     if unknown:

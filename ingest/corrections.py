@@ -46,7 +46,7 @@ class Author:
 
 @dataclass(frozen=True, slots=True)
 class RecordingCorrections:
-    """Corrections of recordings."""
+    """Corrections of recordings; raise ConflictError where the state of a recording does not allow them."""
 
     storage: SqlStorage
     clock: Clock
@@ -56,37 +56,25 @@ class RecordingCorrections:
 
         The time of receipt stays. What was ahead of it remains so, however late it is tried again, unless our clock
         was wrong then: the vehicle's is checked against that of now in this case.
-
-        Raises:
-            ConflictError: It is decoded, or set aside, or its raw bytes were purged.
         """
         return self._correct(digest, RecordingAction.RETRY, author, our_clock_was_behind=our_clock_was_behind)
 
     def set_aside(self, digest: str, author: Author) -> ChunkRecord:
-        """Let a recording count for no window; return its receipt. Raises as :meth:`retry`."""
+        """Let a recording count for no window; return its receipt."""
         return self._correct(digest, RecordingAction.SET_ASIDE, author)
 
     def restore(self, digest: str, author: Author) -> ChunkRecord:
-        """Let a recording that was set aside count again; return its receipt. Raises as :meth:`retry`."""
+        """Let a recording that was set aside count again; return its receipt."""
         return self._correct(digest, RecordingAction.RESTORE, author)
 
     def reassign(self, digest: str, vehicle: str, author: Author) -> ChunkRecord:
-        """Give a recording to another vehicle, whose windows it counts for from now on; return its receipt.
-
-        One that was set aside stays so.
-
-        Raises:
-            ConflictError: It is of that vehicle already, or its raw bytes were purged.
-        """
+        """Give a recording, which may stay set aside, to another vehicle; return its receipt."""
         return self._correct(digest, RecordingAction.REASSIGN, author, vehicle)
 
     def delete(self, digest: str, author: Author, raw: RawStore) -> ChunkRecord:
         """Make everything as if a recording had never come; return its receipt, which stays and says so.
 
-        Its raw file is removed. Where that cannot be done now, the next purge removes it.
-
-        Raises:
-            ConflictError: It was deleted already, or a backup is being made.
+        Its raw file is removed; where that cannot be done now, the next purge removes it. Refused during a backup.
         """
         with keeping_alone(self.storage.engine):
             record = self._correct(digest, RecordingAction.DELETE, author)
@@ -132,11 +120,7 @@ class RecordingCorrections:
 
 
 def receipt_of(unit: SqlUnitOfWork, digest: str) -> ChunkRecord:
-    """Return the receipt of a recording.
-
-    Args:
-        digest: All of its digest, or the begin of it that no other recording has.
-    """
+    """Return the receipt of a recording by its digest, or the begin of it that no other recording has."""
     found = unit.chunks.beginning(digest)
     if not found:
         raise NotFoundError("recording", digest)

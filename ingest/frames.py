@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -43,6 +43,7 @@ class FrameBatch(FrozenArrays):
         return len(self.t_ns)
 
 
+COLUMNS = ("t_ns", "arbitration_id", "dlc", "data")
 DEFAULT_CHANNEL = "can0"
 DATA_BYTES = 8
 _NUMBERED = re.compile(r"[A-Za-z_]*(\d+)")
@@ -54,11 +55,7 @@ def channel_name(number: int) -> str:
 
 
 def channel_number(name: str) -> int:
-    """Return the number, from 1, that BLF, ASC and MF4 use for a bus.
-
-    Args:
-        name: Name of the bus; one without a number is bus 1.
-    """
+    """Return the number, from 1, that BLF, ASC and MF4 use for a bus; 1 of a name without a number."""
     match = _NUMBERED.fullmatch(name)
     return int(match[1]) + 1 if match else 1
 
@@ -66,11 +63,7 @@ def channel_number(name: str) -> int:
 def batch_of(
     arbitration_id: int, t_ns: IntArray, data: npt.NDArray[np.uint8], length: int, channel: str = DEFAULT_CHANNEL
 ) -> FrameBatch:
-    """Return frames that all carry one identifier.
-
-    Args:
-        data: (n, 8) payload, zero beyond ``length``.
-    """
+    """Return frames that all carry one identifier; data (n, 8) are zero beyond ``length``."""
     n = len(t_ns)
     return FrameBatch(
         channel=channel,
@@ -86,25 +79,17 @@ def empty_batch(channel: str = DEFAULT_CHANNEL) -> FrameBatch:
     return batch_of(0, np.empty(0, np.int64), np.empty((0, DATA_BYTES), np.uint8), 0, channel)
 
 
-def from_owned_arrays(
-    channel: str,
-    t_ns: IntArray,
-    arbitration_id: npt.NDArray[np.uint32],
-    dlc: npt.NDArray[np.uint8],
-    data: npt.NDArray[np.uint8],
-) -> FrameBatch:
-    """Return a batch of arrays that have no other owner: they are made read-only in place instead of copied."""
-    for array in (t_ns, arbitration_id, dlc, data):
+def from_owned_arrays(channel: str, *columns: npt.NDArray[Any]) -> FrameBatch:
+    """Return a batch of ``COLUMNS`` that have no other owner: they are made read-only in place instead of copied."""
+    for array in columns:
         if array.base is None:
             array.flags.writeable = False
-    return FrameBatch(channel, t_ns, arbitration_id, dlc, data)
+    return FrameBatch(channel, *columns)
 
 
 def take(batch: FrameBatch, index: IntArray | BoolArray | slice) -> FrameBatch:
     """Return the frames that ``index`` (positions, a mask or a slice) picks, in its order."""
-    return from_owned_arrays(
-        batch.channel, batch.t_ns[index], batch.arbitration_id[index], batch.dlc[index], batch.data[index]
-    )
+    return from_owned_arrays(batch.channel, *(getattr(batch, name)[index] for name in COLUMNS))
 
 
 def concatenate(batches: Sequence[FrameBatch]) -> FrameBatch:
@@ -113,13 +98,8 @@ def concatenate(batches: Sequence[FrameBatch]) -> FrameBatch:
         return empty_batch()
     if len(batches) == 1:
         return batches[0]
-    return from_owned_arrays(
-        channel=batches[0].channel,
-        t_ns=np.concatenate([batch.t_ns for batch in batches]),
-        arbitration_id=np.concatenate([batch.arbitration_id for batch in batches]),
-        dlc=np.concatenate([batch.dlc for batch in batches]),
-        data=np.concatenate([batch.data for batch in batches]),
-    )
+    columns = (np.concatenate([getattr(batch, name) for batch in batches]) for name in COLUMNS)
+    return from_owned_arrays(batches[0].channel, *columns)
 
 
 def sort_by_time(batch: FrameBatch) -> FrameBatch:

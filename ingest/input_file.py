@@ -19,7 +19,7 @@ import resource
 import signal
 import sys
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -89,22 +89,20 @@ class InputTable(BaseModel):
 def field_error(reason: str, *location: str | int) -> PydanticCustomError:
     """Return the error that a validator of an ``InputTable`` raises.
 
-    Args:
-        location: Keys and indices from the validated value to what is wrong; none for the value itself.
+    The location leads from the validated value to what is wrong; none is the value itself.
     """
     return PydanticCustomError("field_error", "{reason}", {"reason": reason, "location": location})
 
 
-def _printable(text: str) -> str:
-    if any((letter < " " and letter not in "\n\t") or letter == "\x7f" for letter in text):
-        raise field_error(f"{text!r} has a control character")
-    return text
+def refusing(is_wrong: Callable[[Any], object], reason: str) -> AfterValidator:
+    """Return the validator that refuses values for a reason, which may contain ``{value}``."""
 
+    def check(value: Any) -> Any:  # noqa: ANN401 - of any field
+        if is_wrong(value):
+            raise field_error(reason.format(value=value))
+        return value
 
-def _not_empty(text: str) -> str:
-    if not text.strip():
-        raise field_error("must not be empty")
-    return text
+    return AfterValidator(check)
 
 
 def _one_short_line(text: str) -> str:
@@ -123,8 +121,9 @@ def increasing(values: Values) -> Values:
 
 
 CODE_LENGTH = 64  # letters of a code or a serial number that a database column holds
-FreeText = Annotated[str, AfterValidator(_printable)]
-Text = Annotated[FreeText, AfterValidator(_not_empty)]
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]")
+FreeText = Annotated[str, refusing(_CONTROL.search, "{value!r} has a control character")]
+Text = Annotated[FreeText, refusing(lambda text: not text.strip(), "must not be empty")]
 Code = Annotated[Text, AfterValidator(_one_short_line)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -156,9 +155,7 @@ class InputFile:
     def parse(self, model: type[Model], location: Location = ()) -> Model:
         """Return the content, or what is at a place of it, as a model.
 
-        Raises:
-            InputError: As ``error_type``: a key is missing, unknown, of another type or out of range. Of several errors
-                the first in the order of the schema is reported.
+        Raises ``error_type`` of the first error in the order of the schema.
         """
         try:
             return model.model_validate(self.at(location), context=self.path.parent)
@@ -270,19 +267,16 @@ _REASONS: Mapping[str, str] = {
 
 def _reason(error: ErrorDetails, model: type[BaseModel], container: str) -> str:
     if error["type"] == "extra_forbidden":
-        return f"unknown key; known here: {', '.join(_known_keys(model, error['loc']))}"
+        for part in error["loc"][:-1]:
+            known = {item.alias or name: item for name, item in model.model_fields.items()}
+            if part in known:
+                model = _model_in(known[str(part)].annotation) or model
+        keys = sorted(item.alias or name for name, item in model.model_fields.items())
+        return f"unknown key; known here: {', '.join(keys)}"
     sentence = _REASONS.get(error["type"])
     if sentence is None:
         return error["msg"]
     return sentence.format(value=error["input"], container=container, **error.get("ctx", {}))
-
-
-def _known_keys(model: type[BaseModel], location: Location) -> list[str]:
-    for part in location[:-1]:
-        known = {item.alias or name: item for name, item in model.model_fields.items()}
-        if part in known:
-            model = _model_in(known[str(part)].annotation) or model
-    return sorted(item.alias or name for name, item in model.model_fields.items())
 
 
 def _model_in(annotation: object) -> type[BaseModel] | None:

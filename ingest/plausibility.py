@@ -30,11 +30,7 @@ def possible(vehicle_ns: IntArray) -> BoolArray:
 
 
 def runs_alike(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) -> list[tuple[int, int]]:
-    """Return the runs ``[first, behind)`` of TIME frames that agree with the one before.
-
-    Args:
-        t_ns, vehicle_ns: (n,) stamp of the recorder, increasing, and vehicle time.
-    """
+    """Return the runs ``[first, behind)`` of TIME frames, by increasing stamp, that agree with the one before."""
     if len(t_ns) == 0:
         return []
     edges = np.flatnonzero(np.abs(np.diff(vehicle_ns - t_ns)) > tolerance_ns) + 1
@@ -101,8 +97,7 @@ def possible_motion(values: FloatArray) -> FloatArray:
 def odometer_excess(tick: IntArray, values: FloatArray, interval_s: float, longest: int) -> float:
     """Return by how much odometer and integral of the speed differ beyond what they may, m; 0 where they do not.
 
-    Args:
-        values: (n, 2) speed, m/s, and odometer, m; NaN where not known.
+    Values (n, 2) are speed, m/s, and odometer, m; NaN where not known.
     """
     known = ~np.isnan(values).any(axis=1)
     at, (speed, odometer) = tick[known], values[known].T
@@ -125,9 +120,7 @@ ALONG_M = 200.0
 """The line is looked for this far on both sides of the reported distance: odometry between balises may be off by 5 m
 and 5 % (ETCS, SUBSET-041), which is 200 m after 3.9 km; a fix that is a second old is 80 m behind at most."""
 
-FEWEST_FIXES = 3
-"""Of a window. The median counts: fewer than half may be outliers."""
-
+FEWEST_FIXES = 3  # of a window. The median counts: fewer than half may be outliers.
 SEMI_MAJOR_M, ECCENTRICITY2 = 6_378_137.0, 6.694_379_990_14e-3  # of WGS84 (NIMA TR8350.2)
 
 

@@ -1,13 +1,21 @@
-"""The receipt of a recording whose bytes are safe: entered once, whatever there was under its digest before."""
+"""The receipt of a recording whose bytes are safe: entered once, whatever there was under its digest before.
+
+Finished files that come many at a time get their receipts in one transaction.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from estimation.errors import ConflictError
+from estimation.errors import BusyError, ConflictError
+from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.raw import IncomingFile, RawStore, check_raw_store
 from fleet_db.records import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import SpanAssembly, add_stale
@@ -35,20 +43,6 @@ class Decoded:
     assembly: SpanAssembly | None
 
 
-def printable_name(path: Path) -> str:
-    """Return the name of a file as it is kept with the receipt: what is no text in it is replaced."""
-    name = path.name.encode("utf-8", "replace").decode()
-    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
-
-
-def check_undecided(unit: SqlUnitOfWork, receipts: Iterable[ChunkRecord]) -> None:
-    """Raise where a recording was reassigned, deleted, set aside or rejected while its windows were assembled."""
-    for receipt in receipts:
-        now = unit.chunks.get(receipt.digest)
-        if now is None or now.vehicle != receipt.vehicle or now.state in UNDECODABLE:
-            raise ConflictError(f"recording {receipt.digest[:12]} changed meanwhile", kind="chunk", key=receipt.digest)
-
-
 TAKE_DELETED = "--take-deleted"  # the option that asks for it
 
 
@@ -56,8 +50,7 @@ TAKE_DELETED = "--take-deleted"  # the option that asks for it
 class DeletedRecordings:
     """What is done with recordings that were deleted and come again.
 
-    Args:
-        taken_by: Who wants them to be taken in; None where they are refused.
+    They are refused, or taken in where somebody (``taken_by``) wants that.
     """
 
     storage: SqlStorage
@@ -101,8 +94,7 @@ def _refusal(deleted: ChunkRecord) -> ConflictError:
     return ConflictError(reason, kind="recording", key=deleted.digest)
 
 
-Announce = Callable[[ChunkRecord], None]
-"""Called with each committed receipt; it neither waits nor fails."""
+Announce = Callable[[ChunkRecord], None]  # called with each committed receipt; it neither waits nor fails
 
 
 def to_nobody(_record: ChunkRecord) -> None:
@@ -150,7 +142,8 @@ class Chunk:
     sender: str | None  # who sent it, or the folder it came through
 
     def receipt(self, digest: str, size_bytes: int, now_ns: int) -> ChunkRecord:
-        """Return its receipt."""
+        """Return its receipt; what is no text in the name of its file is replaced."""
+        name = Path(self.file_name).name.encode("utf-8", "replace").decode()
         return ChunkRecord(
             digest=digest,
             vehicle=self.vehicle,
@@ -164,6 +157,149 @@ class Chunk:
             counts={},
             received_ns=now_ns,
             recorded_ns=now_ns,
-            file_name=printable_name(Path(self.file_name)),
+            file_name="".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name),
             sender=self.sender,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """A chunk whose bytes are received under no name yet."""
+
+    file: IncomingFile
+    chunk: Chunk
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """A committed receipt, and whether it had been there before."""
+
+    record: ChunkRecord
+    known: bool
+
+
+class ChunkStorage:
+    """Stores arrivals: their bytes in the raw store first, then all receipts in one transaction."""
+
+    def __init__(self, storage: SqlStorage, raw: RawStore, clock: Clock, announce: Announce = to_nobody) -> None:
+        self._storage = storage
+        self._raw = raw
+        self._clock = clock
+        self._announce = announce
+        self._deleted = DeletedRecordings(storage, None)
+        self._mark: str | None = None
+
+    def store(self, arrivals: Sequence[Arrival]) -> list[Stored | ConflictError]:
+        """Store arrivals; the answer to each is its receipt, or why it is not taken. What is not needed is deleted.
+
+        Raises PassingFaultError where the raw store cannot take them now: nothing has a receipt then.
+        """
+        if self._mark is None or self._raw.read_mark() != self._mark:
+            self._mark = check_raw_store(self._storage, self._raw, self._clock.now_ns())
+        answers: dict[int, Stored | ConflictError] = {}
+        self._refuse_deleted(arrivals, answers)
+        self._raw.put([arrival.file for number, arrival in enumerate(arrivals) if number not in answers])
+        with self._storage.write() as unit:
+            now_ns = self._clock.now_ns()
+            for number, arrival in enumerate(arrivals):
+                if number in answers:
+                    continue
+                record = arrival.chunk.receipt(arrival.file.digest, arrival.file.size_bytes, now_ns)
+                try:
+                    found, known = enter_receipt(unit, record, self._deleted)
+                except ConflictError as error:  # deleted a moment ago: what was placed is an orphan
+                    answers[number] = error
+                    continue
+                wrong = found.vehicle != record.vehicle
+                refusal = of_another_vehicle(found, record.vehicle, record.file_name or record.digest)
+                answers[number] = refusal if wrong else Stored(found, known)
+        for answer in answers.values():
+            if isinstance(answer, Stored):
+                self._announce(answer.record)
+        for arrival in arrivals:
+            arrival.file.discard()
+        return [answers[number] for number in range(len(arrivals))]
+
+    def _refuse_deleted(self, arrivals: Sequence[Arrival], answers: dict[int, Stored | ConflictError]) -> None:
+        with self._storage.read() as unit:
+            found = unit.chunks.of_digests([arrival.file.digest for arrival in arrivals])
+        for number, arrival in enumerate(arrivals):
+            if arrival.file.digest in found:
+                try:
+                    self._deleted.refuse(found[arrival.file.digest])
+                except ConflictError as error:
+                    answers[number] = error
+
+
+AT_ONCE = 64  # receipts of one transaction at most
+
+
+_Waiting = tuple[Arrival, "Future[Stored]"]
+
+
+class ReceiptGroup:
+    """One thread that commits receipts; it starts with the first, and its queue is bounded."""
+
+    def __init__(self, storage: ChunkStorage, most_waiting: int) -> None:
+        self._storage = storage
+        self._queue: queue.Queue[_Waiting | None] = queue.Queue(maxsize=most_waiting)
+        self._starting = threading.Lock()
+        self._thread: threading.Thread | None = None
+
+    def put(self, arrival: Arrival) -> Future[Stored]:
+        """Hand an arrival over, whose file must stay where it is until the future ends.
+
+        The future ends with the committed receipt, or with why there is none.
+        """
+        with self._starting:
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="receipts", daemon=True)
+                self._thread.start()
+        stored: Future[Stored] = Future()
+        try:
+            self._queue.put_nowait((arrival, stored))
+        except queue.Full:
+            raise BusyError(f"{self._queue.maxsize} chunks wait for their receipts already") from None
+        return stored
+
+    def close(self) -> None:
+        """Commit what waits, and end."""
+        with self._starting:
+            thread, self._thread = self._thread, None
+        if thread is not None:
+            self._queue.put(None)
+            thread.join()
+
+    def _run(self) -> None:
+        going_on = True
+        while going_on:
+            batch, going_on = self._gather()
+            if batch:
+                self._store(batch)
+
+    def _gather(self) -> tuple[list[_Waiting], bool]:
+        first = self._queue.get()
+        batch: list[_Waiting] = []
+        while first is not None:
+            if first[1].set_running_or_notify_cancel():
+                batch.append(first)
+            if len(batch) == AT_ONCE:
+                return batch, True
+            try:
+                first = self._queue.get_nowait()
+            except queue.Empty:
+                return batch, True
+        return batch, False
+
+    def _store(self, batch: list[_Waiting]) -> None:
+        try:
+            answers = self._storage.store([arrival for arrival, _ in batch])
+        except Exception as error:  # noqa: BLE001 - whatever it is, each sender gets it, and the next batch is tried
+            for _, stored in batch:
+                stored.set_exception(error)
+            return
+        for (_, stored), answer in zip(batch, answers, strict=True):
+            if isinstance(answer, Stored):
+                stored.set_result(answer)
+            else:
+                stored.set_exception(answer)

@@ -27,23 +27,22 @@ from ingest.catalogue import Catalogue
 from ingest.exchange.intake import check_alone, checked_exchange
 from ingest.exchange.run import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.run import write_bundle
-from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
-from ingest.own_bus.bus import BusChoice
-from ingest.reassembly import Reassembler
+from ingest.reassembly import HeldRecordings, Reassembler
 from ingest.receipts import (
+    UNDECODABLE,
     Announce,
     Chunk,
     Decoded,
     DeletedRecordings,
     ReceivedFile,
-    check_undecided,
     enter_receipt,
     of_another_vehicle,
     to_nobody,
 )
 from ingest.recordings import Recording, Recordings
 from ingest.span_commit import NO_CHANGES, commit, still_so
+from ingest.stored_settings import BusChoice
 
 SECOND_NS = 1_000_000_000
 READ_AHEAD = 3
@@ -63,8 +62,7 @@ class ChunkReceipt:
 class Receiver:
     """Takes recordings in.
 
-    Args:
-        deleted_taken_by: Who wants recordings that were deleted to be taken in again; None where they are refused.
+    Recordings that were deleted are refused, or taken in again where somebody (``deleted_taken_by``) wants that.
     """
 
     def __init__(
@@ -93,21 +91,16 @@ class Receiver:
         """Take in one recording of a vehicle.
 
         Where decoding fails for a passing fault or by a failure of the program the recording is stored all the same,
-        with its reason, and tried again by :meth:`decode_stored`.
-
-        Raises:
-            LogFileError: The file is no log, truncated or corrupt. Its bytes are kept with a receipt that says so,
-                unless its suffix already says that it is no log.
-            NotFoundError: The registry does not know the vehicle. The recording is kept, and decoded once it does.
-            ConflictError: The same recording was received from another vehicle, or was deleted.
+        with its reason, and tried again by :meth:`decode_stored`. Raises LogFileError where it is damaged (its bytes
+        are kept with a receipt that says so, unless it is no log by its suffix), NotFoundError where the registry does
+        not know the vehicle (it is kept until it does), ConflictError where it is of another vehicle, or deleted.
         """
         return self.accept(self._store_and_read(path, vehicle))
 
     def receive_exchange(self, description: Path) -> ChunkReceipt:
         """Take in one exchange of runs; nothing of it is stored unless all of it is good.
 
-        Raises:
-            ConflictError: Logs of the vehicle's bus are in the same windows, or another exchange has the same time.
+        Raises ConflictError where the windows have logs of the vehicle's bus, or its time another exchange.
         """
         with self._storage.read() as unit:
             exchange = checked_exchange(description, unit)
@@ -156,8 +149,7 @@ class Receiver:
     def keep(self, content: bytes, suffix: str, vehicle: str, name: str) -> tuple[ChunkRecord, bool]:
         """Store a recording and commit its receipt; nothing of it is decoded.
 
-        Returns:
-            tuple[ChunkRecord, bool]: The receipt, and whether it had been there before.
+        Return the receipt, and whether it had been there before.
         """
         self._check_raw()
         deleted = self._deleted.receipt(hashlib.sha256(content).hexdigest())
@@ -183,12 +175,8 @@ class Receiver:
     ) -> Iterator[ChunkReceipt | Exception]:
         """Decode every recording that is stored and not decoded yet: after a crash, or a new entry of the registry.
 
-        One that failed before is left out until it is due again.
-
+        One that failed before is left out until it is due again, unless it is the only one, named by its digest.
         Yields the new receipt of each, or why it still cannot be decoded.
-
-        Args:
-            digest: Of the only recording to decode, due or not.
         """
         try:
             self._check_raw()
@@ -313,7 +301,12 @@ class Receiver:
         return self._assembler.placed(unit, record, recording) == made.receipts
 
     def _commit(self, unit: SqlUnitOfWork, made: Decoded) -> tuple[ChunkRecord, int]:
-        check_undecided(unit, made.receipts)
+        for receipt in made.receipts:
+            now = unit.chunks.get(receipt.digest)
+            if now is None or now.vehicle != receipt.vehicle or now.state in UNDECODABLE:
+                raise ConflictError(
+                    f"recording {receipt.digest[:12]} changed meanwhile", kind="chunk", key=receipt.digest
+                )
         changes, counts = NO_CHANGES, made.receipts[0].counts
         if made.assembly is not None:
             changes = commit(unit, made.assembly, self._clock.now_ns())

@@ -92,11 +92,7 @@ class Recordings:
         return Recording(digest, batch, align_frames(catalogue, batch), catalogue, read_counts=content.counts)
 
     def load(self, record: ChunkRecord) -> Recording:
-        """Return the recording of a receipt.
-
-        Raises:
-            PassingFaultError: Its file is missing, holds something else, or cannot be read now.
-        """
+        """Return the recording of a receipt; PassingFaultError where its file is away, or is another."""
         kept = self._kept.get(record.digest)
         if kept is None or not (kept.rows or kept.catalogue is self.catalogue_of(record.vehicle)):
             with self.raw.whole(record.digest, record.suffix, record.size_bytes) as path:
@@ -151,11 +147,8 @@ def is_beside(record: ChunkRecord, digest: str, recorder_ns: Span) -> bool:
 def align_recordings(recordings: Iterable[Recording], span: Span | None = None) -> list[AlignedFrames]:
     """Merge recordings whose recorder stamps touch and whose recorders agree, and align what was merged.
 
-    The answer depends on the set of recordings, not on their order.
-
-    Args:
-        span: ``[from, to)`` of the vehicle's clock, ns: what cannot matter to windows in it may be left out. None is
-            all.
+    The answer depends on the set of recordings, not on their order. What cannot matter to windows in a span of the
+    vehicle's clock may be left out; None is all.
     """
     groups: list[list[Recording]] = []
     for recording in sorted(recordings, key=lambda r: (r.recorder_ns, r.digest)):

@@ -37,8 +37,7 @@ class ExportedRegistry:
 def export_registry(unit: SqlUnitOfWork, folder: str) -> ExportedRegistry:
     """Return the registry of a store as a file; what was voided is left out.
 
-    Args:
-        folder: In which the files that it names will be, relative to the registry file.
+    The files that it names will be in a folder, relative to the registry file.
     """
     registry, files = unit.registry, _Files(folder)
     serials = [one.serial for one in registry.wheelsets() if not registry.voided(one.serial)]

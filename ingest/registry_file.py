@@ -183,15 +183,8 @@ def load_registry(
 ) -> LoadedRegistry:
     """Read a registry file and store its contents; return them, and what they change.
 
-    Args:
-        path: The registry file; the files it names are relative to its folder.
-        entry: Who loads it, our time to tell the future by, and what has been confirmed; by default nobody, none and
-            nothing.
-
-    Raises:
-        RegistryRefusedError: A track file or a profile file cannot be read, a field is missing, unknown or impossible,
-            or a record refers to something that neither the file nor the store knows, or contradicts what is on file.
-            It lists everything; nothing has been committed then.
+    An entry says who loads it, our time to tell the future by, and what has been confirmed; by default nobody, none and
+    nothing. Raises RegistryRefusedError, which lists everything that is wrong; nothing has been committed then.
     """
     file = read_json(path)
     contents, refusals = _contents(file)

@@ -17,19 +17,13 @@ from ingest.assembly import Assembler, SpanAssembly, registry_lookup
 
 @dataclass(frozen=True, slots=True)
 class SpanChanges:
-    """How many windows of a span are not as they were.
-
-    Attributes:
-        new, changed, removed: Windows that were not there, have another content or mileage now, or are none any more.
-        healed: Windows whose file had been lost or damaged.
-        quarantined: Vehicles at which it failed, or that are not due yet after a failure.
-    """
+    """How many windows of a span are not as they were."""
 
     new: int = 0
-    changed: int = 0
+    changed: int = 0  # in content or mileage
     removed: int = 0
-    healed: int = 0
-    quarantined: int = 0
+    healed: int = 0  # their file had been lost or damaged
+    quarantined: int = 0  # vehicles at which it failed, or that are not due yet after a failure
 
     @property
     def windows(self) -> int:
@@ -49,8 +43,7 @@ def still_so(
 ) -> bool:
     """Whether recordings and registry are those that an assembly was made from.
 
-    Args:
-        coming: Receipts of recordings that will be stored with it.
+    ``coming`` are receipts of recordings that will be stored with it.
     """
     span = (assembly.from_ns, assembly.to_ns)
     decoded = [receipt for receipt in coming if receipt.first_ns is not None]
@@ -61,13 +54,10 @@ def still_so(
 
 
 def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, verify: bool = False) -> SpanChanges:
-    """Make the stored windows of a vehicle in a span those of an assembly.
+    """Make the stored windows of a vehicle in a span those of an assembly, in an open transaction.
 
-    Bin tables and positions of windows that are removed go with them; the jobs find what rested on those.
-
-    Args:
-        unit: An open transaction; nothing is committed here.
-        verify: Whether the files of windows that have not changed are read and checked.
+    Bin tables and positions of windows that are removed go with them; the jobs find what rested on those. With
+    ``verify`` the files of windows that have not changed are read and checked.
     """
     wanted = {_key(each.window): each for each in map(_assembled, assembly.windows)}
     wheelsets = {wheelset for wheelset, _ in wanted}

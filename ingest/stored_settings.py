@@ -8,19 +8,62 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 
-from estimation.errors import ParameterError
+from estimation.errors import CatalogueError, ParameterError
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.estimated_again import decode_undecoded
 from ingest.catalogue import Catalogue
-from ingest.own_bus.bus import BusChoice, OwnBus
+from ingest.own_bus.bus import OwnBus
 
 LENGTH, BUSES = "window_length_ns", "buses"
 OTHERS = ""  # stands for the classes without a bus of their own
 SECOND_NS = 1_000_000_000
 CHANGED = "the catalogue of its bus has changed"
+
+
+@dataclass(frozen=True, slots=True)
+class BusChoice:
+    """The buses of a deployment: those of some classes, and the one of all other classes.
+
+    Of the classes in ``missing``, and of all others where ``others_missing``, recordings were decoded with a mapping
+    file that this process was not given.
+    """
+
+    others: Catalogue
+    by_class: dict[str, OwnBus]
+    missing: frozenset[str] = frozenset()
+    others_missing: bool = False
+
+    def of_class(self, vehicle_class: str | None) -> Catalogue:
+        """Return the bus of a class; of a vehicle that the registry does not know, that of all other classes."""
+        found = self.others if vehicle_class is None else self.by_class.get(vehicle_class, self.others)
+        if vehicle_class in self.missing or (self.others_missing and found is self.others):
+            raise ParameterError(
+                f"recordings of class {vehicle_class!r} were decoded with a mapping file that is not given here:"
+                " name it in TREADWATCH_CATALOGUES, or with --catalogue",
+                field="catalogue",
+            )
+        return found
+
+    def of_vehicle(self, class_of: Callable[[str], str | None], vehicle: str) -> Catalogue:
+        """Return the bus of a vehicle; ``class_of`` gives the class of a vehicle, and is asked where that decides."""
+        return self.of_class(class_of(vehicle)) if self.by_class or self.missing or self.others_missing else self.others
+
+
+def bus_choice(shipped: Catalogue, buses: Sequence[OwnBus]) -> BusChoice:
+    """Return the choice among buses; the shipped one is that of classes without a bus of their own."""
+    by_class: dict[str, OwnBus] = {}
+    others = [bus for bus in buses if not bus.vehicle_classes]
+    if len(others) > 1:
+        raise CatalogueError("two mapping files name no class: of which vehicles are they?", field="vehicle_classes")
+    for bus in buses:
+        for code in bus.vehicle_classes:
+            if code in by_class:
+                raise CatalogueError(f"class {code!r} is in two mapping files", field="vehicle_classes")
+            by_class[code] = bus
+    return BusChoice(others[0] if others else shipped, by_class)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +96,10 @@ def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) ->
         check_window_length(unit, length_ns)
         found = _stored_buses(unit) if unit.settings.get(LENGTH) == str(length_ns) else None
     chosen: dict[str, Catalogue] = {OTHERS: buses.others, **buses.by_class}
-    given = {name: StoredBus(bus_digest(bus), isinstance(bus, OwnBus)) for name, bus in chosen.items()}
+    given = {
+        name: StoredBus(hashlib.sha256(repr(_plain(bus)).encode()).hexdigest(), isinstance(bus, OwnBus))
+        for name, bus in chosen.items()
+    }
     if found is None or _changed(found, given):
         with storage.write() as unit:
             unit.settings.alone()
@@ -71,11 +117,6 @@ def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) ->
             unit.settings.put(BUSES, text, now_ns)
     missing = {name for name, bus in found.items() if bus.own and not (name in given and given[name].own)}
     return replace(buses, missing=frozenset(missing - {OTHERS}), others_missing=OTHERS in missing)
-
-
-def bus_digest(bus: Catalogue) -> str:
-    """Return the digest of what decoding takes from a bus; the order of messages in a file does not matter."""
-    return hashlib.sha256(repr(_plain(bus)).encode()).hexdigest()
 
 
 def _changed(found: Mapping[str, StoredBus], given: Mapping[str, StoredBus]) -> list[str]:
@@ -100,6 +141,7 @@ def _stored_buses(unit: SqlUnitOfWork) -> dict[str, StoredBus] | None:
 
 
 def _plain(value: object) -> object:
+    """Return what decoding takes from a bus; the order of messages in a file does not matter."""
     if is_dataclass(value):
         names = [field.name for field in fields(value) if field.name != "vehicle_classes"]
         return [(name, _plain(getattr(value, name))) for name in names]

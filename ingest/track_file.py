@@ -37,11 +37,7 @@ CURVE_CANT_MM = 20.0
 def read_track_columns(path: Path) -> FloatArray:
     """Return (n, 3): distance, alignment (positive to the left), gauge deviation (actual minus nominal), all in m.
 
-    Further columns are ignored; blank lines are skipped.
-
-    Raises:
-        InputError: The file cannot be read, a column is missing, a cell is not a finite number, distances do not
-            increase, or there are fewer than eight rows; names file, line and column.
+    Further columns are ignored; blank lines are skipped. Errors name file, line and column.
     """
     table = _table(path, *_cells(path), COLUMNS, FEWEST_POINTS)
     return np.asarray(table * np.array([1.0, 1e-3, 1e-3]), dtype=np.float64)
@@ -59,9 +55,7 @@ def read_gauge_columns(path: Path) -> FloatArray | None:
 def read_layout_columns(path: Path) -> FloatArray | None:
     """Return (n, 3): distance in m, curvature in 1/m, cant in m; None where the file has no such columns.
 
-    Raises:
-        InputError: As ``read_track_columns``; or one of the two columns stands alone or has another name, or its
-            numbers are in another unit: radii, 1/m, cant in metres.
+    Refused as ``read_track_columns``, and where one column stands alone or numbers are in another unit.
     """
     header, lines = _cells(path)
     for name in header:
@@ -154,12 +148,7 @@ BEYOND_M = 50.0  # by which the points may reach beyond the ends of the section
 
 
 def read_line(path: Path, section: TrackSectionRecord) -> SectionLine:
-    """Return the line of a section, checked.
-
-    Raises:
-        InputError: As ``read_track_columns``; or a coordinate is out of range, the points are not on the section, too
-            far apart, or their places contradict their distances (jumps, exchanged columns, another unit).
-    """
+    """Return the line of a section; refused where it is not on the section, or places contradict distances."""
     table = _table(path, *_cells(path), LINE_COLUMNS, FEWEST_LINE_POINTS)
     if len(table) > MOST_LINE_POINTS:
         raise InputError(f"{len(table)} points, at most {MOST_LINE_POINTS} may be", file=path)

@@ -14,23 +14,29 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from estimation.errors import InputError, NotFoundError, ParameterError
 from estimation.values.fields import JsonValue
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
-from estimation.vehicle.kalker import (
+from estimation.vehicle.plausibility import (
     RAIL_CONDITION_STD,
     STEEL_POISSON_RATIO,
     STEEL_SHEAR_MODULUS,
     ContactRadii,
     ContactRadiiStd,
+    check_plausible,
     creep_coefficient_std,
     creep_coefficients,
 )
-from estimation.vehicle.plausibility import check_plausible
-from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, VehicleClass, default_relative_std
-from ingest.input_file import Code, InputFile, InputTable, NotNegative, Text, field_error, read_toml
+from estimation.vehicle.vehicle_class import (
+    GRAVITY,
+    Arrangement,
+    BogieParameters,
+    VehicleClass,
+    VehicleParameters,
+    default_relative_std,
+)
+from ingest.input_file import Code, InputFile, InputTable, NotNegative, Text, field_error, read_toml, refusing
 from ingest.vehicle_sensor_schema import SensorsTable
 
 WHEELS_OF_AN_AXLE = 2
@@ -38,13 +44,10 @@ LEAST, LARGEST = 1e-12, 1e12
 """Magnitudes in any unit: beyond them is no number of a vehicle, and squares and quotients overflow."""
 
 
-def _possible(value: float) -> float:
-    if value and not LEAST <= abs(value) <= LARGEST:
-        raise field_error(f"{value:g} is no number of a vehicle")
-    return value
-
-
-_Number = Annotated[float, AfterValidator(_possible)]
+_IMPOSSIBLE = refusing(
+    lambda value: value and not LEAST <= abs(value) <= LARGEST, "{value:g} is no number of a vehicle"
+)
+_Number = Annotated[float, _IMPOSSIBLE]
 
 
 class UncertainNumber(InputTable):
@@ -240,12 +243,6 @@ class VehicleClassEntry(InputTable):
 
     def _kalker(self) -> dict[str, tuple[float, float]]:
         """Return value and relative std of Kalker's coefficients by field of ``VehicleParameters``."""
-        radii, radii_std = self._kalker_radii()
-        rail_std = RAIL_CONDITION_STD if self.creep.relative_std is None else self.creep.relative_std
-        values, std = creep_coefficients(radii), creep_coefficient_std(radii, radii_std, rail_std)
-        return {field: (getattr(values, name), getattr(std, name)) for field, name in _CREEP_FIELDS.items()}
-
-    def _kalker_radii(self) -> tuple[ContactRadii, ContactRadiiStd]:
         creep = self.creep
         assert creep.rail_head_radius_mm is not None
         load, load_std = self._axle_load()
@@ -261,15 +258,18 @@ class VehicleClassEntry(InputTable):
                 shear_modulus=creep.shear_modulus_pa or STEEL_SHEAR_MODULUS,
                 poisson_ratio=STEEL_POISSON_RATIO if creep.poisson_ratio is None else creep.poisson_ratio,
             )
-            creep_coefficients(radii)
+            values = creep_coefficients(radii)
         except ParameterError as error:
             raise field_error(error.reason, "creep", "rail_head_radius_mm") from error
-        return radii, ContactRadiiStd(
+        radii_std = ContactRadiiStd(
             wheel_rolling_radius=rolling_std,
             rail_head_radius=creep.rail_head_radius_mm.relative_std or 0.0,
             wheel_load=load_std,
             wheel_transverse_radius=(across.relative_std or 0.0) if across else 0.0,
         )
+        rail_std = RAIL_CONDITION_STD if creep.relative_std is None else creep.relative_std
+        std = creep_coefficient_std(radii, radii_std, rail_std)
+        return {field: (getattr(values, name), getattr(std, name)) for field, name in _CREEP_FIELDS.items()}
 
 
 _CREEP_FIELDS: Mapping[str, str] = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from estimation.jobs.refresh_geometry import GEOMETRY
 from estimation.storage import UnitOfWork
-from estimation.values.results import Mark, StageInputs
+from estimation.values.runs import Mark, StageInputs
 
 INPUTS = StageInputs(GEOMETRY.name, GEOMETRY.kind, GEOMETRY.facets, "")
 

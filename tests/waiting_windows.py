@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from estimation.values.results import StageInputs
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import StageInputs, SubjectKind
 from estimation.values.windows import DueStage, WindowRecord, WindowState, key_of_text
 from fleet_db.storage import SqlUnitOfWork
 

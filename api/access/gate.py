@@ -17,8 +17,7 @@ from starlette.datastructures import Headers
 from starlette.types import Scope
 
 from api.access.caller import ANYONE, Caller, name_caller
-from api.access.key_ring import KeyRing, prefix_of
-from api.access.oidc import Tokens
+from api.access.key_ring import KeyRing, Tokens, prefix_of
 from api.problems import ProblemError
 from estimation.errors import TreadwatchError
 
@@ -102,32 +101,16 @@ class Opened:
     docs: Door = "key"
 
 
-@dataclass(frozen=True, slots=True)
-class _Passage:
-    """How a path is passed; ``of_all_fleets`` asks for a reading key that is bound to none."""
-
-    open: bool = False
-    shut: bool = False
-    of_all_fleets: bool = False
-
-    def check(self, caller: Caller) -> None:
-        """Refuse a caller who may not pass."""
-        if self.of_all_fleets and ("read" not in caller.scopes or caller.fleets is not None):
-            raise ProblemError(403, "forbidden", "this needs a key of all fleets with the scope 'read'")
-
-
-def door_of(opened: Opened, scope: Scope) -> _Passage:
+def door_of(opened: Opened, scope: Scope) -> Door:
     """Return how the path of a request is passed; with a key where nothing else is said."""
     path: str = scope["path"]
     if path in HEALTH or path in PAGE or path.startswith(PAGE_FILES):
-        return _Passage(open=True)  # also where the method is not allowed, which is then the answer
+        return "open"  # also where the method is not allowed, which is then the answer
     if scope["method"] not in READING:
-        return _Passage()
+        return "key"
     if path == METRICS:
-        return _Passage(open=opened.metrics == "open", shut=opened.metrics == "off", of_all_fleets=True)
-    if path in DOCUMENTS or path.startswith(DOCUMENT_FILES):
-        return _Passage(open=opened.docs == "open", shut=opened.docs == "off")
-    return _Passage()
+        return opened.metrics
+    return opened.docs if path in DOCUMENTS or path.startswith(DOCUMENT_FILES) else "key"
 
 
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
@@ -195,9 +178,9 @@ class Gate:
         """Let a request in and name its caller."""
         self.hosts.check(scope)
         door = door_of(self.doors, scope)
-        if door.shut:
+        if door == "off":
             raise ProblemError(404, "not-found", "Not Found")
-        if self.keys is None or door.open:
+        if self.keys is None or door == "open":
             name_caller(scope, ANYONE)
             return
         caller = await self._caller(scope, self.keys)
@@ -206,7 +189,9 @@ class Gate:
         wait_s = self.requests.take(caller.identity or "", time.monotonic())
         if wait_s is not None:
             raise _too_often("requests_per_s", f"{self.requests.per_s:g} requests a second of a key", wait_s)
-        door.check(caller)
+        for_all = scope["path"] == METRICS and scope["method"] in READING
+        if for_all and ("read" not in caller.scopes or caller.fleets is not None):
+            raise ProblemError(403, "forbidden", "this needs a key of all fleets with the scope 'read'")
 
     async def _caller(self, scope: Scope, keys: KeyRing) -> Caller:
         given = Headers(scope=scope).get("authorization")

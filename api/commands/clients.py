@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-keys = typer.Typer(no_args_is_help=True, help="Make, list and revoke keys of the REST API.", rich_markup_mode=None)
+keys = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 
 @keys.command("create")
@@ -41,7 +41,7 @@ def revoke_key(prefix: Annotated[str, typer.Argument(help="Prefix of the key.")]
     revoke_and_print(prefix)
 
 
-webhooks = typer.Typer(no_args_is_help=True, help="Send what happens to alerts to a URL.", rich_markup_mode=None)
+webhooks = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 Number = Annotated[int, typer.Argument(help="Number of the webhook.", min=1)]
 
 
@@ -142,8 +142,7 @@ def feed(
 
     import httpx
 
-    from api.feed_client import Follower
-    from api.terminal.feed import Lines, read_state
+    from api.feed_client import Follower, Lines, read_state
     from estimation.errors import ParameterError
 
     if not url.startswith(("http://", "https://")):

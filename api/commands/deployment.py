@@ -1,16 +1,18 @@
-"""Subcommands of a deployment: its database, backups, compiled code, settings, and the OpenAPI document."""
+"""Subcommands of a deployment: its processes, database, backups, compiled code, settings, and the OpenAPI document."""
 
 from __future__ import annotations
 
+import json
 import time
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from estimation.errors import StorageError
+from estimation.errors import ParameterError, StorageError
 
-db = typer.Typer(no_args_is_help=True, help="Upgrade, check, measure or purge the database.", rich_markup_mode=None)
+db = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 
 @db.command("upgrade")
@@ -102,7 +104,6 @@ def restore(
 
 def compile() -> None:  # noqa: A001 - the name of the command
     """Compile every kernel into TREADWATCH_COMPILED_DIR, or load what is already there."""
-    from api.compiled_code import compile_kernels
     from estimation.compiled import COUNTS, directories
 
     started = time.process_time()
@@ -112,6 +113,41 @@ def compile() -> None:  # noqa: A001 - the name of the command
     typer.echo(
         f"{COUNTS.compiled} compiled, {COUNTS.loaded} already there, {time.process_time() - started:.1f} s of CPU"
     )
+
+
+SIGNATURES = Path(__file__).parents[1] / "kernel_signatures.json"
+"""A test compares it with runs of every kernel."""
+
+
+def compile_kernels() -> None:
+    """Compile every kernel with every type of arguments, or load what is already there."""
+    for name, signatures in json.loads(SIGNATURES.read_text(encoding="utf-8")).items():
+        kernel = _named(name)
+        for signature in signatures:
+            kernel.compile(tuple(_type_of(described) for described in signature))
+
+
+def _named(path: str) -> Any:  # noqa: ANN401 - a compiled function, or a class
+    module, _, name = path.rpartition(".")
+    return getattr(import_module(module), name)
+
+
+def _type_of(described: Any) -> Any:  # noqa: ANN401 - JSON, and a type of numba
+    """Return a type: a scalar, an array with its dimensions, a tuple of types, or a named tuple by its class."""
+    import numba
+    import numpy as np
+
+    types: Any = numba.types
+    if isinstance(described, dict):
+        ((name, parts),) = described.items()
+        return types.BaseTuple.from_types([_type_of(part) for part in parts], pyclass=_named(name))
+    if isinstance(described, list):
+        return types.BaseTuple.from_types([_type_of(part) for part in described])
+    kind, *dimensions = described.split()
+    scalar = numba.from_dtype(np.dtype(kind))
+    if not dimensions:
+        return scalar
+    return types.Array(scalar, int(dimensions[0]), "C", readonly="readonly" in dimensions)
 
 
 def settings() -> None:
@@ -135,3 +171,113 @@ def openapi(
     with as_file(files("api") / COMMITTED) as path:
         path.write_text(document_text(), encoding="utf-8")
         typer.echo(f"written: {path}")
+
+
+Workers = Annotated[
+    str | None,
+    typer.Option(
+        help="Processes that estimate; auto is one for each processor.  [env var: TREADWATCH_WORKERS; default: 1]"
+    ),
+]
+DaskScheduler = Annotated[
+    str | None,
+    typer.Option(
+        help=(
+            "Address of a Dask scheduler whose workers estimate instead.  "
+            "[env var: TREADWATCH_DASK_SCHEDULER; default: none]"
+        )
+    ),
+]
+
+
+def serve(
+    *,
+    host: Annotated[
+        str | None, typer.Option(help="Address to listen on.  [env var: TREADWATCH_HOST; default: 127.0.0.1]")
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(help="Port to listen on; 0 takes a free one.  [env var: TREADWATCH_PORT; default: 8000]"),
+    ] = None,
+) -> None:
+    """Serve the REST API; its documentation is on /docs."""
+    from api import factory, logs
+    from api.settings import load_settings
+    from api.terminal.store import begun
+
+    settings = load_settings(host=host, port=port)
+    stopping = begun(settings)  # the server hands its signal on when it has stopped
+    with logs.in_background():
+        factory.serve(settings, stopping)
+
+
+def schedule(
+    *,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Stand by while another scheduler is at work, and take its place.")
+    ] = False,
+    workers: Workers = None,
+    dask_scheduler: DaskScheduler = None,
+) -> None:
+    """Run the jobs on schedule until asked to stop; refused where another scheduler is at work on the database."""
+    from contextlib import closing
+    from dataclasses import replace
+
+    from api.factory import job_context, process_name, scheduled_jobs, upkeep_jobs
+    from api.settings import load_settings
+    from api.terminal.store import begun, executor_of, store_once_it_answers
+    from estimation.jobs.scheduler import serve_jobs
+
+    settings = load_settings(workers=workers, dask_scheduler=dask_scheduler)
+    stopping = begun(settings)
+    opened = store_once_it_answers(settings, stopping)
+    if opened is None:
+        return
+    with closing(opened) as storage, executor_of(settings) as executor:
+        context = replace(job_context(settings, storage), executor=executor)
+        jobs = (*scheduled_jobs(settings), *upkeep_jobs(settings))
+        serve_jobs(context, jobs, stopping, holder=process_name(), wait=wait)
+
+
+def worker(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -> None:
+    """Let processes of this machine work for a Dask scheduler; each has the settings of this environment."""
+    import threading
+
+    from api import logs
+    from api.settings import load_settings
+    from api.terminal.store import store_once_it_answers
+    from api.workers.on_dask import serve_dask
+    from estimation.jobs.stop_signals import stop_on_signals
+
+    settings = load_settings(workers=workers, dask_scheduler=dask_scheduler)
+    if settings.dask_scheduler is None:
+        raise ParameterError("is needed: the address of the Dask scheduler", field="--dask-scheduler")
+    logs.configure(settings)
+    stopping = threading.Event()
+    stop_on_signals(stopping)
+    opened = store_once_it_answers(settings, stopping)
+    if opened is not None:
+        opened.close()
+        serve_dask(settings.dask_scheduler, settings, stopping)
+
+
+def estimate(
+    *,
+    job: Annotated[str | None, typer.Option(help="Only this job, such as estimate_windows.")] = None,
+    reasons: Annotated[
+        bool, typer.Option("--reasons", help="Run nothing; say of every wheelset without an estimate why it has none.")
+    ] = False,
+    workers: Workers = None,
+    dask_scheduler: DaskScheduler = None,
+) -> None:
+    """Run every job once, now, in the order in which one hands its results to the next; say what has no estimate."""
+    from api.settings import load_settings
+    from api.terminal.estimate import print_each, run_jobs_once
+
+    if reasons:
+        if job is not None:
+            raise ParameterError("runs nothing: leave --job out", field="--reasons")
+        print_each(load_settings())
+        return
+    if not run_jobs_once(job, load_settings(workers=workers, dask_scheduler=dask_scheduler)):
+        raise typer.Exit(1)

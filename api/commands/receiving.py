@@ -99,11 +99,7 @@ def _buses(
     return [LiveBus(interface, one, of, chunk_seconds) for one, of in pairs]
 
 
-chunk = typer.Typer(
-    no_args_is_help=True,
-    help="Watch a drop folder, decode what is received, consume a Kafka topic, scrub raw files.",
-    rich_markup_mode=None,
-)
+chunk = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 
 @chunk.command("drop")
@@ -150,7 +146,7 @@ def consume_references(
 
     Any number of these may run; they share the partitions of TREADWATCH_KAFKA_TOPIC.
     """
-    from api.terminal.consume import consume
+    from api.terminal.chunks import consume
     from api.terminal.health_server import HealthAddress
 
     consume(None if health_port is None else HealthAddress(health_host, health_port))
@@ -197,7 +193,7 @@ def reassemble(
     reassemble_and_report(vehicle, begin, end)
 
 
-recordings = typer.Typer(no_args_is_help=True, help="List and correct what was received.", rich_markup_mode=None)
+recordings = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 _Digest = Annotated[str, typer.Argument(metavar="DIGEST", help="Digest of the recording, or the begin of it.")]
 _Why = Annotated[str, typer.Option(help="Why; kept with the change.")]
@@ -283,7 +279,7 @@ def delete_recording(digest: _Digest, *, why: _Why, actor: _Actor = "") -> None:
     correct_and_report(RecordingAction.DELETE, digest, actor, why)
 
 
-quarantine = typer.Typer(no_args_is_help=True, help="List and retry what failed by itself.", rich_markup_mode=None)
+quarantine = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 
 @quarantine.command("list")

@@ -13,7 +13,7 @@ from ingest.registry_entry.contents import CONFIRMABLE, Rule
 
 _DOUBTS = ", ".join(sorted(CONFIRMABLE))
 
-registry = typer.Typer(no_args_is_help=True, help="Load and correct the registry.", rich_markup_mode=None)
+registry = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 _Kind = Annotated[RecordKind, typer.Argument(help="What kind of record.")]
 _Subject = Annotated[str, typer.Argument(metavar="NAME", help="Serial of the wheelset, or code of the section.")]
@@ -86,7 +86,7 @@ def history(subject: Annotated[str | None, typer.Argument(metavar="[NAME]", help
         typer.echo(line)
 
 
-vehicle = typer.Typer(no_args_is_help=True, help="List, show and check vehicle classes.", rich_markup_mode=None)
+vehicle = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 _Class = Annotated[str, typer.Argument(metavar="FILE|NAME", help="A TOML file, or the name of a shipped class.")]
 _Name = Annotated[str, typer.Argument(metavar="NAME", help="The name of a shipped class.")]
@@ -118,9 +118,7 @@ def check_class(file: _Class, speed: _Speed = 20.0, conicity: _Conicity = 0.2) -
     typer.echo(check_report(named_class(file), speed, conicity))
 
 
-rules = typer.Typer(
-    no_args_is_help=True, help="Check alert rules, and try them on what is stored.", rich_markup_mode=None
-)
+rules = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 
 @rules.command("check")
@@ -138,7 +136,7 @@ def show_rules() -> None:
     from api.rules_file import load_rules
     from api.settings import load_settings
     from api.terminal.rules import print_rules
-    from estimation.alerts.rules.book import RuleBook
+    from estimation.alerts.rule_book import RuleBook
 
     file = load_settings().rules_file
     print_rules(RuleBook() if file is None else load_rules(file))

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from api.progress import bar
+from api.terminal.progress import bar
 from estimation.contact.method import ContactMethod
 from estimation.errors import ParameterError
 from ingest.profiles.formats import format_names

@@ -103,7 +103,21 @@ def as_json(studies: Sequence[PairStudy], scenario: str) -> dict[str, JsonValue]
                 "seed": study.seed,
                 "track_seconds": round(study.track_seconds, 3),
                 "unestimated": {track.value: reason for track, reason in study.unestimated.items()},
-                "scores": [_score(score) for score in study.scores],
+                "scores": [
+                    {
+                        "track": score.track.value,
+                        "estimator": score.estimator,
+                        "median_error": _number(score.median),
+                        "p95_error": _number(score.p95),
+                        "coverage": _number(score.coverage),
+                        "amplitudes": score.amplitudes,
+                        "estimated": score.estimated,
+                        "wheelsets": score.wheelsets,
+                        "seconds": round(score.seconds, 3),
+                        "errors": [_number(error) for error in score.by_wheelset],
+                    }
+                    for score in study.scores
+                ],
             }
             for study in studies
         ],
@@ -135,21 +149,6 @@ def _winner(study: PairStudy, track: TrackInformation) -> str:
         f"{where}: a baseline wins, {named[best.estimator]} ({figures}); "
         f"{named[SHIPPED]} reach {product.p95:.4f}, median {product.median:.4f}."
     )
-
-
-def _score(score: Score) -> dict[str, JsonValue]:
-    return {
-        "track": score.track.value,
-        "estimator": score.estimator,
-        "median_error": _number(score.median),
-        "p95_error": _number(score.p95),
-        "coverage": _number(score.coverage),
-        "amplitudes": score.amplitudes,
-        "estimated": score.estimated,
-        "wheelsets": score.wheelsets,
-        "seconds": round(score.seconds, 3),
-        "errors": [_number(error) for error in score.by_wheelset],
-    }
 
 
 def _number(value: float) -> float | None:

@@ -13,12 +13,12 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from api.comparison.current_geometry import geometry_by
 from api.comparison.trial import (
     ESTIMATION,
     Progress,
     copied,
     deploy,
+    geometry_by,
     no_progress,
     opened,
     receive,
@@ -26,7 +26,6 @@ from api.comparison.trial import (
     register,
     run_jobs,
 )
-from estimation.errors import NotFoundError
 from estimation.estimators.catalogue import estimators
 from estimation.jobs.job import JobContext
 from estimation.storage import Storage
@@ -40,11 +39,9 @@ AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1.0 to 3.
 
 @dataclass(frozen=True, slots=True)
 class TrueWheelset(FrozenArrays):
-    """The true geometry of a wheelset at nominal gauge, and where it runs."""
+    """The true geometry of a wheelset at nominal gauge."""
 
     serial: str
-    vehicle: str
-    axle: int  # from 1
     displacement: Annotated[FloatArray, "n"]  # m, y - d
     difference: Annotated[FloatArray, "n"]  # m, rL - rR
     radius_sum: Annotated[FloatArray, "n"]  # m
@@ -56,12 +53,10 @@ class TrueWheelset(FrozenArrays):
     zero_crossing: float  # m
 
 
-def read_truth(path: Path, campaign: int = 1) -> tuple[TrueWheelset, ...]:
-    """Return what is true of every wheelset by the ``truth.json`` of a simulation, in the order of their serials."""
+def read_truth(path: Path) -> tuple[TrueWheelset, ...]:
+    """Return what is true of every wheelset in the first campaign of a simulation, in the order of their serials."""
     wheelsets = json.loads(path.read_text(encoding="utf-8"))["wheelsets"]
-    found = [_wheelset(item, one) for item in wheelsets for one in item["campaigns"] if one["campaign"] == campaign]
-    if len(found) < len(wheelsets):
-        raise NotFoundError("campaign", str(campaign))
+    found = [_wheelset(item["serial"], one) for item in wheelsets for one in item["campaigns"] if one["campaign"] == 1]
     return tuple(sorted(found, key=lambda item: item.serial))
 
 
@@ -79,14 +74,12 @@ def conicity_errors(found: WheelsetGeometry, truth: TrueWheelset) -> list[tuple[
     return compared
 
 
-def _wheelset(wheelset: dict[str, Any], facts: dict[str, Any]) -> TrueWheelset:
+def _wheelset(serial: str, facts: dict[str, Any]) -> TrueWheelset:
     conicity = np.array([np.nan if value is None else value for value in facts["equivalent_conicity"]])
     known = 1e-3 * np.array(facts["amplitude_mm"])
     chosen = [int(np.argmin(np.abs(known - amplitude))) for amplitude in AMPLITUDES]
     return TrueWheelset(
-        serial=wheelset["serial"],
-        vehicle=wheelset["vehicle"],
-        axle=wheelset["axle"],
+        serial=serial,
         displacement=1e-3 * np.array(facts["lateral_displacement_mm"]),
         difference=1e-3 * np.array(facts["rolling_radius_difference_mm"]),
         radius_sum=1e-3 * np.array(facts["rolling_radius_sum_mm"]),
@@ -166,7 +159,7 @@ class PairStudy:
     example: Example
 
 
-def study(scenario: Scenario, cache: Path, progress: Progress = no_progress, workers: int | None = None) -> PairStudy:
+def study(scenario: Scenario, cache: Path, progress: Progress = no_progress) -> PairStudy:
     """Compare the estimators on one seed of a scenario.
 
     The recordings are received once. Alignment, windows and geometries are those of the scheduled jobs; each estimator
@@ -176,7 +169,7 @@ def study(scenario: Scenario, cache: Path, progress: Progress = no_progress, wor
     def show(what: str, done: int, of: int) -> None:
         progress(f"{scenario.pair}: {what}", done, of)
 
-    recorded = record(scenario, cache, workers=workers, progress=show)
+    recorded = record(scenario, cache, progress=show)
     truths = read_truth(recorded.truth)
     shown = truths[3 * len(truths) // 4]
     scores: list[Score] = []
@@ -255,7 +248,6 @@ def _scored(
 
 
 def _why(storage: Storage, truths: Sequence[TrueWheelset]) -> str:
-    """Return why the windows of the first wheelset are refused, or wait."""
     with storage.read() as unit:
         newest = unit.windows.latest(truths[0].serial)
     if newest is None:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import urllib.error
 import urllib.parse
-import urllib.request
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 from rich import box
 from rich.console import Console
@@ -75,22 +74,10 @@ def true_campaigns(truth: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def get(service: ServiceAddress, path: str) -> Any:  # noqa: ANN401 - JSON
-    """Return the JSON of one GET."""
-    headers = {} if service.key is None else {"Authorization": f"Bearer {service.key}"}
-    asked = urllib.request.Request(service.url + path, headers=headers)  # noqa: S310 - our own server
-    with urllib.request.urlopen(asked, timeout=30) as answer:  # noqa: S310 - the same
-        return json.load(answer)
-
-
-def get_if_any(service: ServiceAddress, path: str) -> Any:  # noqa: ANN401 - JSON
     """Return the JSON of one GET; None where there is no such thing yet."""
-    try:
-        return get(service, path)
-    except urllib.error.HTTPError as error:
-        error.close()
-        if error.code != HTTPStatus.NOT_FOUND:
-            raise
-        return None
+    headers = {} if service.key is None else {"Authorization": f"Bearer {service.key}"}
+    answer = httpx.get(service.url + path, headers=headers, timeout=30.0, trust_env=False)
+    return None if answer.status_code == HTTPStatus.NOT_FOUND else answer.raise_for_status().json()
 
 
 def _path(*parts: str) -> str:
@@ -119,7 +106,6 @@ def _line(service: ServiceAddress, serial: str, campaigns: list[dict[str, Any]])
 
 
 def _standing(alert: dict[str, Any]) -> str:
-    """Return the severity, and the condition where the data do not show the matter now."""
     condition, severity = str(alert["condition"]), str(alert["severity"])
     return severity if condition == "active" else f"{severity}, {condition}"
 
@@ -193,8 +179,6 @@ def _estimate_cells(line: WheelsetLine) -> list[str]:
 
 AMPLITUDE_MM = 3.0  # of the conicity by signatures
 NAMED = 3  # wheelsets of the library
-
-
 SecondOpinion = tuple[str, bool | None]  # a sentence, and whether what it states is true; None: no interval
 
 
@@ -214,11 +198,10 @@ def second_opinions(
 def _by_signature(
     service: ServiceAddress, serial: str, true: Mapping[str, Sequence[Mapping[str, Any]]]
 ) -> SecondOpinion | None:
-    """Return what the signature of a wheelset says, where its geometry says nothing."""
     geometry = get(service, _path("wheelsets", serial, "geometry"))
     if geometry["equivalent_conicity_1"]["value"] is not None:
         return None
-    signature = get_if_any(service, _path("wheelsets", serial, "signature"))
+    signature = get(service, _path("wheelsets", serial, "signature"))
     reason = geometry["equivalent_conicity_1"]["reason"].rstrip(".")
     head = f"{serial}: no geometry ({reason})"
     if signature is None:
@@ -259,8 +242,13 @@ def track_lines(service: ServiceAddress) -> list[str]:
 
 def _section_line(service: ServiceAddress, section: dict[str, Any]) -> str:
     at = _path("track-sections", section["code"])
-    versions = _versions(service, f"{at}/alignments?limit=1000")
-    report = get_if_any(service, f"{at}/alignment-report")
+    versions: list[dict[str, Any]] = []
+    following: str | None = f"{at}/alignments?limit=1000"
+    while following is not None:
+        page = get(service, following)
+        versions += page["items"]
+        following = page["next"]
+    report = get(service, f"{at}/alignment-report")
     head = f"track {section['code']}, {section['length_m'] / 1000:g} km"
     if not versions:
         reason = f": {report['reason']}" if report and report["reason"] else ""
@@ -275,16 +263,6 @@ def _section_line(service: ServiceAddress, section: dict[str, Any]) -> str:
     how = "the surveyed alignment is not used" if Status.ESTIMATED in filed else "not surveyed"
     how = "the gauge alone is on file" if filed == {Status.UNESTIMATED} else how
     return f"{head}: {how}; the fleet has found its alignment, {_alignment_words(newest, report)}"
-
-
-def _versions(service: ServiceAddress, path: str) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = []
-    following: str | None = path
-    while following is not None:
-        page = get(service, following)
-        found += page["items"]
-        following = page["next"]
-    return found
 
 
 def _alignment_words(newest: dict[str, Any], report: dict[str, Any] | None) -> str:

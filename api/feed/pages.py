@@ -75,8 +75,6 @@ def _set(values: Sequence[str] | None) -> frozenset[str]:
 
 
 FeedFilterDep = Annotated[FeedFilter, Depends(_feed_filter)]
-
-
 _FORM = re.compile(r"(?P<sequence>\d{1,19})\.(?P<identity>[0-9a-f]{32})\.(?P<check>[0-9a-f]{8})", re.ASCII)
 _NO_EVENT = "0" * 8
 FEED = "poll_alert_feed"
@@ -234,10 +232,8 @@ def read_kept(
     else:
         last = found[-1]
         key = ("cursor", last.sequence, last.alert_id, last.recorded_ns, branch.identity, narrowed)
-        text = cache.get_or_make(key, lambda: _cursor(unit, narrowed, branch, last.sequence))
+        text = cache.get_or_make(
+            key, lambda: cursor_behind(narrowed, branch, unit.alerts.event(last.sequence)).encode()
+        )
         end = Place(last.sequence, text.decode())
     return KeptPage([texts[one.sequence] for one in found], end)
-
-
-def _cursor(unit: SqlUnitOfWork, narrowed: FeedFilter, branch: FeedBranch, sequence: int) -> bytes:
-    return cursor_behind(narrowed, branch, unit.alerts.event(sequence)).encode()

@@ -309,6 +309,5 @@ class FeedStream:
 
 
 def _text(page: FeedPage) -> bytes:
-    """Return events with the cursor of the last, or the cursor alone."""
     sent = b"".join(as_sent(event, cursor) for event, cursor in page.events)
     return sent or f": nothing yet\nid: {page.end.cursor}\n\n".encode()

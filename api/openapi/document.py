@@ -15,11 +15,92 @@ from api.access.caller import Scope, scope_of
 from api.access.gate import HEALTH
 from api.answers import columns_of, item_of
 from api.contract import CSV
-from api.openapi.words import describe_properties
 from api.problems import PROBLEM_MEDIA_TYPE, TYPES, Problem
 from api.schemas.common import Uncertain
 from estimation.values.alerts import CloseReason, Urgency
 from estimation.values.reasons import ReasonCode
+
+WORDS: Mapping[str, str] = {
+    "acknowledged_at": "When it was acknowledged; null while it is not.",
+    "acknowledged_by": "Who acknowledged it; null while nobody has.",
+    "amplitude_mm": "Amplitude of the lateral motion of the wheelset.",
+    "axle": "Number of the axle on its vehicle, from 1 at the front.",
+    "axles": "Number of axles.",
+    "baseline": "Number of reprofilings before it: results of different baselines are not compared.",
+    "cleared_at": "When the condition cleared; null while it has not.",
+    "closed_at": "When it was closed; null while it is open.",
+    "close_reason": "Why it was closed, as a sentence; null while it is open.",
+    "close_reason_code": "Why it was closed; null while it is open.",
+    "code": "Code, unique among its kind.",
+    "code_version": "Version of the mathematics that computed it.",
+    "condition": "What the data say now.",
+    "counts": "How many of what the run has handled.",
+    "date_of_limit": "When the limit is reached.",
+    "distance_to_limit_km": "Distance still to run until the limit is reached.",
+    "display_state": "One word for a list on a screen.",
+    "event": "What happened.",
+    "external_refs": "Identities that maintenance systems gave to their work on it.",
+    "fleet": "Code of the fleet.",
+    "gauge_known": "Whether the track gauge along the section is on file.",
+    "id": "Number, unique among its kind.",
+    "input_digest": "Digest of everything that it was computed from.",
+    "items": "The items of this page, in the order of the list.",
+    "kind": "Which kind.",
+    "last_seen_at": "When the data said so last.",
+    "max_speed_m_s": "Highest permitted speed.",
+    "measured_at": "When it was measured.",
+    "measured_from": "Beginning of the measurements, on the vehicle's clock.",
+    "measured_to": "End of the measurements, on the vehicle's clock; not included.",
+    "mileage_km": "Mileage of the wheelset since it was new.",
+    "mounting": "Where it runs now; null where it is on no vehicle.",
+    "n_windows": "Number of windows behind it.",
+    "name": "Name.",
+    "nominal_gauge_mm": "Nominal track gauge.",
+    "nominal_radius_mm": "Nominal rolling radius.",
+    "note": "What the person who recorded it wrote.",
+    "occurrence_count": "How many evaluations in a row or apart have found it.",
+    "opened_at": "When the data said so for the first time.",
+    "p10": "The 10 % quantile; null where it is beyond the horizon or unknown.",
+    "p50": "The median; null where it is beyond the horizon or unknown.",
+    "p90": "The 90 % quantile; null where it is beyond the horizon or unknown.",
+    "passes": "Number of passes.",
+    "probability_1": "Probability that the condition holds; null where none is computed.",
+    "quality": "What the gates looked at.",
+    "rail_inclination_1": "Inclination of the rails.",
+    "rail_profile": "Name of the rail profile.",
+    "reason": "Why there is no value, or what limits it, as a sentence; null where nothing does.",
+    "reason_code": "The reason as a stable code; null where there is none.",
+    "recorded_at": "When it was recorded, on the server's clock, in the order of commits.",
+    "reprofiled_at": "When it was on the lathe.",
+    "reprofilings": "Its visits to the lathe, oldest first.",
+    "residual_rms_mm": "Root mean square of what the estimate leaves unexplained; null where unknown.",
+    "rounds": "Rounds of the iteration.",
+    "section": "Code of the track section.",
+    "sensors": "The sensors of each node.",
+    "serial": "Serial of the wheelset.",
+    "severity": "How urgent it is.",
+    "shelved_reason": "Why it is shelved; null while it is not.",
+    "shelved_until": "Until when it is out of sight; null while it is not shelved.",
+    "source": "Where it comes from.",
+    "state": "In which state it is.",
+    "status": "Whether there is an estimate.",
+    "track_section": "Code of the track section; null where none is known.",
+    "urgency": "How urgent it is, as a class.",
+    "vehicle": "Code of the vehicle.",
+    "version": "Version; each change makes the next.",
+    "wheel_profile": "Name of the design profile of the wheels.",
+    "wheelset": "Serial of the wheelset.",
+    "work": "What was done to the sensors.",
+}
+
+
+def describe_properties(schemas: Mapping[str, Any]) -> None:
+    """Describe every property that is not described where it is declared and has a word here."""
+    for schema in schemas.values():
+        for field, described in schema.get("properties", {}).items():
+            if field in WORDS:
+                described.setdefault("description", WORDS[field])
+
 
 RESPONSE_HEADERS: Mapping[str, str] = {
     "Allow": "The methods of this path.",
@@ -49,6 +130,7 @@ _HEADERS_OF_STATUS: Mapping[str, tuple[str, ...]] = {
 }
 _PAGED = "next_cursor"
 IF_MATCH = "If-Match"
+EVENT_STREAM = "text/event-stream"
 
 
 def _describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[str, Any]) -> None:
@@ -62,7 +144,7 @@ def _describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[s
             parameter["schema"] = {"type": "string", "title": IF_MATCH, "examples": ['"9f86d081884c7d65"']}
     for status, response in operation["responses"].items():
         names = {"X-Request-Id", *_HEADERS_OF_STATUS.get(status, ())}
-        if "text/event-stream" in response.get("content", {}):
+        if EVENT_STREAM in response.get("content", {}):
             names = {"X-Request-Id", *_STREAM}
         if status.startswith("2") and method.upper() == HTTPMethod.POST:
             names.add("Idempotency-Replayed")
@@ -71,10 +153,6 @@ def _describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[s
         described = response.setdefault("headers", {})
         for name in sorted(names):
             described.setdefault(name, {"$ref": f"#/components/headers/{name}"})
-
-
-def _header_components() -> dict[str, Any]:
-    return {name: {"description": text, "schema": {"type": "string"}} for name, text in RESPONSE_HEADERS.items()}
 
 
 def _is_page(response: Mapping[str, Any], schemas: Mapping[str, Any]) -> bool:
@@ -121,14 +199,6 @@ def scopes_of(routers: Iterable[APIRouter]) -> dict[str, Scope]:
     return found
 
 
-def _describe_access(document: dict[str, Any], scopes: Mapping[str, Scope]) -> None:
-    document["components"]["securitySchemes"] = {KEY: SCHEME}
-    for path, operations in document["paths"].items():
-        for operation in operations.values():
-            scope = scopes.get(operation["operationId"], Scope.READ)
-            operation["security"] = [] if path in HEALTH else [{KEY: [scope.value]}]
-
-
 _OF_STATUS: Mapping[str, str] = {
     "400": "invalid-cursor",
     "401": "unauthenticated",
@@ -150,13 +220,6 @@ _OF_STATUS: Mapping[str, str] = {
 }
 _FEED = ("poll_alert_feed", "stream_alert_feed")
 _POINTED = [{"in": "query", "pointer": "#/limit", "detail": "Input should be less than or equal to 1000"}]
-
-
-def _describe_problems(path: str, operation: dict[str, Any]) -> None:
-    for status, response in operation["responses"].items():
-        content = response.get("content", {}).get(PROBLEM_MEDIA_TYPE)
-        if content is not None:
-            content.setdefault("example", _example(path, status, operation["operationId"]))
 
 
 def _example(path: str, status: str, name: str) -> dict[str, Any]:
@@ -206,33 +269,29 @@ def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
     found["components"]["schemas"] = dict(sorted(schemas.items()))
-    found["components"]["headers"] = _header_components()
+    found["components"]["headers"] = {
+        name: {"description": text, "schema": {"type": "string"}} for name, text in RESPONSE_HEADERS.items()
+    }
     describe_properties(found["components"]["schemas"])
-    _describe_access(found, scopes)
+    found["components"]["securitySchemes"] = {KEY: SCHEME}
     for path, operations in found["paths"].items():
         for method, operation in operations.items():
-            _describe_unchanged(operation)
+            scope = scopes.get(operation["operationId"], Scope.READ)
+            operation["security"] = [] if path in HEALTH else [{KEY: [scope.value]}]
+            if any(entry["name"] == "If-None-Match" for entry in operation.get("parameters", ())):
+                operation["responses"]["304"] = {"description": "The client holds it as it is."}
+            operation["responses"] = dict(sorted(operation["responses"].items()))
             _describe_headers(method, operation, found["components"]["schemas"])
-            _describe_problems(path, operation)
-            _leave_streams_open(operation)
+            for status, response in operation["responses"].items():
+                content = response.get("content", {})
+                if PROBLEM_MEDIA_TYPE in content:
+                    content[PROBLEM_MEDIA_TYPE].setdefault("example", _example(path, status, operation["operationId"]))
+                if EVENT_STREAM in content:  # checkers of documents apply the framework's type to each event
+                    content[EVENT_STREAM]["schema"].pop("type", None)
     return found
-
-
-def _leave_streams_open(operation: dict[str, Any]) -> None:
-    """Leave out the type that the framework gives a stream: checkers of documents apply it to each event."""
-    for response in operation["responses"].values():
-        stream = response.get("content", {}).get("text/event-stream")
-        if stream is not None:
-            stream["schema"].pop("type", None)
 
 
 def _described(codes: type[ReasonCode | CloseReason | Urgency]) -> str:
     meant = (code.sentence if isinstance(code, CloseReason) else code.meaning for code in codes)
     lines = (f"- `{code.value}`: {meaning}" for code, meaning in zip(codes, meant, strict=True))
     return "\n".join(("Stable codes; their sentences may be reworded.", "", *lines))
-
-
-def _describe_unchanged(operation: dict[str, Any]) -> None:
-    if any(entry["name"] == "If-None-Match" for entry in operation.get("parameters", ())):
-        operation["responses"]["304"] = {"description": "The client holds it as it is."}
-    operation["responses"] = dict(sorted(operation["responses"].items()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from http import HTTPStatus
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field, Strict, StringConstraints
@@ -14,8 +14,7 @@ from api.access.key_ring import Wanted, make_key
 from api.answers import answer
 from api.asking import CODE, AskedDep, AskedListDep, require_order
 from api.problems import described
-from api.schemas.common import Body, Links, Page
-from api.schemas.derived import Derived
+from api.schemas.common import Body, Derived, Page
 from api.services import ServicesDep, writer_slot
 from api.times import Moment
 from fleet_db.records import ApiKey, AuditEntry
@@ -32,11 +31,11 @@ class Key(
     of=ApiKey,
     without=("digest",),
     columns="prefix owner scopes fleets created_at created_by expires_at revoked_at last_used_at links",
+    links={"self": "/v1/keys/{prefix}"},
 ):
     """A key, without its secret."""
 
     scopes: list[Scope] = Field(description="What it allows; each scope stands for itself alone.")
-    links: Links
 
 
 class NewKey(Body):
@@ -61,14 +60,11 @@ class AuditRecord(
 
 
 def _shown(record: ApiKey) -> Key:
-    return Key.made(record, **_own(record))
+    return Key.made(record, scopes=_scopes(record))
 
 
-def _own(record: ApiKey) -> dict[str, Any]:
-    return {
-        "scopes": [scope for scope in Scope if scope in record.scopes],
-        "links": {"self": f"/v1/keys/{record.prefix}"},
-    }
+def _scopes(record: ApiKey) -> list[Scope]:
+    return [scope for scope in Scope if scope in record.scopes]
 
 
 router = APIRouter(prefix="/v1", tags=["access"], dependencies=[Depends(requires(Scope.ADMIN, all_fleets=True))])
@@ -87,9 +83,7 @@ def list_keys(asked: AskedListDep) -> Response:
 @router.get("/keys/{prefix}", response_model=Key, responses=described(404))
 def get_key(asked: AskedDep, prefix: Prefix) -> Response:
     """Return one key, without its secret."""
-    with asked.read() as unit:
-        found = unit.api_keys.get(prefix)
-    return asked.answer(_shown(found))
+    return asked.one(lambda unit: _shown(unit.api_keys.get(prefix)))
 
 
 @router.post(
@@ -105,7 +99,7 @@ def create_key(request: Request, services: ServicesDep, caller: CallerDep, body:
     wanted = Wanted(body.owner, frozenset(body.scopes), fleets, body.expires_at)
     with services.storage.write() as unit:
         made, token = make_key(unit, wanted, caller.name or NOBODY_NAMED, services.clock.now_ns())
-    shown = KeyWithSecret.made(made, **_own(made), key=token)
+    shown = KeyWithSecret.made(made, scopes=_scopes(made), key=token)
     headers = {"Location": f"/v1/keys/{made.prefix}", "Cache-Control": "no-store"}
     return answer(request, shown, status=HTTPStatus.CREATED, headers=headers)
 

@@ -16,12 +16,10 @@ from api.asking import AskedDep, FleetFilter, MeasuredFrom, MeasuredTo, Serial, 
 from api.contract import TABLE, Accepted
 from api.problems import described
 from api.routes.design_contact import ProfileContact, comparison_reader, profile_contact
-from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain, why
-from api.schemas.derived import Derived
+from api.schemas.common import Derived, Links, Representation, Uncertain, finite, finite_list, segment, uncertain, why
 from api.schemas.geometry import MM, Bins, bin_table
-from api.schemas.registry import segment
+from api.services import require_known
 from api.times import Moment, Timestamp, to_rfc3339
-from api.visible_objects import require_known
 from estimation.accuracy.fleet_accuracy import (
     Comparison,
     ConicityPair,
@@ -148,7 +146,9 @@ def _profile_comparison(found: Comparison) -> ProfileComparison:
         **why(found.reason),
         independent=found.independent,
         measured_at_bins=_at_bins(found),
-        conicity_by_amplitude=[_conicity_compared(pair) for pair in found.conicity],
+        conicity_by_amplitude=[
+            ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3)) for pair in found.conicity
+        ],
         links={
             "self": _comparison_path(one.wheelset, one.at_ns),
             "wheelset": own,
@@ -160,10 +160,6 @@ def _profile_comparison(found: Comparison) -> ProfileComparison:
 
 def _comparison_path(serial: str, at_ns: int) -> str:
     return f"/v1/wheelsets/{segment(serial)}/measured-profiles/{segment(to_rfc3339(at_ns))}/comparison"
-
-
-def _conicity_compared(pair: ConicityPair) -> ConicityCompared:
-    return ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3))
 
 
 def _measures(wheel: Profile) -> WheelMeasures:
@@ -391,4 +387,6 @@ def get_accuracy(
         placed = placed_comparisons(unit, comparison_reader(asked.services, unit), keys)
     query = f"?{urlencode(asked.request.query_params.multi_items())}" if asked.request.query_params else ""
     body = _accuracy(fleet_accuracy(placed.rows), placed, on_file, {"self": f"/v1/accuracy{query}"})
-    return answer_payload(asked.request, table_payload(body, accepted, table(body.measurements)), accepted)
+    return answer_payload(
+        asked.request, table_payload(body, accepted, lambda shown: table(shown.measurements)), accepted
+    )

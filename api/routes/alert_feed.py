@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from functools import partial
 from typing import Annotated
 
@@ -13,14 +12,12 @@ from starlette.concurrency import run_in_threadpool
 from api.access.caller import CallerDep
 from api.access.gate import require_still_good, still_good
 from api.answers import DEFAULT_LIMIT, Limit, answer, answer_items, link, next_path, wants_table
-from api.feed.pages import FeedFilter, FeedFilterDep, FeedPage, PageT, opened, read_kept, read_page
+from api.feed.pages import FeedFilter, FeedFilterDep, FeedPage, opened, read_kept, read_page
 from api.feed.watch import CATCH_UP, EVENT_STREAM, EventStream, FeedStream, FeedWatch, WaitingPlaces, Waits
 from api.middleware import turn_of
 from api.problems import described
 from api.schemas import alerts
-from api.services import Services, ServicesDep
-from api.visible_objects import require_known
-from fleet_db.storage import SqlUnitOfWork
+from api.services import Services, ServicesDep, require_fleets
 
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
 LONGEST_WAIT_S = 60.0
@@ -68,11 +65,11 @@ async def poll_alert_feed(
     A fleet alert stands for members that were raised with it; what happens to those is in their own `events`. A cursor
     from before the database was restored is refused (409) where its history has changed, with where to go on.
     """
-    where = partial(_behind, services, narrowed, request.scope["path"])
+    where = partial(opened, services.storage, narrowed, request.scope["path"])
     kept = partial(read_kept, limit=limit, cache=services.cache)
     page = await run_in_threadpool(where, after, kept)
     if not page.items:
-        await run_in_threadpool(_require_fleets, services, narrowed)
+        await run_in_threadpool(require_fleets, services.storage, narrowed.fleets)
     if wait_s and not page.items:
         places: WaitingPlaces = request.app.state.waiting_places
         with places.held(Waits.LONG_POLL, caller), turn_of(request.scope).given_back():
@@ -110,31 +107,13 @@ async def stream_alert_feed(
     """
     path = request.scope["path"]
     begin = after if last_event_id is None else last_event_id
-    page = await run_in_threadpool(_behind, services, narrowed, path, begin, partial(read_page, limit=CATCH_UP))
+    page = await run_in_threadpool(opened, services.storage, narrowed, path, begin, partial(read_page, limit=CATCH_UP))
     if not page.events:
-        await run_in_threadpool(_require_fleets, services, narrowed)
+        await run_in_threadpool(require_fleets, services.storage, narrowed.fleets)
     stream = FeedStream(request.app.state.feed_watch, narrowed, services.storage, partial(still_good, request.scope))
     places: WaitingPlaces = request.app.state.waiting_places
     held = (places.held(Waits.STREAM, caller), turn_of(request.scope).given_back())
     return EventStream(stream.parts(page), STREAM_HEADERS, held)
-
-
-def _behind(
-    services: Services,
-    narrowed: FeedFilter,
-    path: str,
-    after: str | None,
-    read: Callable[[SqlUnitOfWork, FeedFilter, int], PageT],
-) -> PageT:
-    return opened(services.storage, narrowed, path, after, read)
-
-
-def _require_fleets(services: Services, narrowed: FeedFilter) -> None:
-    """Refuse a filter of fleets that do not exist: nothing would ever come."""
-    if narrowed.fleets:
-        with services.storage.read() as unit:
-            for fleet in sorted(narrowed.fleets):
-                require_known(unit, fleet=fleet)
 
 
 async def _news(watch: FeedWatch, services: Services, narrowed: FeedFilter, page: FeedPage, wait_s: float) -> None:

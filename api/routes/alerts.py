@@ -15,8 +15,7 @@ from api.asking import AskedChange, AskedDep, AskedListDep, ChangeDep, FleetFilt
 from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Body, Page
-from api.services import ServicesDep, writer_slot
-from api.visible_objects import require_known
+from api.services import ServicesDep, require_known, writer_slot
 from estimation.alerts.life_cycle import acknowledge, link, shelve, unshelve
 from estimation.values.alerts import Alert, AlertScope, Condition, Severity, Transition
 from fleet_db.storage import SqlUnitOfWork
@@ -84,7 +83,6 @@ def list_alerts(
 
 
 def _key(one: AlertOutline, now_ns: int) -> Hashable:
-    """Return what changes whenever the row of an alert does."""
     shown = alerts.display_state(one, now_ns)
     return ("alert", one.alert_id, one.version, one.last_seen_ns, shown, one.vehicle, one.axle)
 
@@ -118,9 +116,7 @@ def _place(after: object) -> tuple[Severity, int | None]:
 @router.get("/{alert_id}", response_model=alerts.Alert, responses=described(404))
 def get_alert(asked: AskedDep, alert_id: Number) -> Response:
     """Return one alert with its evidence; its ETag is what changes to it ask for."""
-    with asked.read() as unit:
-        found = unit.alerts.get(alert_id)
-    return asked.answer(alerts.alert(found, asked.services.clock.now_ns()))
+    return asked.one(lambda unit: alerts.alert(unit.alerts.get(alert_id), asked.services.clock.now_ns()))
 
 
 @router.get("/{alert_id}/events", response_model=alerts.Events, responses=described(404))
@@ -142,7 +138,6 @@ _REFUSALS = described(404, 409, 412, 413, 415, 428)
 def _change(
     asked: AskedChange, alert_id: int, body: Body, actor: str, note: str, act: Callable[[Alert, int], Transition | None]
 ) -> Response:
-    """Apply what somebody does to an alert under If-Match and Idempotency-Key, in one transaction."""
 
     def apply(unit: SqlUnitOfWork, now_ns: int) -> alerts.Alert:
         current = unit.alerts.get(alert_id)

@@ -10,14 +10,13 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from api.access.caller import Caller, CallerDep, Scope, requires
+from api.access.caller import CallerDep, Scope, requires
 from api.answers import answer
 from api.asking import CODE, AskedDep
 from api.middleware import turn_of
 from api.problems import ProblemError, described
 from api.routes.recordings import why_in_state
-from api.schemas.common import Links, Representation
-from api.schemas.registry import segment
+from api.schemas.common import Links, Representation, segment
 from api.services import Services, ServicesDep
 from api.times import Timestamp, to_rfc3339
 from estimation.errors import ConflictError, NotFoundError
@@ -129,16 +128,24 @@ async def put_chunk(
 
     The same chunk again changes nothing. 503 with `Retry-After` where too much waits to be decoded: send it again.
     """
-    suffix = _suffix(format_)
+    if format_.lower() not in FORMATS:
+        detail = f"the format {format_!r} is none of {', '.join(FORMATS)}"
+        raise ProblemError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", detail)
+    suffix = f".{format_.lower()}"
     if caller.fleets is not None:
         await run_in_threadpool(_require_visible, services, vehicle)
     name = file_name or f"{vehicle}__{sha256[:12]}{suffix}"
-    wanted = receipts.Chunk(vehicle, suffix, name, _sender(caller))
+    sender = None if caller.name is None else f"{caller.name} ({caller.identity})"
+    wanted = receipts.Chunk(vehicle, suffix, name, sender)
     with turn_of(request.scope).given_back():
         try:
             stored = await services.uploads.take(request.headers, request.receive, sha256, wanted)
         except ConflictError as error:
-            raise _conflict(error, caller) from error
+            if caller.fleets is None or error.kind != "chunk":
+                raise
+            # the vehicle may be one that the caller does not see
+            reason = "the same chunk was received from another vehicle"
+            raise ConflictError(reason, kind=error.kind, key=error.key) from error
     created = HTTPStatus.OK if stored.known else HTTPStatus.CREATED
     headers = {} if stored.known else {"Location": f"/v1/chunks/{sha256}"}
     return answer(request, chunk(stored.record), status=created, headers=headers)
@@ -154,25 +161,7 @@ def get_chunk(asked: AskedDep, sha256: Sha256) -> Response:
     return asked.answer(chunk(record))
 
 
-def _suffix(given: str) -> str:
-    if given.lower() not in FORMATS:
-        detail = f"the format {given!r} is none of {', '.join(FORMATS)}"
-        raise ProblemError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", detail)
-    return f".{given.lower()}"
-
-
 def _require_visible(services: Services, vehicle: str) -> None:
     """Refuse a vehicle of another fleet, as if it did not exist, to a caller who is bound to fleets."""
     with services.storage.read() as unit:
         unit.registry.vehicle(vehicle)
-
-
-def _conflict(error: ConflictError, caller: Caller) -> ConflictError:
-    """Return the refusal without the name of a vehicle that the caller does not see."""
-    if caller.fleets is None or error.kind != "chunk":
-        return error
-    return ConflictError("the same chunk was received from another vehicle", kind=error.kind, key=error.key)
-
-
-def _sender(caller: Caller) -> str | None:
-    return None if caller.name is None else f"{caller.name} ({caller.identity})"

@@ -10,12 +10,22 @@ from fastapi import APIRouter, Depends, Response
 from pydantic import Field
 
 from api.access.caller import Scope, requires
-from api.asking import AskedListDep, ChangeDep, Code, Serial
+from api.asking import (
+    MOST_TEXT,
+    AskedListDep,
+    BodySource,
+    ChangeDep,
+    Code,
+    Key,
+    Kilometres,
+    Note,
+    RegistryChange,
+    RegistryRequest,
+    Serial,
+)
 from api.problems import described, invalid, pointer
-from api.registry_changes import MOST_TEXT, BodySource, Key, Kilometres, Note, RegistryChange, RegistryRequest
 from api.schemas import registry
-from api.schemas.common import Body, Page, Representation
-from api.schemas.derived import Derived
+from api.schemas.common import Body, Derived, Page, Representation
 from api.schemas.registry import MountingPeriod
 from api.services import writer_slot
 from api.times import Moment
@@ -301,4 +311,4 @@ def add_sensor_change(asked: ChangeDep, code: Code, body: NewSensorChange) -> Re
         change.enter(unit, decision, RegistryContents(sensor_changes=(record,)), BodySource({"at": "worked_at"}))
         return SensorChangeRecord.made(record)
 
-    return change.change(lambda unit: registry.vehicle(unit.registry.vehicle(code)), apply)
+    return change.change(lambda unit: registry.Vehicle.made(unit.registry.vehicle(code)), apply)

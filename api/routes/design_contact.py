@@ -12,10 +12,8 @@ from api.answers import answer_payload, table_payload
 from api.asking import AskedDep, Serial
 from api.contract import TABLE, Accepted
 from api.problems import described
-from api.schemas.common import Links, Representation, finite, finite_list, uncertain
-from api.schemas.derived import Derived
+from api.schemas.common import Derived, Links, Representation, finite, finite_list, segment, uncertain
 from api.schemas.geometry import MM, ConicityAtAmplitude
-from api.schemas.registry import segment
 from api.services import Services
 from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
 from estimation.contact.profiles import wheel_profile
@@ -100,17 +98,6 @@ def profile_contact(found: WheelContact | Reason) -> ProfileContact:
     )
 
 
-def _design_contact(wheelset: WheelsetRecord, found: WheelContact | Reason) -> DesignContact:
-    own = f"/v1/wheelsets/{segment(wheelset.serial)}"
-    return DesignContact(
-        wheelset=wheelset.serial,
-        wheel_profile=wheelset.wheel_profile,
-        nominal_radius_mm=wheelset.nominal_radius_m * MM,
-        contact=profile_contact(found),
-        links={"self": f"{own}/contact", "wheelset": own, "geometry": f"{own}/geometry"},
-    )
-
-
 def table(contact: ProfileContact) -> tuple[Sequence[str], list[Sequence[object]]]:
     """Return the curve as a header and rows."""
     header = list(ContactCurve.model_fields)
@@ -143,8 +130,15 @@ def get_design_contact(asked: AskedDep, accepted: Accepted, serial: Serial) -> R
         wheelset = unit.registry.wheelset(serial)
         rails = comparison_reader(asked.services, unit).rails(serial, unit.geometries.current(serial))
         found = _design(asked.services, wheelset, rails)
-    body = _design_contact(wheelset, found)
-    return answer_payload(asked.request, table_payload(body, accepted, table(body.contact)), accepted)
+    own = f"/v1/wheelsets/{segment(wheelset.serial)}"
+    body = DesignContact(
+        wheelset=wheelset.serial,
+        wheel_profile=wheelset.wheel_profile,
+        nominal_radius_mm=wheelset.nominal_radius_m * MM,
+        contact=profile_contact(found),
+        links={"self": f"{own}/contact", "wheelset": own, "geometry": f"{own}/geometry"},
+    )
+    return answer_payload(asked.request, table_payload(body, accepted, lambda shown: table(shown.contact)), accepted)
 
 
 def _design(services: Services, wheelset: WheelsetRecord, rails: Sequence[RailShare]) -> WheelContact | Reason:

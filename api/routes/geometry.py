@@ -22,12 +22,11 @@ from api.contract import TABLE, Accepted
 from api.problems import described
 from api.schemas import geometry, trend, windows
 from api.schemas.common import Page
+from api.schemas.windows import WindowReasons
 from api.services import Services
 from api.times import to_rfc3339
-from api.window_reasons import WindowReasons
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import WheelsetRecord
 from estimation.values.windows import WindowRecord
 from estimation.worklist.row import NO_TREND
 from fleet_db.keeping.purge import purged_before
@@ -63,29 +62,25 @@ def _geometry_now(unit: SqlUnitOfWork, services: Services, serial: str, media_ty
     with_windows = current is not None and current.geometry.windows > 0
     why = WindowReasons(unit).without_estimate(serial, current.geometry.reason if with_windows and current else None)
     if current is not None:
-        return _geometry_payload(geometry.geometry(current, why), media_type)
+        return table_payload(geometry.geometry(current, why), media_type, geometry.table)
     baseline = len(unit.registry.wheelset(serial).reprofilings)
-    return _geometry_payload(geometry.no_geometry(serial, baseline, why.reason, why), media_type)
+    return table_payload(geometry.no_geometry(serial, baseline, why.reason, why), media_type, geometry.table)
 
 
 def _estimated_geometry(unit: SqlUnitOfWork, serial: str, media_type: str) -> bytes:
     found = unit.geometries.current(serial)
     if found is None or found.geometry.status is Status.UNESTIMATED:
         return NOT_KEPT
-    return _geometry_payload(geometry.geometry(found), media_type)
+    return table_payload(geometry.geometry(found), media_type, geometry.table)
 
 
 def _geometry_then(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int) -> bytes:
-    wheelset = _answerable(unit, serial, as_of_ns)
+    baseline = _baseline(unit, serial, as_of_ns)
     found = unit.geometries.current(serial, as_of_ns)
     if found is None:
         reason = _nothing_until("geometry", as_of_ns)
-        return _geometry_payload(geometry.no_geometry(serial, _baseline(wheelset, as_of_ns), reason), media_type)
-    return _geometry_payload(geometry.geometry(found), media_type)
-
-
-def _geometry_payload(body: geometry.Geometry, media_type: str) -> bytes:
-    return table_payload(body, media_type, geometry.table(body))
+        return table_payload(geometry.no_geometry(serial, baseline, reason), media_type, geometry.table)
+    return table_payload(geometry.geometry(found), media_type, geometry.table)
 
 
 @router.get("/{serial}/trend", response_model=trend.Trend, responses={**described(404, 410), **TABLE})
@@ -113,44 +108,36 @@ def _trend_now(unit: SqlUnitOfWork, services: Services, serial: str, media_type:
     has_windows = current is not None and current.geometry.windows > 0
     why = None if has_windows else WindowReasons(unit).without_estimate(serial)
     if found is not None:
-        return _trend_payload(trend.trend(found, current, why), media_type)
+        return table_payload(trend.trend(found, current, why), media_type, trend.table)
     reason = NO_TREND if why is None else why.reason
-    return _trend_payload(trend.no_trend(serial, baseline, reason, current, why), media_type)
+    return table_payload(trend.no_trend(serial, baseline, reason, current, why), media_type, trend.table)
 
 
 def _trend_of_geometry(unit: SqlUnitOfWork, serial: str, media_type: str) -> bytes:
     found, current = unit.trends.latest(serial), unit.geometries.current(serial)
     if found is None or current is None or not current.geometry.windows:
         return NOT_KEPT
-    return _trend_payload(trend.trend(found, current), media_type)
+    return table_payload(trend.trend(found, current), media_type, trend.table)
 
 
 def _trend_then(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int) -> bytes:
-    wheelset = _answerable(unit, serial, as_of_ns)
+    baseline = _baseline(unit, serial, as_of_ns)
     found, current = unit.trends.latest(serial, as_of_ns), unit.geometries.current(serial, as_of_ns)
     if found is not None:
-        return _trend_payload(trend.trend(found, current), media_type)
+        return table_payload(trend.trend(found, current), media_type, trend.table)
     reason = _nothing_until("trend", as_of_ns)
-    return _trend_payload(trend.no_trend(serial, _baseline(wheelset, as_of_ns), reason, current), media_type)
+    return table_payload(trend.no_trend(serial, baseline, reason, current), media_type, trend.table)
 
 
-def _trend_payload(body: trend.Trend, media_type: str) -> bytes:
-    return table_payload(body, media_type, trend.table(body))
-
-
-def _answerable(unit: SqlUnitOfWork, serial: str, as_of_ns: int) -> WheelsetRecord:
-    """Return a wheelset; refuse a time of which not everything is kept: of the present everything is."""
-    found = unit.registry.wheelset(serial)
+def _baseline(unit: SqlUnitOfWork, serial: str, as_of_ns: int) -> int:
+    """Return the baseline of a time; refuse one of which not everything is kept: of the present everything is."""
+    wheelset = unit.registry.wheelset(serial)
     not_purged(as_of_ns, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
-    return found
+    return sum(one.at_ns <= as_of_ns for one in wheelset.reprofilings)
 
 
 def _nothing_until(what: str, as_of_ns: int) -> Reason:
     return Reason(ReasonCode.NO_GEOMETRY, f"no {what} had been recorded until {to_rfc3339(as_of_ns)}")
-
-
-def _baseline(wheelset: WheelsetRecord, as_of_ns: int) -> int:
-    return sum(one.at_ns <= as_of_ns for one in wheelset.reprofilings)
 
 
 @router.get("/{serial}/windows", response_model=Page[windows.Window], responses=described(400, 404))

@@ -6,20 +6,16 @@ from dataclasses import replace
 from http import HTTPStatus
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Response
 from pydantic import Field
 
 from api import cursors
 from api.access.caller import Caller, CallerDep, Scope, requires
-from api.answers import IdempotencyKey, answer
-from api.asking import CODE, AskedDep, AskedListDep, Code, Number, idempotent_post
+from api.asking import CODE, AskedDep, AskedListDep, Code, NewDep, Number
 from api.problems import described
-from api.schemas.common import Links, Page, Representation, without_folders
-from api.schemas.derived import Derived
-from api.schemas.registry import segment
-from api.services import Services, ServicesDep, writer_slot
+from api.schemas.common import Derived, Links, Page, Representation, segment, without_folders
+from api.services import Services, require_known, writer_slot
 from api.times import Timestamp, to_rfc3339
-from api.visible_objects import require_known
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobRun as JobRunValue
 from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
@@ -31,7 +27,7 @@ class JobRun(
 ):
     """One run of one job and what it did; `finished_at` is null while it runs."""
 
-    duration_s: float | None
+    duration_s: float | None = Field(description="How long it took; null while it runs.")
     links: Links
 
 
@@ -136,28 +132,17 @@ def list_job_runs(asked: AskedListDep, caller: CallerDep, name: Code) -> Respons
     responses=described(404, 409, 415),
     dependencies=[Depends(requires(Scope.ACT)), Depends(writer_slot)],
 )
-def run_job_now(
-    request: Request, services: ServicesDep, caller: CallerDep, name: Code, idempotency_key: IdempotencyKey = None
-) -> Response:
+def run_job_now(asked: NewDep, name: Code) -> Response:
     """Run a job now, in the background; `Location` is where its run can be watched."""
+    services = asked.services
     job = services.job(name)
-    post = idempotent_post(request, idempotency_key)
-    with services.storage.read() as unit:
-        earlier = post.earlier(request, unit)
-    if earlier is not None:
-        return earlier
-    body = _run(services.runner.start(job), caller)
-    with services.storage.write() as unit:
-        post.remember(unit, HTTPStatus.ACCEPTED, body, services.clock.now_ns())
-    return answer(request, body, status=HTTPStatus.ACCEPTED, headers={"Location": body.links["self"]})
+    return asked.beside(None, lambda: _run(services.runner.start(job), asked.caller), HTTPStatus.ACCEPTED)
 
 
 @router.get("/job-runs/{run_id}", response_model=JobRun, responses=described(404))
 def get_job_run(asked: AskedDep, caller: CallerDep, run_id: Number) -> Response:
     """Return one run of a job."""
-    with asked.read() as unit:
-        found = unit.jobs.get(run_id)
-    return asked.answer(_run(found, caller))
+    return asked.one(lambda unit: _run(unit.jobs.get(run_id), caller))
 
 
 quarantine_router = APIRouter(prefix="/v1/quarantine", tags=["quarantine"])
@@ -187,7 +172,6 @@ def list_quarantine(
 
 
 def _key(item: Quarantined) -> str:
-    """Return kind, stage and key as one text; the first two have no slash."""
     return f"{item.kind}/{item.stage}/{item.key}"
 
 

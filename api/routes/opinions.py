@@ -11,10 +11,8 @@ from pydantic import Field
 
 from api.asking import AskedDep, AskedListDep, Code, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.problems import described
-from api.schemas.common import Links, Page, Representation, Uncertain, uncertain
-from api.schemas.derived import Derived, provenance
+from api.schemas.common import Derived, Links, Page, Representation, Uncertain, provenance, segment, uncertain
 from api.schemas.evidence import Stretch
-from api.schemas.registry import segment
 from api.times import Moment, Timestamp
 from estimation.errors import NotFoundError
 from estimation.signatures.answer import most_likely
@@ -34,7 +32,7 @@ from estimation.values.opinions import (
 from estimation.values.opinions import SectionAdhesion as FrictionValue
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
-from estimation.values.results import Result
+from estimation.values.runs import Result
 from estimation.values.signatures import ANSWERS, METHOD, Disagreement, SignatureFinding, StateProbability
 from estimation.values.signatures import SignatureAnswer as AnswerValue
 from estimation.values.signatures import UsedEntry as UsedValue

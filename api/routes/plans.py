@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Annotated
+from urllib.parse import quote, urlencode
 
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
@@ -10,13 +11,10 @@ from pydantic import Field
 from api.answers import answer
 from api.asking import FleetFilter, VehicleFilter
 from api.problems import described
-from api.schemas.common import Links, Representation, finite
-from api.schemas.derived import Derived
-from api.schemas.registry import segment
+from api.schemas.common import Derived, Links, Representation, finite
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
-from api.services import ServicesDep
+from api.services import ServicesDep, require_known
 from api.times import Timestamp, to_rfc3339
-from api.visible_objects import require_known
 from estimation.values.alerts import Urgency, WorklistRow, WorklistState
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.worklist.turning_plan import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
@@ -86,7 +84,6 @@ def candidate(row: WorklistRow, *, nominal_radii: bool) -> Candidate | None:
 
 
 def _unknown(state: WorklistState) -> Reason | None:
-    """Return why nothing can be said of a wheelset's limit; None where something can."""
     missing = state.forecast_reason
     if missing is not None and missing.code is not ReasonCode.BEYOND_HORIZON:
         return missing
@@ -113,13 +110,6 @@ def _turning_plan_line(line: PlanLine, row: WorklistRow) -> TurningPlanLine:
         radius_after_mm=finite(line.radius_after, _TO_MM),
         not_checked=list(line.not_checked),
     )
-
-
-def _plan_links(fleet: str | None, vehicle: str | None) -> dict[str, str]:
-    chosen = [
-        f"{name}={segment(value)}" for name, value in (("fleet", fleet), ("vehicle", vehicle)) if value is not None
-    ]
-    return {"wheelsets": "?".join(["/v1/wheelsets", "&".join([*chosen, "sort=urgency"])])}
 
 
 router = APIRouter(prefix="/v1/plans", tags=["plans"])
@@ -177,12 +167,14 @@ def plan_reprofiling(
         round(horizon_days * DAY_NS),
         round(together_days * DAY_NS),
     )
+    named = {"fleet": fleet, "vehicle": vehicle, "sort": "urgency"}
+    chosen = {name: value for name, value in named.items() if value is not None}
     body = TurningPlan(
         made_at=to_rfc3339(now_ns),
         horizon_days=horizon_days,
         together_days=together_days,
         limits=TurningLimits.made(limits),
         items=[_turning_plan_line(line, rows[line.candidate.serial]) for line in lines],
-        links=_plan_links(fleet, vehicle),
+        links={"wheelsets": f"/v1/wheelsets?{urlencode(chosen, quote_via=quote)}"},
     )
     return answer(request, body)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
-from http import HTTPStatus
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
@@ -22,16 +21,12 @@ from api.asking import (
     MeasuredFrom,
     MeasuredTo,
     NewDep,
-    idempotent_post,
     require_order,
 )
 from api.problems import described
-from api.schemas.common import Body, Links, Page, Representation, without_folders
-from api.schemas.derived import Derived
-from api.schemas.registry import segment
-from api.services import Services, ServicesDep, writer_slot
+from api.schemas.common import Body, Derived, Links, Page, Representation, segment, without_folders
+from api.services import Services, ServicesDep, require_known, writer_slot
 from api.times import Moment
-from api.visible_objects import require_known
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.windows import WindowState
@@ -138,22 +133,15 @@ def recording(record: ChunkRecord) -> Recording:
     return Recording.made(record, **_fields(record))
 
 
-def _recording_with_history(
-    record: ChunkRecord, windows: Mapping[WindowState, int], changes: Sequence[Change]
-) -> RecordingWithHistory:
-    by_state = {state.value: windows.get(state, 0) for state in WindowState}
-    return RecordingWithHistory.made(
-        record,
-        **_fields(record),
-        windows=RecordingWindows(made=sum(windows.values()), **by_state),
-        changes=[RecordingChange.made(one) for one in changes],
-    )
-
-
 def _fields(record: ChunkRecord) -> dict[str, Any]:
+    unused = {name: record.counts[name] for name in UNUSED if record.counts.get(name)}
+    marked = {name: count for name, count in sorted(record.counts.items()) if count and name not in NOT_MARKS}
+    used = record.frames - sum(unused.values())
     return {
         **why_in_state(record),
-        "counts": _counts(record),
+        "counts": RecordingCounts(
+            frames=record.frames, used=used, unused=unused, lost=record.counts.get(LOST, 0), marked=marked
+        ),
         "links": {"self": f"/v1/recordings/{record.digest}", "vehicle": f"/v1/vehicles/{segment(record.vehicle)}"},
     }
 
@@ -162,15 +150,6 @@ def why_in_state(record: ChunkRecord) -> dict[str, Any]:
     """Return why a recording is in its state, without the folders of the machine."""
     reason = record.reason
     return {"reason": None if reason is None else without_folders(reason.text), "reason_code": code_of(reason)}
-
-
-def _counts(record: ChunkRecord) -> RecordingCounts:
-    unused = {name: record.counts[name] for name in UNUSED if record.counts.get(name)}
-    marked = {name: count for name, count in sorted(record.counts.items()) if count and name not in NOT_MARKS}
-    used = record.frames - sum(unused.values())
-    return RecordingCounts(
-        frames=record.frames, used=used, unused=unused, lost=record.counts.get(LOST, 0), marked=marked
-    )
 
 
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"])
@@ -207,15 +186,13 @@ def list_recordings(
             require_known(unit, fleet=fleet)
             if vehicle is not None and not unit.chunks.page(ChosenChunks(vehicle=vehicle), 1):
                 require_known(unit, vehicle=vehicle)
-    return asked.page(filters, rows, _key, recording)
+    return asked.page(filters, rows, lambda record: f"{record.received_ns}/{record.digest}", recording)
 
 
 @router.get("/{digest}", response_model=RecordingWithHistory, responses=described(404))
 def get_recording(asked: AskedDep, digest: Digest) -> Response:
     """Return one recording, with its windows and what was done to it by hand."""
-    with asked.read() as unit:
-        found = _with_history(unit, digest)
-    return asked.answer(found)
+    return asked.one(lambda unit: _with_history(unit, digest))
 
 
 def _with_history(unit: SqlUnitOfWork, digest: str) -> RecordingWithHistory:
@@ -223,11 +200,13 @@ def _with_history(unit: SqlUnitOfWork, digest: str) -> RecordingWithHistory:
     if record is None:
         raise NotFoundError("recording", digest)
     windows, changes = unit.chunks.window_counts(record), unit.recording_changes.list(digest)
-    return _recording_with_history(record, windows, changes)
-
-
-def _key(record: ChunkRecord) -> str:
-    return f"{record.received_ns}/{record.digest}"
+    by_state = {state.value: windows.get(state, 0) for state in WindowState}
+    return RecordingWithHistory.made(
+        record,
+        **_fields(record),
+        windows=RecordingWindows(made=sum(windows.values()), **by_state),
+        changes=[RecordingChange.made(one) for one in changes],
+    )
 
 
 def _place(key: str | None) -> tuple[int, str] | None:
@@ -286,17 +265,12 @@ def delete_recording(
 def _correct(
     asked: AskedChange, digest: str, body: Correction, apply: Callable[[RecordingCorrections], ChunkRecord]
 ) -> Response:
-    post = idempotent_post(asked.request, asked.key, body)
-    with asked.read() as unit:
-        earlier = post.earlier(asked.request, unit)
-    if earlier is not None:
-        return earlier
-    apply(_made(asked.services))
-    with asked.read() as unit:
-        found = _with_history(unit, digest)
-    with asked.services.storage.write() as unit:
-        post.remember(unit, HTTPStatus.OK, found, asked.services.clock.now_ns())
-    return asked.answer(found)
+    def corrected() -> RecordingWithHistory:
+        apply(_made(asked.services))
+        with asked.read() as unit:
+            return _with_history(unit, digest)
+
+    return asked.beside(body, corrected)
 
 
 def _made(services: Services) -> RecordingCorrections:

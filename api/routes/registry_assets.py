@@ -12,13 +12,23 @@ from fastapi import APIRouter, Depends, Response
 from pydantic import BaseModel, Field
 
 from api.access.caller import Scope, requires
-from api.asking import AskedChange, Code, NewDep, PutDep, Serial
+from api.asking import (
+    MOST_TEXT,
+    TEXT,
+    AskedChange,
+    BodySource,
+    Code,
+    Key,
+    NewDep,
+    PutDep,
+    RegistryChange,
+    RegistryRequest,
+    Serial,
+)
 from api.problems import ProblemError, described, invalid
-from api.registry_changes import MOST_TEXT, TEXT, BodySource, Key, RegistryChange, RegistryRequest
 from api.routes import vehicles
 from api.schemas import registry
-from api.services import writer_slot
-from api.visible_objects import require_known
+from api.services import require_known, writer_slot
 from estimation.errors import ConflictError, InputError, NotFoundError
 from estimation.values.registry import SPEED_IN_FILES, VehicleRecord, WheelsetRecord
 from estimation.vehicle.vehicle_class import VehicleClass
@@ -148,7 +158,6 @@ def _entered(
     show: Show,
     new: tuple[str, str] | None = None,
 ) -> Response:
-    """Enter what is new, of a kind and under a key, or change what is on file."""
     change = RegistryRequest(asked, body)
     change.visible(lambda unit: require_known(unit, fleet=body.fleet))
 
@@ -162,7 +171,7 @@ def _entered(
 
 
 def _shown_vehicle(code: str) -> Show:
-    return lambda unit: registry.vehicle(unit.registry.vehicle(code))
+    return lambda unit: registry.Vehicle.made(unit.registry.vehicle(code))
 
 
 def _shown_wheelset(serial: str) -> Show:

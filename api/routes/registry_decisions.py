@@ -13,14 +13,12 @@ from pydantic import BaseModel, Field
 
 from api.access.caller import Scope, requires
 from api.answers import require_match
-from api.asking import CODE, AskedChange, AskedListDep, ChangeDep
+from api.asking import CODE, TEXT, UNNAMED, AskedChange, AskedListDep, ChangeDep, Key
 from api.problems import ProblemError, described, invalid
-from api.registry_changes import TEXT, UNNAMED, Key
 from api.routes import tracks, vehicles
 from api.routes.dated_records import SensorChangeRecord
 from api.schemas import registry
-from api.schemas.common import Body, Page, Representation
-from api.schemas.derived import Derived
+from api.schemas.common import Body, Derived, Page, Representation
 from api.services import writer_slot
 from api.times import Moment, Timestamp, to_rfc3339
 from estimation.contact.profiles import MeasuredProfiles
@@ -122,24 +120,24 @@ def _represented(kind: RecordKind, values: dict[str, Any]) -> Record:  # noqa: P
         case RecordKind.REPROFILING:
             return registry.ReprofilingRecord.made(Reprofiling(**values))
         case RecordKind.MEASUREMENT:
-            return _measurement(values)
+            left, right = unpack_wheel_pair(base64.b64decode(values["packed"]), where="history of the registry")
+            measured = MeasuredProfiles(
+                values["wheelset"], values["at_ns"], values["mileage_km"], left, right, values["std_m"]
+            )
+            return registry.measured_profiles(measured)
         case RecordKind.WHEELSET:
             names = ("serial", "fleet", "wheel_profile", "nominal_radius_m")
             return WheelsetValues.made(WheelsetRecord(**{name: values[name] for name in names}, mounting=None))
         case RecordKind.VEHICLE:
-            return registry.vehicle(VehicleRecord(**(values | {"axle_offsets_m": tuple(values["axle_offsets_m"])})))
+            return registry.Vehicle.made(
+                VehicleRecord(**(values | {"axle_offsets_m": tuple(values["axle_offsets_m"])}))
+            )
         case RecordKind.VEHICLE_CLASS:
             return vehicles.vehicle_class(ClassOnFile(class_of_document(values)))
         case RecordKind.SECTION:
             return tracks.section(TrackSectionRecord(**values))
         case RecordKind.SENSOR_CHANGE:
             return SensorChangeRecord.made(sensor_change_of(values))
-
-
-def _measurement(values: dict[str, Any]) -> registry.MeasuredProfilesRecord:
-    left, right = unpack_wheel_pair(base64.b64decode(values["packed"]), where="history of the registry")
-    measured = MeasuredProfiles(values["wheelset"], values["at_ns"], values["mileage_km"], left, right, values["std_m"])
-    return registry.measured_profiles(measured)
 
 
 router = APIRouter(prefix="/v1/registry", tags=["registry"])
@@ -180,7 +178,11 @@ def restore_record(asked: ChangeDep, body: RecordDecision) -> Response:
 
 
 def _decide(asked: AskedChange, body: RecordDecision, action: RecordAction) -> Response:
-    key = _key(body)
+    kind = RecordKind(body.kind)
+    if kind.dated != (body.at is not None):
+        detail = f"is needed: a {kind} is one of a time" if kind.dated else f"is no part of a {kind}"
+        raise invalid("#/at", detail, f"at: {detail}")
+    key = RecordKey(kind, body.key, body.at)
     if key.kind in _SHARED and asked.caller.fleets is not None:
         raise ProblemError(403, "forbidden", "this needs a key of all fleets")
     with asked.read() as unit:
@@ -202,17 +204,9 @@ def _decide(asked: AskedChange, body: RecordDecision, action: RecordAction) -> R
     return asked.once(body, decide, HTTPStatus.CREATED)
 
 
-def _key(body: RecordDecision) -> RecordKey:
-    kind = RecordKind(body.kind)
-    if kind.dated != (body.at is not None):
-        detail = f"is needed: a {kind} is one of a time" if kind.dated else f"is no part of a {kind}"
-        raise invalid("#/at", detail, f"at: {detail}")
-    return RecordKey(kind, body.key, body.at)
-
-
 def _asset(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:
     if key.kind in _OF_VEHICLE:
-        return registry.vehicle(unit.registry.vehicle(key.subject))
+        return registry.Vehicle.made(unit.registry.vehicle(key.subject))
     if key.kind not in _SHARED:
         return registry.wheelset(unit.registry.wheelset(key.subject))
     if key.kind is RecordKind.SECTION and any(one.code == key.subject for one in unit.tracks.sections()):

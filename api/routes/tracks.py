@@ -10,9 +10,7 @@ from pydantic import Field, JsonValue
 
 from api.asking import AskedDep, AskedListDep, Code
 from api.problems import described
-from api.schemas.common import Links, Page, Representation, finite, finite_list
-from api.schemas.derived import Derived
-from api.schemas.registry import segment
+from api.schemas.common import Derived, Links, Page, Representation, finite, finite_list, segment
 from api.times import Timestamp, to_rfc3339
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
@@ -36,11 +34,16 @@ class TrackSection(
     without=("line",),
     columns="code number name rail_profile rail_inclination_1 nominal_gauge_mm length_m tonnage_mgt_per_year"
     " coordinates links",
+    links={
+        "self": "/v1/track-sections/{code}",
+        "alignment": "/v1/track-sections/{code}/alignment",
+        "alignments": "/v1/track-sections/{code}/alignments",
+        "alignment_report": "/v1/track-sections/{code}/alignment-report",
+    },
 ):
     """A section of line; `number` identifies it on the vehicle's bus."""
 
     coordinates: list[LinePoint] | None = Field(description="WGS84. Null: positions are not checked by GNSS.")
-    links: Links
 
 
 class Journey(Representation):
@@ -54,7 +57,9 @@ class Journey(Representation):
     passes: int
     offset_m: float | None = Field(description="Correction of its positions; null where there is none.")
     scale_1: float | None = Field(description="Relative correction of its distances; null where there is none.")
-    middle_m: float | None
+    middle_m: float | None = Field(
+        description="Middle of the section as the correction is counted from it; null where there is none."
+    )
     residual_rms_mm: float | None
     used: bool = Field(description="Whether the alignment was estimated with it.")
     reason: str | None
@@ -91,14 +96,21 @@ class AlignmentReport(Derived, of=TrackReport, without=("input_digest", "report"
     refused_windows: dict[str, int] = Field(description="Windows without a pass, by the sentence of the reason.")
     refused_windows_by_code: dict[ReasonCode, int] = Field(description="Windows without a pass, by reason.")
     parameters: dict[str, JsonValue] = Field(description="Settings that shaped it; empty where none were kept.")
-    journeys: list[Journey]
+    journeys: list[Journey] = Field(description="The runs that it was found from.")
     links: Links
 
 
-class AlignmentVersion(Derived, of=AlignmentRecord, without=("alignment_std_m", "points", "superseded_ns")):
+_ALIGNMENT_LINKS = {
+    "self": "/v1/track-sections/{section}/alignment?version={version}",
+    "section": "/v1/track-sections/{section}",
+    "alignments": "/v1/track-sections/{section}/alignments",
+}
+
+
+class AlignmentVersion(
+    Derived, of=AlignmentRecord, without=("alignment_std_m", "points", "superseded_ns"), links=_ALIGNMENT_LINKS
+):
     """A version of what is known of a section, without its columns."""
-
-    links: Links
 
 
 class Alignment(AlignmentVersion):
@@ -106,11 +118,15 @@ class Alignment(AlignmentVersion):
 
     position_m: list[float] = Field(description="Position along the section, of each value.")
     alignment_mm: list[float | None] = Field(description="Positive to the left.")
-    alignment_std_mm: list[float | None]
+    alignment_std_mm: list[float | None] = Field(
+        description="Standard deviation of the alignment at each position; null where not known."
+    )
     gauge_deviation_mm: list[float | None] = Field(
         description="As surveyed. Null where no gauge is on file: passes do not determine its sign."
     )
-    gauge_deviation_std_mm: list[float | None]
+    gauge_deviation_std_mm: list[float | None] = Field(
+        description="Standard deviation of the gauge deviation; null where not known."
+    )
     passes: list[int] = Field(description="Passes behind each value; 0 where a recording car measured it.")
     report: AlignmentReport | None = Field(description="Of the run that made it; null of a recording as registered.")
 
@@ -121,27 +137,15 @@ class AlignmentSummary(
     without=("superseded_ns",),
     columns="section version status source cut_off_m scale_std_1 gauge_known same_since_version recorded_at links"
     " points alignment_std_mm",
+    links=_ALIGNMENT_LINKS,
 ):
     """A version in the list of versions."""
-
-    links: Links
 
 
 def section(record: TrackSectionRecord) -> TrackSection:
     """Return the representation of a track section."""
-    own = f"/v1/track-sections/{segment(record.code)}"
-    return TrackSection.made(
-        record,
-        coordinates=None
-        if record.line is None
-        else [LinePoint(**dict(zip(LinePoint.model_fields, point, strict=True))) for point in record.line],
-        links={
-            "self": own,
-            "alignment": f"{own}/alignment",
-            "alignments": f"{own}/alignments",
-            "alignment_report": f"{own}/alignment-report",
-        },
-    )
+    line = record.line and [LinePoint(**dict(zip(LinePoint.model_fields, point, strict=True))) for point in record.line]
+    return TrackSection.made(record, coordinates=line)
 
 
 def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackReport | None) -> Alignment:
@@ -149,7 +153,6 @@ def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackRepo
     unknown: list[float | None] = [None] * len(found.s)
     return Alignment.made(
         record,
-        links=_links(record),
         position_m=[float(s) for s in found.s],
         alignment_mm=finite_list(found.alignment, MM),
         alignment_std_mm=finite_list(found.alignment_std, MM),
@@ -158,10 +161,6 @@ def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackRepo
         passes=[int(n) for n in found.passes],
         report=None if made_by is None else report(made_by),
     )
-
-
-def _alignment_summary(record: AlignmentRecord) -> AlignmentSummary:
-    return AlignmentSummary.made(record, links=_links(record))
 
 
 def report(record: TrackReport) -> AlignmentReport:
@@ -229,11 +228,6 @@ def _path(section: str, version: int) -> str:
     return f"/v1/track-sections/{segment(section)}/alignment?version={version}"
 
 
-def _links(record: AlignmentRecord) -> dict[str, str]:
-    own = f"/v1/track-sections/{segment(record.section)}"
-    return {"self": _path(record.section, record.version), "section": own, "alignments": f"{own}/alignments"}
-
-
 router = APIRouter(prefix="/v1/track-sections", tags=["track sections"])
 Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]
 
@@ -262,9 +256,7 @@ def list_track_sections(asked: AskedListDep) -> Response:
 @router.get("/{code}", response_model=TrackSection, responses=described(404))
 def get_track_section(asked: AskedDep, code: Code) -> Response:
     """Return one track section."""
-    with asked.read() as unit:
-        found = unit.tracks.section(code)
-    return asked.answer(section(found))
+    return asked.one(lambda unit: section(unit.tracks.section(code)))
 
 
 @router.get("/{code}/alignment", response_model=Alignment, responses=described(404))
@@ -289,7 +281,7 @@ def list_alignments(asked: AskedListDep, code: Code) -> Response:
     with asked.read() as unit:
         unit.tracks.section(code)
         found = unit.tracks.versions(code, after, asked.limit + 1)
-    return asked.page(filters, found, lambda record: record.version, _alignment_summary)
+    return asked.page(filters, found, lambda record: record.version, AlignmentSummary.made)
 
 
 @router.get("/{code}/alignment-report", response_model=AlignmentReport, responses=described(404))

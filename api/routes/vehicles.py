@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Annotated
 
@@ -12,16 +12,13 @@ from pydantic import Field
 from api.asking import AskedDep, AskedListDep, Code, FleetFilter
 from api.problems import described
 from api.schemas import registry
-from api.schemas.common import Links, Page, Representation, finite
-from api.schemas.derived import Derived
-from api.schemas.registry import segment
+from api.schemas.common import Derived, Links, Page, Representation, finite, segment
+from api.services import require_known
 from api.times import Timestamp, to_rfc3339
-from api.visible_objects import require_known
 from estimation.errors import NotFoundError
 from estimation.trend.suspension import SuspensionParameters, suspension_changes
 from estimation.values.opinions import GearDamper
 from estimation.values.trend import SuspensionChange, SuspensionFinding
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import (
     SHIPPED_VERSION,
     Arrangement,
@@ -29,6 +26,7 @@ from estimation.vehicle.vehicle_class import (
     ClassOnFile,
     SensorLayout,
     VehicleClass,
+    VehicleParameters,
 )
 from ingest.vehicle_class_schema import shipped_class, shipped_classes
 
@@ -122,12 +120,9 @@ def _parameters(of_class: VehicleClass, values: VehicleParameters | BogieParamet
     for item in fields(values):
         value = float(getattr(values, item.name))
         std = of_class.std_of(item.name) * abs(value)
-        found.append(Parameter(name=item.name, value=value, std=std, unit=_unit(item.name)))
+        unit = next(unit for end, unit in _UNITS.items() if item.name.endswith(end))
+        found.append(Parameter(name=item.name, value=value, std=std, unit=unit))
     return found
-
-
-def _unit(name: str) -> str:
-    return next(unit for end, unit in _UNITS.items() if name.endswith(end))
 
 
 def _sensors(layout: SensorLayout) -> Sensors:
@@ -162,12 +157,6 @@ class Dampers(Representation):
     links: Links
 
 
-def _dampers(vehicle: str, found: Sequence[GearDamper]) -> Dampers:
-    own = f"/v1/vehicles/{segment(vehicle)}"
-    links = {"self": f"{own}/dampers", "vehicle": own}
-    return Dampers(vehicle=vehicle, dampers=[DamperState.made(one) for one in found], links=links)
-
-
 class SuspensionResult(
     Derived, of=SuspensionFinding, without=("vehicle", "ratio", "ratio_std"), also=("stiffness_ratio",)
 ):
@@ -188,18 +177,10 @@ class Suspension(Representation):
 
     vehicle: str
     findings: list[SuspensionResult] = Field(description="What was found, oldest first.")
-    change: SuspensionShift | None
-    links: Links
-
-
-def _suspension(vehicle: str, findings: Sequence[SuspensionFinding], change: SuspensionChange | None) -> Suspension:
-    own = f"/v1/vehicles/{segment(vehicle)}"
-    return Suspension(
-        vehicle=vehicle,
-        findings=[SuspensionResult.made(one) for one in findings],
-        change=None if change is None else SuspensionShift.made(change),
-        links={"self": f"{own}/suspension", "vehicle": own},
+    change: SuspensionShift | None = Field(
+        description="The change against the vehicle's own past; null while too little is known."
     )
+    links: Links
 
 
 fleets_router = APIRouter(prefix="/v1/fleets", tags=["fleets"])
@@ -210,7 +191,7 @@ def list_fleets(asked: AskedListDep) -> Response:
     """List the fleets, by code."""
     with asked.read() as unit:
         found = unit.registry.fleets()
-    return asked.named(found, lambda record: record.code, registry.fleet)
+    return asked.named(found, lambda record: record.code, registry.Fleet.made)
 
 
 @fleets_router.get("/{code}", response_model=registry.Fleet, responses=described(404))
@@ -219,7 +200,7 @@ def get_fleet(asked: AskedDep, code: Code) -> Response:
     with asked.read() as unit:
         require_known(unit, fleet=code)
         (found,) = (record for record in unit.registry.fleets() if record.code == code)
-    return asked.answer(registry.fleet(found))
+    return asked.answer(registry.Fleet.made(found))
 
 
 router = APIRouter(prefix="/v1", tags=["vehicles"])
@@ -234,15 +215,13 @@ def list_vehicles(asked: AskedListDep, fleet: FleetFilter = None) -> Response:
         rows = unit.registry.vehicles_page(fleet, after, asked.limit + 1)
         if not rows:
             require_known(unit, fleet=fleet)
-    return asked.page(filters, rows, lambda record: record.code, registry.vehicle)
+    return asked.page(filters, rows, lambda record: record.code, registry.Vehicle.made)
 
 
 @router.get("/vehicles/{code}", response_model=registry.Vehicle, responses=described(404))
 def get_vehicle(asked: AskedDep, code: Code) -> Response:
     """Return one vehicle."""
-    with asked.read() as unit:
-        found = unit.registry.vehicle(code)
-    return asked.answer(registry.vehicle(found))
+    return asked.one(lambda unit: registry.Vehicle.made(unit.registry.vehicle(code)))
 
 
 @router.get("/vehicles/{code}/suspension", response_model=Suspension, responses=described(404))
@@ -254,7 +233,15 @@ def get_suspension(asked: AskedDep, code: Code) -> Response:
         findings = unit.suspensions.list(code)
         newest = unit.suspensions.newest(usual.recent + usual.most_past)
     change = suspension_changes(newest, usual).get(code)
-    return asked.answer(_suspension(code, findings, change))
+    own = f"/v1/vehicles/{segment(code)}"
+    return asked.answer(
+        Suspension(
+            vehicle=code,
+            findings=[SuspensionResult.made(one) for one in findings],
+            change=None if change is None else SuspensionShift.made(change),
+            links={"self": f"{own}/suspension", "vehicle": own},
+        )
+    )
 
 
 @router.get("/vehicles/{code}/dampers", response_model=Dampers, responses=described(404))
@@ -263,7 +250,9 @@ def get_dampers(asked: AskedDep, code: Code) -> Response:
     with asked.read() as unit:
         unit.registry.vehicle(code)
         found = unit.dampers.of_vehicle(code)
-    return asked.answer(_dampers(code, found))
+    own = f"/v1/vehicles/{segment(code)}"
+    links = {"self": f"{own}/dampers", "vehicle": own}
+    return asked.answer(Dampers(vehicle=code, dampers=[DamperState.made(one) for one in found], links=links))
 
 
 Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]

@@ -19,15 +19,11 @@ from api.feed.watch import TRY_AGAIN
 from api.middleware import turn_of
 from api.problems import ProblemError, described, invalid
 from api.schemas.alerts import KnownKind
-from api.schemas.common import Body, Links, Page, Representation
-from api.schemas.derived import Derived
-from api.services import Services, ServicesDep, writer_slot
+from api.schemas.common import Body, Derived, Links, Page, Representation
+from api.services import Services, ServicesDep, require_fleets, writer_slot
 from api.times import Moment, Timestamp, to_rfc3339
-from api.visible_objects import require_known
-from api.webhooks.cloud_events import new_secret, trial_of
-from api.webhooks.making import Wanted, handled_up_to, in_state, make_webhook, place_of
-from api.webhooks.sending import TRIALS, Sender
-from api.webhooks.targets import MOST_CHARACTERS, RefusedTargetError, parsed
+from api.webhooks.cloud_events import Wanted, handled_up_to, in_state, make_webhook, new_secret, place_of, trial_of
+from api.webhooks.sending import MOST_CHARACTERS, TRIALS, RefusedTargetError, Sender, parsed
 from estimation.errors import ParameterError
 from estimation.values.alerts import AlertEventKind, Severity
 from fleet_db.records import Delivery, DeliveryState, Failure, WebhookState
@@ -65,6 +61,7 @@ class Webhook(
     without=("position", "revision"),
     columns="id url description fleets kinds severities bound_to state disabled_reason state_since created_at"
     " created_by links",
+    links={"self": "/v1/webhooks/{webhook_id}", "deliveries": "/v1/webhooks/{webhook_id}/deliveries"},
 ):
     """Where events of the feed are sent, without its secret."""
 
@@ -73,7 +70,6 @@ class Webhook(
     fleets: list[str] = Field(description=FLEETS, examples=[["alpha"]])
     kinds: list[str] = Field(description=KINDS)
     severities: list[Severity] = Field(description=SEVERITIES)
-    links: Links
 
 
 class WebhookWithSecret(Webhook):
@@ -144,11 +140,11 @@ class WebhookDelivery(
     without=("webhook_id", "sequence", "event_kind", "alert_id"),
     columns="id event_id event event_recorded_at state attempts first_attempt_at last_attempt_at next_attempt_at"
     " status_code reason_code reason links",
+    links={"webhook": "/v1/webhooks/{webhook_id}", "alert": "/v1/alerts/{alert_id}"},
 ):
     """An event on its way to a webhook."""
 
     event: AlertEventKind
-    links: Links
 
 
 class WebhookTrial(Representation):
@@ -163,18 +159,15 @@ class WebhookTrial(Representation):
 
 
 def _shown(record: WebhookRecord) -> Webhook:
-    return Webhook.made(record, **_fields(record))
+    return Webhook.made(record, severities=_severities(record))
 
 
-def _fields(record: WebhookRecord) -> dict[str, Any]:
-    own = f"/v1/webhooks/{record.webhook_id}"
-    severities = [one for one in Severity if one.value in record.severities]
-    return {"severities": severities, "links": {"self": own, "deliveries": f"{own}/deliveries"}}
+def _severities(record: WebhookRecord) -> list[Severity]:
+    return [one for one in Severity if one.value in record.severities]
 
 
 def _delivery(record: Delivery) -> WebhookDelivery:
-    links = {"webhook": f"/v1/webhooks/{record.webhook_id}", "alert": f"/v1/alerts/{record.alert_id}"}
-    return WebhookDelivery.made(record, event=AlertEventKind(record.event_kind), links=links)
+    return WebhookDelivery.made(record, event=AlertEventKind(record.event_kind))
 
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"], dependencies=[Depends(requires(Scope.ADMIN))])
@@ -194,9 +187,7 @@ def list_webhooks(asked: AskedListDep) -> Response:
 @router.get("/{webhook_id}", response_model=Webhook, responses=described(404))
 def get_webhook(asked: AskedDep, webhook_id: WebhookId) -> Response:
     """Return one webhook, without its secret; its ETag is what changes to it ask for."""
-    with asked.read() as unit:
-        found = unit.webhooks.get(webhook_id)
-    return asked.answer(_shown(found))
+    return asked.one(lambda unit: _shown(unit.webhooks.get(webhook_id)))
 
 
 @router.get("/{webhook_id}/deliveries", response_model=Page[WebhookDelivery], responses=described(400, 404))
@@ -218,12 +209,12 @@ async def create_webhook(request: Request, services: ServicesDep, caller: Caller
     """
     if caller.fleets is not None and not caller.fleets:
         raise ProblemError(403, "forbidden", "this needs a key that sees a fleet")
-    await run_in_threadpool(_require_fleets, services, caller.fleets, frozenset(body.fleets))
+    await run_in_threadpool(require_fleets, services.storage, body.fleets)
     await _require_target(request, body.url)
     async with services.writers.slot():
         made, secret = await run_in_threadpool(_made, services, caller, body)
     headers = {"Location": f"/v1/webhooks/{made.webhook_id}", "Cache-Control": "no-store"}
-    shown = WebhookWithSecret.made(made, **_fields(made), secret=secret)
+    shown = WebhookWithSecret.made(made, severities=_severities(made), secret=secret)
     return answer(request, shown, status=HTTPStatus.CREATED, headers=headers)
 
 
@@ -237,7 +228,7 @@ async def change_webhook(
     """
     known = await run_in_threadpool(_read, services, webhook_id)
     if body.fleets is not None:
-        await run_in_threadpool(_require_fleets, services, known.bound, frozenset(body.fleets))
+        await run_in_threadpool(require_fleets, services.storage.seen_by(known.bound), body.fleets)
     if body.url is not None:
         await _require_target(request, body.url)
     async with services.writers.slot():
@@ -284,13 +275,6 @@ def _as_asked(known: WebhookRecord, body: WebhookChange, now_ns: int) -> Webhook
 def _read(services: Services, webhook_id: int) -> WebhookRecord:
     with services.storage.read() as unit:
         return unit.webhooks.get(webhook_id)
-
-
-def _require_fleets(services: Services, bound: frozenset[str] | None, fleets: frozenset[str]) -> None:
-    """Refuse a filter that names a fleet which the webhook can never carry."""
-    with services.storage.seen_by(bound).read() as unit:
-        for fleet in sorted(fleets):
-            require_known(unit, fleet=fleet)
 
 
 async def _require_target(request: Request, url: str) -> None:

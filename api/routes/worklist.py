@@ -16,12 +16,11 @@ from api.asking import CODE, AskedDep, AskedListDep, FleetFilter, Serial, Vehicl
 from api.problems import described
 from api.schemas import registry
 from api.schemas.alerts import AlertKind, KnownKind
-from api.schemas.common import Page, Representation, Uncertain
-from api.schemas.derived import Derived
+from api.schemas.common import Derived, Page, Representation, Uncertain
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
+from api.services import require_known
 from api.times import Timestamp, to_rfc3339
-from api.visible_objects import require_known
-from estimation.values.alerts import AxlePosition, OpenAlert, Severity, Urgency, WorklistRow, WorklistState
+from estimation.values.alerts import AxlePosition, OpenAlert, Severity, Urgency, WorklistState
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from fleet_db.packed_values import from_document
@@ -83,37 +82,32 @@ class WheelsetRow(registry.Wheelset):
     vehicle: str | None = Field(description="That it runs under now; null where it is not mounted.", examples=["V-101"])
     vehicle_class: str | None = Field(description="Class of that vehicle.", examples=["coach"])
     axle: int | None = Field(description="Number of its axle there, from 1.", examples=[1])
-    position: WorklistPosition | None
+    position: WorklistPosition | None = Field(
+        description="Where it is under its vehicle; null where nothing is known of that."
+    )
     state: WheelsetState
 
 
-def _wheelset_row(row: WorklistRow) -> WheelsetRow:
-    mounting = row.wheelset.mounting
+def row_of_document(document: str) -> WheelsetRow:
+    """Return the representation of a stored row."""
+    row = from_document(document)
+    mounting, state = row.wheelset.mounting, row.state
     return WheelsetRow(
         **dict(registry.wheelset(row.wheelset)),
         vehicle=None if mounting is None else mounting.vehicle,
         vehicle_class=row.vehicle_class,
         axle=None if mounting is None else mounting.axle,
         position=None if row.position is None else WorklistPosition.made(row.position),
-        state=_state(row.state),
-    )
-
-
-def row_of_document(document: str) -> WheelsetRow:
-    """Return the representation of a stored row."""
-    return _wheelset_row(from_document(document))
-
-
-def _state(state: WorklistState) -> WheelsetState:
-    return WheelsetState.made(
-        state,
-        urgency_rank=state.urgency.rank,
-        reasons=[WorklistReason(code=reason.code, text=reason.text) for reason in state.reasons],
-        distance_to_limit_km=distance_forecast(state.distance_to_limit_km, state.forecast_reason),
-        date_of_limit=date_forecast(state.date_of_limit_ns, state.forecast_reason),
-        mileage_km=None if state.mileage is None else state.mileage.mileage_km,
-        mileage_at=None if state.mileage is None else to_rfc3339(state.mileage.at_ns),
-        worst_severity=state.alerts[0].severity if state.alerts else None,
+        state=WheelsetState.made(
+            state,
+            urgency_rank=state.urgency.rank,
+            reasons=[WorklistReason(code=reason.code, text=reason.text) for reason in state.reasons],
+            distance_to_limit_km=distance_forecast(state.distance_to_limit_km, state.forecast_reason),
+            date_of_limit=date_forecast(state.date_of_limit_ns, state.forecast_reason),
+            mileage_km=None if state.mileage is None else state.mileage.mileage_km,
+            mileage_at=None if state.mileage is None else to_rfc3339(state.mileage.at_ns),
+            worst_severity=state.alerts[0].severity if state.alerts else None,
+        ),
     )
 
 
@@ -167,9 +161,7 @@ def list_wheelsets(
 @router.get("/{serial}/state", response_model=WheelsetRow, responses=described(404))
 def get_wheelset_state(asked: AskedDep, serial: Serial) -> Response:
     """Return one wheelset as the list has it: where it runs, how it is, and how urgent that is."""
-    with asked.read() as unit:
-        found = unit.worklist.row(serial)
-    return asked.answer(row_of_document(found))
+    return asked.one(lambda unit: row_of_document(unit.worklist.row(serial)))
 
 
 @lru_cache(REMEMBERED)
@@ -191,6 +183,4 @@ def _place(key: object) -> WorklistPlace | None:
 @router.get("/{serial}", response_model=registry.Wheelset, responses=described(404))
 def get_wheelset(asked: AskedDep, serial: Serial) -> Response:
     """Return one wheelset, with links to its bin table, its trend and its alerts."""
-    with asked.read() as unit:
-        found = unit.registry.wheelset(serial)
-    return asked.answer(registry.wheelset(found))
+    return asked.one(lambda unit: registry.wheelset(unit.registry.wheelset(serial)))

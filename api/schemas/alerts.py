@@ -7,12 +7,10 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, WithJsonSchema
 
-from api.schemas.common import Body, Links, Representation
-from api.schemas.derived import Derived
+from api.schemas.common import Body, Derived, Links, Representation, segment
 from api.schemas.evidence import AnyEvidence, evidence_of
-from api.schemas.registry import segment
 from api.times import Moment
-from estimation.alerts.rules.book import ALERT_RULES
+from estimation.alerts.rule_book import ALERT_RULES
 from estimation.values.alerts import Alert as AlertValue
 from estimation.values.alerts import AlertEvent, AlertScope, Condition
 from fleet_db.stores.alerts import AlertOutline
@@ -68,7 +66,7 @@ class Alert(
 class Event(Derived, of=AlertEvent, without=("sequence",), columns="event recorded_at actor note alert"):
     """Something that happened to an alert, with the alert as it was right after."""
 
-    alert: Alert
+    alert: Alert = Field(description="The alert as it was right after.")
 
 
 class Feed(Representation):
@@ -122,7 +120,13 @@ class Unshelving(Body):
 class ExternalReference(Body):
     """The identity that a maintenance system gave to its work on the alert."""
 
-    ref: str = Field(min_length=1, max_length=200, pattern=_WORDS, examples=["maximo:WO-4711"])
+    ref: str = Field(
+        description="The identity, as that system writes it.",
+        min_length=1,
+        max_length=200,
+        pattern=_WORDS,
+        examples=["maximo:WO-4711"],
+    )
     by: By = None
 
 

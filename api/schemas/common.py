@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
-from collections.abc import Sequence
-from typing import Annotated, Any, Generic, TypeVar
+import types
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cache, partial
+from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from urllib.parse import quote
 
 import numpy as np
+import pydantic
 from pydantic import BaseModel, ConfigDict, Field
 
+from api.times import Timestamp, times_to_rfc3339, to_rfc3339
 from estimation.values.arrays import FloatArray
+from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.runs import AnyResult
 
 NOT_FINITE = Reason(ReasonCode.NOT_FINITE, "the calculation gave no finite number")
 ItemT = TypeVar("ItemT")
@@ -111,3 +120,178 @@ _FOLDERS = re.compile(r"(?<![\w:/.])/(?:[^\s/:'\"]+/)+")
 def without_folders(message: str) -> str:
     """Return a message without the folders of the machine."""
     return _FOLDERS.sub("", message)
+
+
+def segment(text: str) -> str:
+    """Return a key as one segment of a path."""
+    return quote(text, safe="")
+
+
+PLAIN = Served()
+MEASURED = {"from_ns": "measured_from", "to_ns": "measured_to"}
+
+
+@dataclass(frozen=True, slots=True)
+class FieldOf:
+    """One field or property of a value: its type without None, whether it may be None, and how it is served."""
+
+    key: str
+    hint: Any
+    nullable: bool
+    served: Served
+
+    @property
+    def name(self) -> str:
+        """Under which it is served."""
+        if self.served.name:
+            return self.served.name
+        if self.key in MEASURED:
+            return MEASURED[self.key]
+        return f"{self.key.removesuffix('_ns')}_at" if self.key.endswith("_ns") else self.key
+
+    @property
+    def words(self) -> Any:  # noqa: ANN401 - what pydantic takes for a field
+        """What the document of the API says of it."""
+        examples = None if self.served.example is None else [self.served.example]
+        return Field(description=self.served.text or None, examples=examples)
+
+
+@cache
+def fields_of(kind: type) -> tuple[FieldOf, ...]:
+    """Return the fields of a dataclass, in their order."""
+    hints = get_type_hints(kind, include_extras=True)
+    return tuple(_field_of(field.name, hints[field.name]) for field in fields(cast("Any", kind)))
+
+
+def _field_of(key: str, hint: Any) -> FieldOf:  # noqa: ANN401 - a type
+    served, nullable = PLAIN, False
+    while get_origin(hint) in {Annotated, Union, types.UnionType}:
+        if get_origin(hint) is Annotated:
+            hint, *metadata = get_args(hint)
+            served = next((one for one in metadata if isinstance(one, Served)), served)
+        else:
+            (hint,) = (part for part in get_args(hint) if part is not types.NoneType)
+            nullable = True
+    return FieldOf(key, hint, nullable, served)
+
+
+Convert = Callable[[Any], Any] | None  # None where a value is served as it is
+
+
+def served_type(field: FieldOf) -> tuple[Any, Convert]:
+    """Return the type that a field is served as, and what makes it of the value; both without None."""
+    hint, scale = field.hint, field.served.scale
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is np.ndarray:
+        if field.key.endswith("_ns"):
+            return list[Timestamp], times_to_rfc3339
+        return list[float | None], partial(finite_list, scale=scale)
+    if origin is frozenset:
+        return list[parts[0]], sorted  # type: ignore[valid-type]  # as the value declares it
+    if origin is tuple:
+        kind, convert = served_type(_field_of("", parts[0]))
+        return list[kind], list if convert is None else lambda items: [convert(item) for item in items]  # type: ignore[valid-type]  # a type all the same
+    if origin is not None and issubclass(origin, Mapping):
+        of = parts[1] if isinstance(parts[1], type) else pydantic.JsonValue
+        return dict[parts[0], of], dict  # type: ignore[valid-type]  # as the value declares it
+    return _single(hint, field)
+
+
+def _single(hint: Any, field: FieldOf) -> tuple[Any, Convert]:  # noqa: ANN401 - a type
+    if hint is Estimate:
+        return Uncertain, partial(uncertain, scale=field.served.scale)
+    if field.key.endswith("_ns") and hint is int:
+        return Timestamp, to_rfc3339
+    if hint is float:
+        if field.nullable or not field.served.finite:
+            return float, partial(finite, scale=field.served.scale)
+        scale = field.served.scale
+        return float, lambda number: number * scale
+    if hint in MODELS:
+        return MODELS[hint], MODELS[hint].made
+    return hint, None
+
+
+MODELS: dict[type, type[Derived]] = {}  # the model of each value that has one
+
+
+def _served_fields(of: type, without: Collection[str], also: Collection[str]) -> list[FieldOf]:
+    properties = [
+        _field_of(name, get_type_hints(getattr(of, name).fget, include_extras=True)["return"]) for name in also
+    ]
+    return [field for field in (*fields_of(of), *properties) if field.key not in without]
+
+
+def _path(template: str, value: object) -> str:
+    return re.sub(r"{(\w+)}", lambda field: segment(str(getattr(value, field[1]))), template)
+
+
+class Derived(Representation):
+    """A representation of a value, whose own class describes its fields.
+
+    Class arguments: ``of`` is the class of the value, ``without`` its fields that are not served, ``also`` properties,
+    ``columns`` the names of the fields as the columns of a table have them, where that is not the order of the class;
+    ``links`` the paths of related resources, with the names of the value's fields in braces.
+    """
+
+    paths: ClassVar[Mapping[str, str]] = {}
+    makers: ClassVar[Mapping[str, tuple[str, Convert]]] = {}
+
+    def __init_subclass__(
+        cls,
+        of: type | None = None,
+        without: Collection[str] = (),
+        also: Collection[str] = (),
+        columns: str = "",
+        links: Mapping[str, str] = {},
+        **kwargs: Any,  # noqa: ANN401 - as pydantic takes them
+    ) -> None:
+        """Add the fields of the value before pydantic collects them."""
+        super().__init_subclass__(**kwargs)
+        if of is None:
+            return
+        own, derived, makers = inspect.get_annotations(cls), {}, dict(cls.makers)
+        for field in _served_fields(of, without, also):
+            kind, convert = (str, text_of) if field.hint is Reason else served_type(field)
+            makers[field.name] = field.key, convert
+            if field.name in own and hasattr(cls, field.name):
+                continue
+            is_nullable = field.nullable or not field.served.finite or field.hint is Reason
+            derived[field.name] = kind | None if is_nullable else kind
+            setattr(cls, field.name, field.words)
+            if field.hint is Reason:
+                derived[f"{field.name}_code"] = ReasonCode | None
+                makers[f"{field.name}_code"] = field.key, code_of
+                if field.name != "reason":
+                    setattr(cls, f"{field.name}_code", Field(description="Its code."))
+        cls.paths = links or cls.paths
+        places, named = columns.split(), derived | own | ({"links": Links} if links else {})
+        cls.__annotations__ = {name: named[name] for name in sorted(named, key=places.index)} if places else named
+        cls.makers = makers
+        MODELS.setdefault(of, cls)
+
+    @classmethod
+    def parts(cls, value: Any, without: Collection[str] = ()) -> dict[str, Any]:  # noqa: ANN401 - of the value's class
+        """Return the fields that a value fills in."""
+        filled = {}
+        for name, (key, convert) in cls.makers.items():
+            if name not in without:
+                item = getattr(value, key)
+                filled[name] = item if convert is None or item is None else convert(item)
+        if cls.paths and "links" not in without:
+            filled["links"] = {name: _path(template, value) for name, template in cls.paths.items()}
+        return filled
+
+    @classmethod
+    def made(cls, value: Any, **own: Any) -> Self:  # noqa: ANN401 - of the value's class; fields of the model
+        """Return the representation of a value, with the fields that are not its own; those win."""
+        return cls(**cls.parts(value, own), **own)
+
+
+def provenance(result: AnyResult) -> dict[str, Any]:
+    """Return what is served of where a result comes from."""
+    return {
+        "code_version": result.numerics,
+        "input_digest": result.made_from,
+        "recorded_at": to_rfc3339(result.recorded_ns),
+    }

@@ -16,14 +16,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args, get_o
 from pydantic import BaseModel, create_model
 from pydantic import Field as Described
 
-from api.schemas.common import Href, Representation, Uncertain
-from api.schemas.derived import MODELS, Derived, fields_of
+from api.schemas.common import MODELS, Derived, Href, Representation, Uncertain, fields_of
 from api.schemas.trend import DateForecast, DistanceForecast, forecast_of
 from api.times import Timestamp, to_rfc3339
-from estimation.alerts.fleet_alerts import FleetAlertEvidence
 from estimation.alerts.life_cycle import DELAYS, Delays
-from estimation.alerts.rules import low_adhesion
-from estimation.alerts.rules.book import ALERT_RULES
+from estimation.alerts.rule_book import ALERT_RULES, FleetAlertEvidence
+from estimation.alerts.rules import running_gear
 from estimation.values.alerts import Alert, AlertScope
 from estimation.values.fields import JsonValue
 from estimation.values.quantities import Estimate, Forecast, Status
@@ -42,7 +40,6 @@ def _number(value: JsonValue) -> float | None:
 
 
 def _count(value: JsonValue) -> int | None:
-    """Return a whole number that every reader of JSON keeps."""
     number = _number(value)
     return None if number is None or abs(number) >= SAFE else int(number)
 
@@ -126,7 +123,7 @@ def _served(hint: Any, key: str) -> tuple[Any, Read]:  # noqa: ANN401 - a type
     return served
 
 
-class Stretch(Derived, of=low_adhesion.Stretch):
+class Stretch(Derived, of=running_gear.Stretch):
     """A stretch of a track section."""
 
 
@@ -262,7 +259,6 @@ def _other(stored: Stored, delays: BaseModel | None) -> OtherEvidence:
 
 
 def _leaves(value: JsonValue, name: str = "") -> Iterator[tuple[str, JsonValue]]:
-    """Yield the values inside a value, each with the names that lead to it."""
     if isinstance(value, Mapping):
         inner = [(str(key), item) for key, item in value.items()]
     elif isinstance(value, list):

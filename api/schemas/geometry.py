@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain, why
-from api.schemas.derived import Derived
-from api.schemas.registry import segment
+from api.schemas.common import Derived, Links, Representation, Uncertain, finite, finite_list, segment, uncertain, why
 from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
@@ -71,7 +69,7 @@ _NOT_MADE_FROM = ("wheelset", "baseline", "interval", "mileage_km", "from_ns", "
 class Provenance(Derived, of=GeometryRecord, without=_NOT_MADE_FROM):
     """What an estimate was made from; the same inputs and code give the same numbers."""
 
-    parameter_key: str
+    parameter_key: str = Field(description="Digest of the parameters of its bin tables.")
     track_versions: dict[str, list[int]] = Field(
         description="By section, the versions of its alignment that the windows were estimated with, increasing."
     )
@@ -104,8 +102,10 @@ class Geometry(Derived, of=WheelsetGeometry, without=_AS_BINS):
     windows_left_out: dict[str, int] | None = Field(
         description="Windows since the last reprofiling that are not believed, by reason; null without a geometry."
     )
-    conicity_by_amplitude: list[ConicityAtAmplitude]
-    bins: Bins
+    conicity_by_amplitude: list[ConicityAtAmplitude] = Field(
+        description="Equivalent conicity at each amplitude (EN 15302)."
+    )
+    bins: Bins = Field(description="The bin table.")
     provenance: Provenance | None = Field(description="What it was made from; null without a geometry.")
     links: Links
 

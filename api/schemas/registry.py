@@ -2,27 +2,39 @@
 
 from __future__ import annotations
 
-from urllib.parse import quote
-
 from pydantic import Field
 
-from api.schemas.common import Links
-from api.schemas.derived import Derived
+from api.schemas.common import Derived, Links, segment
 from api.times import to_rfc3339
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 
 
-class Fleet(Derived, of=FleetRecord):
+class Fleet(
+    Derived,
+    of=FleetRecord,
+    links={
+        "self": "/v1/fleets/{code}",
+        "vehicles": "/v1/vehicles?fleet={code}",
+        "wheelsets": "/v1/wheelsets?fleet={code}",
+        "alerts": "/v1/alerts?fleet={code}",
+    },
+):
     """Who operates what."""
 
-    links: Links
 
-
-class Vehicle(Derived, of=VehicleRecord):
+class Vehicle(
+    Derived,
+    of=VehicleRecord,
+    links={
+        "self": "/v1/vehicles/{code}",
+        "fleet": "/v1/fleets/{fleet}",
+        "vehicle_class": "/v1/vehicle-classes/{vehicle_class}",
+        "wheelsets": "/v1/wheelsets?vehicle={code}",
+        "suspension": "/v1/vehicles/{code}/suspension",
+    },
+):
     """A vehicle and what its alert rules depend on."""
-
-    links: Links
 
 
 class MountingPeriod(Derived, of=Mounting):
@@ -48,38 +60,6 @@ class Wheelset(Derived, of=WheelsetRecord):
 
     serial: str
     links: Links
-
-
-def segment(text: str) -> str:
-    """Return a key as one segment of a path."""
-    return quote(text, safe="")
-
-
-def fleet(record: FleetRecord) -> Fleet:
-    """Return the representation of a fleet."""
-    key = segment(record.code)
-    links = {
-        "self": f"/v1/fleets/{key}",
-        "vehicles": f"/v1/vehicles?fleet={key}",
-        "wheelsets": f"/v1/wheelsets?fleet={key}",
-        "alerts": f"/v1/alerts?fleet={key}",
-    }
-    return Fleet.made(record, links=links)
-
-
-def vehicle(record: VehicleRecord) -> Vehicle:
-    """Return the representation of a vehicle."""
-    key = segment(record.code)
-    return Vehicle.made(
-        record,
-        links={
-            "self": f"/v1/vehicles/{key}",
-            "fleet": f"/v1/fleets/{segment(record.fleet)}",
-            "vehicle_class": f"/v1/vehicle-classes/{segment(record.vehicle_class)}",
-            "wheelsets": f"/v1/wheelsets?vehicle={key}",
-            "suspension": f"/v1/vehicles/{key}/suspension",
-        },
-    )
 
 
 def measured_profiles(record: MeasuredProfiles) -> MeasuredProfilesRecord:

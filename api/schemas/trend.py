@@ -9,9 +9,7 @@ from typing import Any, TypeVar
 
 from pydantic import Field
 
-from api.schemas.common import Links, Representation, Uncertain, finite, uncertain, why
-from api.schemas.derived import Derived
-from api.schemas.registry import segment
+from api.schemas.common import Derived, Links, Representation, Uncertain, finite, segment, uncertain, why
 from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import QUANTITY, conicity_at_limit_amplitude
@@ -39,10 +37,10 @@ _NO_POINTS = (
 class TrendPoints(Derived, of=WearTrend, without=_NO_POINTS):
     """The indicator's history, column by column."""
 
-    mileage_km: list[float | None]
-    measured_at: list[Timestamp]
-    value_1: list[float | None]
-    std_1: list[float | None]
+    mileage_km: list[float | None] = Field(description="Mileage of each point; null where unknown.")
+    measured_at: list[Timestamp] = Field(description="When each point was measured.")
+    value_1: list[float | None] = Field(description="Value of each point.")
+    std_1: list[float | None] = Field(description="Standard deviation of each point.")
 
 
 class DistanceForecast(Representation):
@@ -92,7 +90,7 @@ class Trend(Derived, of=WearTrend, without=("mileage_km", "measured_ns", "value"
     )
     baseline: int
     recorded_at: Timestamp | None = Field(description="When it was recorded; null without a trend.")
-    points: TrendPoints
+    points: TrendPoints = Field(description="The points behind it.")
     current_1: Uncertain = Field(
         description="Equivalent conicity at 3 mm of the current geometry: `equivalent_conicity_at_3_mm_1` there."
     )

@@ -2,16 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 from pydantic import Field
 
-from api.schemas.common import finite, why
-from api.schemas.derived import Derived
+from api.schemas.common import Derived, finite, why, without_folders
 from api.times import Timestamp, to_rfc3339
+from estimation.errors import DamagedError, NotFoundError
+from estimation.track.update import NOT_USED
 from estimation.values import windows as values
 from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.windows import WindowsOfReason, WindowState, WithoutEstimate
+from estimation.values.registry import WheelsetRecord
+from estimation.values.runs import TRIED_AGAIN, JobRun, Quarantined, QuarantineState, SubjectKind
+from estimation.values.windows import WindowKey, WindowRecord, WindowsOfReason, WindowState, WithoutEstimate, remedies
+from estimation.worklist.row import (
+    ALIGNMENT,
+    ESTIMATION,
+    GEOMETRIES,
+    SectionFacts,
+    no_alignment,
+    no_geometry_yet,
+    tried_again,
+    waits_for,
+)
+from fleet_db.records import ChunkState
+from fleet_db.storage import SqlUnitOfWork
+from fleet_db.stores.window_counts import COUNTED, CountedWindows, newest_by_reason, pending_by_place
 
 
 class WindowQuality(Derived, of=values.WindowQuality, without=("hunting", "blows")):
@@ -87,3 +105,185 @@ def unestimated_because(found: WithoutEstimate | None) -> UnestimatedBecause | N
         return None
     counts = {state.value: found.count(state) for state in WindowState}
     return UnestimatedBecause.made(found, windows=found.counted, **counts, what_to_do=found.what_to_do or None)
+
+
+OF_SECTION = {ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.WAITS_FOR_POSITION}
+"""Codes whose sentence names a section and what it lacks."""
+
+SHOWN = 3  # reasons that the sentence on a wheelset names
+
+
+@dataclass(slots=True)
+class WindowReasons:
+    """Reads in one transaction what windows wait for or were refused for; what several share is read once."""
+
+    unit: SqlUnitOfWork
+    _sections: dict[str, SectionFacts] = field(default_factory=dict)
+    _classes: dict[str, Reason | None] = field(default_factory=dict)
+    _runs: dict[str, JobRun | None] = field(default_factory=dict)
+
+    def of_records(self, records: Iterable[WindowRecord]) -> dict[WindowKey, Reason | None]:
+        """Return why each window waits or was refused; None where it is estimated."""
+        records = list(records)
+        waiting = [record.key for record in records if record.state is WindowState.PENDING]
+        placed = self.unit.tracks.positions(waiting) if waiting else {}
+        found: dict[WindowKey, Reason | None] = {}
+        for record in records:
+            position = placed.get(record.key)
+            is_placed = position is not None and position.content_digest == record.content_digest
+            found[record.key] = self._reason(
+                record.state, record.reason, record.track_section, record.vehicle, record.key, placed=is_placed
+            )
+        return found
+
+    def without_estimate(self, serial: str, of_geometry: Reason | None = None, most: int = COUNTED) -> WithoutEstimate:
+        """Return why nothing is estimated of a wheelset; ``of_geometry`` is why that holds no number."""
+        record = self.unit.registry.wheelset(serial)
+        counted = self._counted(record, most)
+        if not counted:
+            reason, what_to_do = self._without_windows(record)
+            why = of_geometry or Reason(ReasonCode.NO_GEOMETRY, reason)
+            return WithoutEstimate(why, what_to_do, (), None, self._last_ns(serial))
+        found = self._merged(serial, counted, of_geometry)
+        return WithoutEstimate(
+            reason=of_geometry or Reason(ReasonCode.NO_GEOMETRY, _sentence(found)),
+            what_to_do=remedies([one.reason for one in found[:SHOWN]]),
+            windows=tuple(found),
+            from_ns=min(one.first_ns for one in counted),
+            last_ns=max(one.newest_end_ns for one in counted),
+        )
+
+    def waiting(self, *, vehicles: Sequence[str] | None = None, wheelset: str | None = None) -> list[WindowsOfReason]:
+        """Return the windows that wait, by what they wait for, the most frequent first."""
+        counted = pending_by_place(self.unit.connection, vehicles=vehicles, wheelset=wheelset)
+        return self._merged(wheelset or "", counted, None)
+
+    def _counted(self, record: WheelsetRecord, most: int) -> list[CountedWindows]:
+        since_ns = max((one.at_ns for one in record.reprofilings), default=None)
+        return list(newest_by_reason(self.unit.connection, record.serial, since_ns, most))
+
+    def _merged(
+        self, serial: str, counted: Iterable[CountedWindows], of_geometry: Reason | None
+    ) -> list[WindowsOfReason]:
+        found = []
+        for one in counted:
+            key = (serial, one.newest_start_ns)
+            reason = self._reason(one.state, one.reason, one.section, one.vehicle, key, placed=one.placed)
+            if one.state is WindowState.ESTIMATED:
+                reason = of_geometry or self._no_geometry_yet(serial)
+            found.append(WindowsOfReason(one.state, reason, one.windows, one.newest_end_ns))
+        return together(found)
+
+    def _reason(
+        self,
+        state: WindowState,
+        stored: Reason | None,
+        section: str | None,
+        vehicle: str,
+        key: WindowKey,
+        *,
+        placed: bool,
+    ) -> Reason | None:
+        if state is WindowState.PENDING:
+            facts = None if section is None else self._section(section)
+            return waits_for(facts, self._no_class(vehicle), self._last_run(ESTIMATION), placed=placed)
+        if stored is None or state is WindowState.ESTIMATED:
+            return stored
+        if stored.code is ReasonCode.ALIGNMENT_UNKNOWN and section is not None and not self._section(section).aligned:
+            return no_alignment(self._section(section))
+        if stored.code in TRIED_AGAIN:
+            serial, start_ns = key
+            return tried_again(stored, self._failed(SubjectKind.WINDOW, f"{serial}@{start_ns}", ESTIMATION))
+        return stored
+
+    def _section(self, code: str) -> SectionFacts:
+        if code not in self._sections:
+            report = self.unit.tracks.report(code)
+            said = {} if report is None else report.report
+            refused = str(said.get("recording")).startswith(NOT_USED)
+            self._sections[code] = SectionFacts(
+                code=code,
+                in_force=self.unit.tracks.in_force(code),
+                looked_at=report is not None,
+                found=None if report is None else report.reason,
+                survey=Reason(ReasonCode(str(said["recording_code"])), str(said["recording"])) if refused else None,
+                failed=self._failed(SubjectKind.SECTION, code, ALIGNMENT),
+            )
+        return self._sections[code]
+
+    def _no_class(self, vehicle: str) -> Reason | None:
+        if vehicle not in self._classes:
+            self._classes[vehicle] = self._look_up_class(vehicle)
+        return self._classes[vehicle]
+
+    def _look_up_class(self, vehicle: str) -> Reason | None:
+        try:
+            code = self.unit.registry.vehicle(vehicle).vehicle_class
+            known = self.unit.registry.vehicle_class(code) is not None
+        except (DamagedError, NotFoundError):  # it is of another fleet, of which nothing is said
+            return None
+        return None if known else Reason(ReasonCode.CLASS_UNKNOWN, f"class {code!r} of {vehicle} is not on file")
+
+    def _no_geometry_yet(self, serial: str) -> Reason:
+        failed = self._failed(SubjectKind.WHEELSET, serial, GEOMETRIES)
+        return no_geometry_yet(self._last_run(GEOMETRIES), failed)
+
+    def _last_run(self, job: str) -> JobRun | None:
+        if job not in self._runs:
+            self._runs[job] = next(iter(self.unit.jobs.page(job, None, 1)), None)
+        return self._runs[job]
+
+    def _failed(self, kind: SubjectKind, key: str, stage: str) -> Quarantined | None:
+        item = self.unit.quarantine.get(kind, key, stage)
+        if item is None or item.state is not QuarantineState.HELD:
+            return None
+        return replace(item, error=without_folders(item.error))
+
+    def _last_ns(self, serial: str) -> int | None:
+        latest = self.unit.windows.latest(serial)
+        return None if latest is None else latest.start_ns + latest.length_ns
+
+    def _without_windows(self, record: WheelsetRecord) -> tuple[str, str]:
+        mounting = record.mounting
+        if self._last_ns(record.serial) is not None:
+            return "no window has been received since the last reprofiling", "Check the vehicle and its receiver."
+        if mounting is None:
+            return "it runs under no vehicle, and no window of it has been received", "Register its mounting."
+        newest = self.unit.chunks.newest_of_vehicle(mounting.vehicle)
+        if newest is None:
+            return f"no recording of {mounting.vehicle} has been received", "Check the vehicle and its receiver."
+        if newest.reason is not None and newest.state is not ChunkState.DECODED:
+            why = without_folders(newest.reason.text)
+            return (
+                f"the newest recording of {mounting.vehicle} is {newest.state.value}: {why}",
+                newest.reason.code.remedy,
+            )
+        return (
+            f"the recordings of {mounting.vehicle} hold no window of axle {mounting.axle} since it was mounted there",
+            "Check the sensor node of the axle, and since when the wheelset is mounted. Standing is no window.",
+        )
+
+
+def together(found: Iterable[WindowsOfReason]) -> list[WindowsOfReason]:
+    """Return windows of one state and code, and of one section where that is what they lack, as one; most first."""
+    by_reason: dict[object, WindowsOfReason] = {}
+    for one in found:
+        code = None if one.reason is None else one.reason.code
+        same = (one.state, code, one.reason.text if one.reason is not None and code in OF_SECTION else None)
+        before = by_reason.get(same, replace(one, windows=0))
+        newest = one if one.newest_ns > before.newest_ns else before
+        by_reason[same] = replace(newest, windows=before.windows + one.windows)
+    return sorted(by_reason.values(), key=lambda one: (-one.windows, -one.newest_ns))
+
+
+_DOES = {WindowState.PENDING: "wait", WindowState.REFUSED: "are refused", WindowState.ESTIMATED: "are estimated"}
+
+
+def _sentence(found: list[WindowsOfReason]) -> str:
+    total = sum(one.windows for one in found)
+    if len(found) == 1:
+        return f"its newest {total} windows {_DOES[found[0].state]}: {found[0].reason}"
+    parts = [f"{one.windows} {_DOES[one.state]}: {one.reason}" for one in found[:SHOWN]]
+    more = sum(one.windows for one in found[SHOWN:])
+    parts += [f"{more} for other reasons"] if more else []
+    return f"of the newest {total} windows " + "; ".join(parts)

@@ -17,11 +17,9 @@ from api.schemas.alerts import LIMIT_UNITS
 from api.settings import Settings, load_settings
 from api.terminal.store import columns, reading, user_here, writing
 from api.times import from_rfc3339, to_rfc3339
-from api.webhooks.cloud_events import trial_of
-from api.webhooks.making import Wanted as WantedWebhook
-from api.webhooks.making import in_state, make_webhook, place_of
-from api.webhooks.sending import sender_of
-from api.webhooks.targets import RefusedTargetError
+from api.webhooks.cloud_events import Wanted as WantedWebhook
+from api.webhooks.cloud_events import in_state, make_webhook, place_of, trial_of
+from api.webhooks.sending import RefusedTargetError, sender_of
 from estimation.errors import ParameterError
 from estimation.values.alerts import Severity
 from fleet_db.records import ApiKey, AuditEntry, Delivery, Webhook, WebhookState

@@ -14,13 +14,13 @@ from rich.table import Table
 
 from api import logs
 from api.factory import job_context, open_store, process_name, scheduled_jobs
-from api.progress import bar
+from api.logs import start_tracing
 from api.routes.worklist import WheelsetRow, row_of_document
+from api.schemas.windows import SHOWN, WindowReasons, together
 from api.settings import Settings
+from api.terminal.progress import bar
+from api.terminal.store import executor_of
 from api.times import from_rfc3339, to_rfc3339
-from api.tracing import start_tracing
-from api.window_reasons import SHOWN, WindowReasons, same_reason
-from api.workers.on_dask import executor_of
 from estimation.errors import ParameterError
 from estimation.jobs.estimate_windows import REFUSED, refusals
 from estimation.jobs.job import Job, JobContext, run_job
@@ -83,7 +83,19 @@ def print_each(settings: Settings) -> None:
     for line in summary_lines(found) or ["every mounted wheelset has a conicity at 3 mm"]:
         typer.echo(line)
     if found.wheelsets:
-        Console().print(_each(found.wheelsets))
+        table = Table("wheelset", "runs under", "windows", "last data", "why", "what to do")
+        for item in found.wheelsets:
+            why = item.why
+            shown = [f"{one.windows} {one.state.value}: {one.reason}" for one in why.windows[:SHOWN]]
+            table.add_row(
+                item.row.serial,
+                f"{item.row.vehicle}, axle {item.row.axle}",
+                str(why.counted),
+                "never" if why.last_ns is None else to_rfc3339(why.last_ns),
+                "\n".join(shown) or why.reason.text,
+                why.what_to_do,
+            )
+        Console().print(table)
 
 
 def summary_lines(found: FleetReasons) -> list[str]:
@@ -91,9 +103,9 @@ def summary_lines(found: FleetReasons) -> list[str]:
     if not found.wheelsets:
         return []
     head = f"{len(found.wheelsets)} of {found.mounted} mounted wheelsets have no conicity at 3 mm"
-    together = _together(found.wheelsets)
-    lines = [f"{head}; their newest windows, at most {found.most:,} of each:" if together else f"{head}:"]
-    lines += [f"  {line_of(one)}" for one in together[:NAMED]]
+    windows = together(one for item in found.wheelsets for one in item.why.windows)
+    lines = [f"{head}; their newest windows, at most {found.most:,} of each:" if windows else f"{head}:"]
+    lines += [f"  {line_of(one)}" for one in windows[:NAMED]]
     return lines + [f"  {line}" for line in _without_windows(found.wheelsets)]
 
 
@@ -115,35 +127,6 @@ def line_of(one: WindowsOfReason) -> str:
     code = "" if one.reason is None else f" {one.reason.code.value}: {one.reason}"
     remedy = "" if one.reason is None or not one.reason.code.remedy else f". {one.reason.code.remedy}"
     return f"{one.windows} {one.state.value}{code}{remedy}"
-
-
-def _together(wheelsets: Iterable[Unestimated]) -> list[WindowsOfReason]:
-    found: dict[object, WindowsOfReason] = {}
-    for one in (one for item in wheelsets for one in item.why.windows):
-        same = same_reason(one.state, one.reason)
-        before = found.get(same)
-        if before is None:
-            found[same] = one
-            continue
-        newest = one if one.newest_ns > before.newest_ns else before
-        found[same] = replace(newest, windows=before.windows + one.windows)
-    return sorted(found.values(), key=lambda one: (-one.windows, -one.newest_ns))
-
-
-def _each(wheelsets: Sequence[Unestimated]) -> Table:
-    table = Table("wheelset", "runs under", "windows", "last data", "why", "what to do")
-    for item in wheelsets:
-        why = item.why
-        shown = [f"{one.windows} {one.state.value}: {one.reason}" for one in why.windows[:SHOWN]]
-        table.add_row(
-            item.row.serial,
-            f"{item.row.vehicle}, axle {item.row.axle}",
-            str(why.counted),
-            "never" if why.last_ns is None else to_rfc3339(why.last_ns),
-            "\n".join(shown) or why.reason.text,
-            why.what_to_do,
-        )
-    return table
 
 
 def run_jobs_once(name: str | None, settings: Settings) -> bool:
@@ -202,7 +185,6 @@ def summary(runs: Sequence[JobRun]) -> Table:
 
 
 def _counts(counts: Mapping[str, int]) -> str:
-    """Return what a run has counted in words; refused windows with their reasons behind them."""
     why = ", ".join(f"{count} {code.value}" for code, count in refusals(counts).items())
     named = [f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if not name.startswith(REFUSED)]
     return ", ".join(f"{one}: {why}" if why and one.endswith(" refused") else one for one in named)

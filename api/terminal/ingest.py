@@ -14,13 +14,13 @@ from rich.table import Table
 
 from api import factory, logs
 from api.factory import SystemClock, open_store, publishing
-from api.progress import bar
+from api.logs import start_tracing
+from api.schemas.windows import WindowReasons
 from api.settings import load_settings
 from api.terminal.estimate import line_of
+from api.terminal.progress import bar
 from api.terminal.store import print_line, user_name
 from api.times import to_rfc3339
-from api.tracing import start_tracing
-from api.window_reasons import WindowReasons
 from estimation.errors import InputError, ParameterError, TreadwatchError
 from fleet_db.records import Decision
 from fleet_db.storage import SqlStorage
@@ -199,7 +199,6 @@ def load_and_say(registry: Path, storage: SqlStorage, console: Console) -> None:
 
 
 def _work_off(receiver: Receiver, console: Console) -> None:
-    """Assemble the windows again that something has made stale; print what changed."""
     try:
         changes = receiver.reassembler.work_off()
     except TreadwatchError as error:  # it stays stale; what comes now does not wait for it
@@ -237,7 +236,6 @@ def reassemble_and_report(vehicle: str, begin: datetime | None, end: datetime | 
 
 
 def _nanoseconds(moment: datetime | None, field: str) -> int | None:
-    """Return a time as ns since 1970; one without a zone is UTC."""
     if moment is None:
         return None
     since = (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)) - EPOCH

@@ -10,8 +10,8 @@ from pathlib import Path
 import typer
 
 from api.factory import SystemClock, open_store, raw_store, retention_of
-from api.progress import counted
 from api.settings import load_settings
+from api.terminal.progress import counted
 from fleet_db.keeping.backup import BackupPlan, back_up
 from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.purge import purge

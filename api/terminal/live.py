@@ -17,16 +17,15 @@ from rich.console import Console
 
 from api import factory, logs
 from api.factory import SystemClock, open_store, publisher
+from api.logs import start_tracing
 from api.measures import counter, gauge, reference_measures
 from api.settings import Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes
-from api.tracing import start_tracing
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.migrate import check_head
 from fleet_db.storage import SqlStorage
-from ingest.bus import open_bus
-from ingest.live.listening import BusSource
+from ingest.live.listening import BusSource, open_bus
 from ingest.live.receiver import LiveSettings, ReceivedBus, receive_buses
 from ingest.live.status import LiveStatus, Reports, Say
 from ingest.live.storing import Stores
@@ -81,13 +80,17 @@ def receive_and_report(
                     bus,
                     Stores(stores.connect, stores.check),
                     statuses[bus.vehicle],
-                    Reports(say if len(buses) == 1 else _of_vehicle(say, bus.vehicle), received),
+                    Reports(say if len(buses) == 1 else partial(_say_of, say, bus.vehicle), received),
                 )
                 for bus in buses
             ],
             stop,
         )
     print_outcomes(list(outcomes), console)
+
+
+def _say_of(say: Say, vehicle: str, text: str, *, bad: bool = False) -> None:
+    say(f"{vehicle}: {text}", bad=bad)
 
 
 class _Stores:
@@ -117,15 +120,6 @@ class _Stores:
     def close(self) -> None:
         if self._storage is not None:
             self._storage.close()
-
-
-def _of_vehicle(say: Say, vehicle: str) -> Say:
-    """Return what says which vehicle a sentence is about."""
-
-    def say_of_vehicle(text: str, *, bad: bool = False) -> None:
-        say(f"{vehicle}: {text}", bad=bad)
-
-    return say_of_vehicle
 
 
 def _received_bus(

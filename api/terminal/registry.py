@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import typer
 
-from api.factory import SystemClock, open_store
-from api.settings import load_settings
+from api.factory import SystemClock
 from api.terminal.ingest import registry_lines
 from api.terminal.store import reading, user_name, writing
 from api.times import from_rfc3339, to_rfc3339
 from estimation.errors import InputError, ParameterError, TreadwatchError
 from estimation.values.fields import JsonValue
 from fleet_db.records import Decision, RecordAction, RecordKind, RegistryEvent
-from fleet_db.storage import SqlStorage
 from fleet_db.stores.registry_history import RecordKey
 from ingest.registry_entry.contents import Entry, RegistryRefusedError, Rule
 from ingest.registry_entry.enter import refuse_contradicted
@@ -109,29 +107,21 @@ def check_and_report(file: Path, confirmed: Sequence[Rule]) -> None:
 
     The file is loaded as :func:`load_and_report` does, in a transaction that is rolled back: nothing is stored.
     """
-    with closing(open_store(load_settings())) as storage:
-        lines = _problems(file, storage, _entry(confirmed, "", ""))
+    lines: list[str] = []
+    entry = _entry(confirmed, "", "")
+    try:
+        with suppress(_NothingStoredError), writing() as unit:
+            load_registry(file, unit, entry.recorded_ns, entry)
+            raise _NothingStoredError
+    except RegistryRefusedError as error:
+        lines = refusal_lines(error)
+    except InputError as error:
+        lines = [str(error)]
     for line in lines:
         typer.echo(line)
     if lines:
         raise typer.Exit(CONTRADICTED)
     typer.echo(f"{file}: nothing is wrong with it")
-
-
-def _problems(file: Path, storage: SqlStorage, entry: Entry) -> list[str]:
-    try:
-        with suppress(_NothingStoredError), storage.write() as unit:
-            load_registry(file, unit, entry.recorded_ns, entry)
-            _roll_back()
-    except RegistryRefusedError as error:
-        return refusal_lines(error)
-    except InputError as error:
-        return [str(error)]
-    return []
-
-
-def _roll_back() -> None:
-    raise _NothingStoredError
 
 
 def export_and_report(file: Path) -> None:

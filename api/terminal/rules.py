@@ -15,12 +15,12 @@ from rich.console import Console
 from rich.table import Table
 
 from api.factory import SystemClock, open_store
-from api.progress import bar
 from api.rules_file import load_rules, resolved
 from api.settings import load_settings
+from api.terminal.progress import bar
 from api.terminal.store import print_line
 from api.times import from_rfc3339, to_rfc3339
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.conicity_limit import SpeedBand
 from estimation.errors import InputError, NotFoundError
 from estimation.jobs.refresh_adhesion import KEPT_NS

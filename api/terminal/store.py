@@ -1,4 +1,4 @@
-"""What commands share: the database of this deployment, who uses it, how a process begins, and lines of text."""
+"""What commands share: the database of this deployment, who uses it, how a process begins and who works for it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from rich.console import Console
 
 from api import logs
 from api.factory import once_the_database_answers, open_store
+from api.logs import start_tracing
 from api.settings import Settings, load_settings
-from api.tracing import start_tracing
+from estimation.jobs.job import WorkExecutor
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
@@ -32,6 +33,23 @@ def begun(settings: Settings) -> threading.Event:
 def store_once_it_answers(settings: Settings, stopping: threading.Event) -> SqlStorage | None:
     """Return the opened database as soon as it answers; None when a stop is asked for before."""
     return once_the_database_answers(partial(open_store, settings), settings, stopping)
+
+
+@contextmanager
+def executor_of(settings: Settings) -> Iterator[WorkExecutor | None]:
+    """Yield what does the units of work of this deployment: None for this process itself."""
+    if settings.dask_scheduler is not None:
+        from api.workers.on_dask import DaskExecutor  # noqa: PLC0415 - an extra
+
+        with DaskExecutor(settings) as on_dask:
+            yield on_dask
+    elif settings.worker_count > 1:
+        from api.workers.pool import ProcessPool  # noqa: PLC0415 - most commands work alone
+
+        with ProcessPool(settings, settings.worker_count) as pool:
+            yield pool
+    else:
+        yield None
 
 
 @contextmanager

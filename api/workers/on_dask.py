@@ -23,14 +23,14 @@ from typing import Any, TypeVar, cast
 
 from api.factory import process_name
 from api.settings import Settings, load_settings
-from api.workers.pool import ProcessPool, context_of, in_worker, work_unit
+from api.workers.pool import context_of, in_worker, work_unit
 from estimation.errors import PassingFaultError, TreadwatchError, WorkFailedError
 from estimation.jobs.job import JobContext, WorkExecutor
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobTrigger
 from fleet_db.atomic_files import passing_faults
 from fleet_db.storage import SqlStorage
-from ingest.live.backoff import Backoff
+from ingest.live.status import Backoff
 
 CONNECT_S = 10.0  # how long the scheduler may take to answer, s
 LOOK_S = 1.0  # how often it is asked which workers there are, s
@@ -238,17 +238,3 @@ def _command(address: str, settings: Settings) -> list[str]:
     }
     given = [str(part) for pair in options.items() for part in pair]
     return [sys.executable, "-m", "distributed.cli.dask_worker", address, *given, "--no-dashboard"]
-
-
-@contextmanager
-def executor_of(settings: Settings) -> Iterator[WorkExecutor | None]:
-    """Yield what does the units of work of this deployment: None for this process itself."""
-    if settings.dask_scheduler is None and settings.worker_count == 1:
-        yield None
-        return
-    with (
-        ProcessPool(settings, settings.worker_count)
-        if settings.dask_scheduler is None
-        else DaskExecutor(settings) as made
-    ):
-        yield made

@@ -181,7 +181,6 @@ class _Worker:
         return self.pool
 
     def _check(self, took_s: float) -> None:
-        """Kill the process where it is not to go on."""
         memory_mb = _memory_mb(self.pid)
         if took_s > self.settings.unit_limit_s:
             why = f"a unit has taken {took_s:.0f} s"

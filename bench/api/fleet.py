@@ -10,9 +10,8 @@ import numpy as np
 from sqlalchemy import Insert, func, insert, literal, select
 
 from bench.put_values import put_geometry, put_trend
-from estimation.alerts.rules.rule import estimate_evidence, unknown_evidence
 from estimation.trend.trend import TrendPoint, refresh
-from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
+from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity, estimate_evidence, unknown_evidence
 from estimation.values.geometry import (
     GEOMETRY,
     BinStatus,

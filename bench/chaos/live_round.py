@@ -20,8 +20,8 @@ from bench.service_environment import environment_of
 from fleet_db.raw import FileRawStore
 from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.bus import open_bus, send
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
+from ingest.live.listening import open_bus, send
 from ingest.logs import read_log
 from tests.ingest.vehicle_bus import VEHICLE, Run
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from estimation.values.windows import ACCELERATIONS
 from ingest import catalogue as kinds
-from ingest.bus import messages_of
 from ingest.catalogue import default_catalogue, sync_counter, time_of_day
 from ingest.codec import encode
 from ingest.frames import FrameBatch, concatenate, sort_by_time
+from ingest.live.listening import messages_of
 from ingest.logs import write_blf
 
 SECONDS = 2

@@ -18,8 +18,7 @@ from estimation.errors import LogFileError
 from ingest.align.windows import vehicle_samples
 from ingest.catalogue import MOTION, POSITION, default_catalogue
 from ingest.frames import FrameBatch, merge
-from ingest.logs.formats import read_content
-from ingest.logs.processes import LogContent, ReadCost
+from ingest.logs.formats import LogContent, ReadCost, read_content
 from ingest.recordings import align_frames
 
 INSIDE = "inside .blf"

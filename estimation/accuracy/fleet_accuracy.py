@@ -45,12 +45,10 @@ def estimate_of_date(
     interval_km: float,
     change: IdentityChange | None = None,
 ) -> EstimateOfDate:
-    """Return the estimate that belongs to a measurement, or why there is none.
-
-    It is that of the mileage interval which contains the measurement, since the last reprofiling before it and with no
-    data of after the next. Where that interval has no conicity it is the nearest one that has, if its mileage is
-    within an interval of the measurement: in that distance a profile hardly wears.
-    """
+    """Return the estimate that belongs to a measurement, or why there is none."""
+    # It is that of the mileage interval which contains the measurement, since the last reprofiling before it and with
+    # no data of after the next. Where that interval has no conicity it is the nearest one that has, if its mileage is
+    # within an interval of the measurement: in that distance a profile hardly wears.
     baseline, begin_km = baseline_at(wheelset, measurement.at_ns)
     own = [one for one in intervals if one.baseline == baseline and one.interval is not None and one.geometry.windows]
     if not own:
@@ -157,7 +155,6 @@ def compared(
 
 
 def _estimated(estimate: EstimateOfDate, amplitude: float) -> Estimate:
-    """Return the estimated conicity at an amplitude; at that of limits it may be extrapolated."""
     if estimate.record is None:
         return Estimate.unknown(estimate.reason or _NO_ESTIMATE)
     geometry = estimate.record.geometry
@@ -180,11 +177,9 @@ _TAIL = 0.025  # on either side of a 95 % interval
 
 
 def covers(estimated: Estimate, measured: Estimate) -> bool | None:
-    """Return whether the 95 % interval of an estimate covers a measured value; None where either is unknown.
-
-    The measurement errs too: the half of the interval on its side and 1.96 of its standard deviations are added as
-    squares.
-    """
+    """Return whether the 95 % interval of an estimate covers a measured value; None where either is unknown."""
+    # the measurement errs too: the half of the interval on its side and 1.96 of its standard deviations are added as
+    # squares
     if estimated.value is None or estimated.low is None or estimated.high is None:
         return None
     if measured.value is None or measured.std is None:
@@ -216,10 +211,8 @@ class CoverageCount:
 
     @property
     def interval_95(self) -> tuple[float, float] | None:
-        """The 95 % interval of the share after Clopper and Pearson (Biometrika 26, 1934); None without a comparison.
-
-        Comparisons count as independent of each other.
-        """
+        """The 95 % interval of the share after Clopper and Pearson (Biometrika 26, 1934); None without a comparison."""
+        # comparisons count as independent of each other
         n, k = self.compared, self.covered
         if n == 0:
             return None
@@ -319,12 +312,10 @@ class CurveOrigin:
 def curve_origin(
     found: WheelsetGeometry, displacement: FloatArray, difference: FloatArray, crossing: float
 ) -> CurveOrigin:
-    """Return the point of a known curve rL - rR from which an estimated one is counted.
-
-    The estimated curve has its origin at the mean of both: it may be anywhere along the known curve, with its own R
-    zero on average. The place where it fits best is taken; a wheelset of unlike wheels runs nearer to the track centre
-    than its zero crossing is.
-    """
+    """Return the point of a known curve rL - rR from which an estimated one is counted."""
+    # The estimated curve has its origin at the mean of both: it may be anywhere along the known curve, with its own R
+    # zero on average. The place where it fits best is taken; a wheelset of unlike wheels runs nearer to the track
+    # centre than its zero crossing is.
     centre, R = found.bin_centres, found.rolling_radius_difference
     known = np.isfinite(R.value)
     if not known.any():

@@ -141,7 +141,6 @@ def _on_rails(wheels: WheelPair, one: RailShare) -> tuple[ContactTable, RadiusDi
 
 
 def _mean_curve(curves: Sequence[RadiusDifferenceCurve], share: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean of the curves over what all of them cover, at the points of all of them."""
     if len(curves) == 1:
         return curves[0].displacement, curves[0].difference
     low = max(float(one.displacement[0]) for one in curves)

@@ -12,9 +12,10 @@ expects does not follow the vehicle: ``diverged``, and nothing is published.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Self
 
 import numpy as np
 
@@ -22,13 +23,21 @@ from estimation.adhesion.stationary_filter import AXLE, StationaryFilter, statio
 from estimation.compiled import compiled
 from estimation.filters import remove_wander
 from estimation.motion.checks import moving_samples
-from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, integrate
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, SignalParameters, integrate
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import ACCELERATIONS, Window
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
+from estimation.vehicle.vehicle_class import (
+    AXLES_OF_A_BOGIE,
+    CREEP_STD,
+    GRAVITY,
+    LOAD_STD,
+    STIFFNESS_STD,
+    UNSTATED_SCALE_STD,
+    SensorLayout,
+    VehicleClass,
+    VehicleParameters,
+)
 
 ROLL, LATERAL, YAW, MASS = (
     ACCELERATIONS.index(f"{name}_acceleration") for name in ("roll", "lateral", "yaw", "mass_lateral")
@@ -60,11 +69,7 @@ class GearSegments(FrozenArrays):
 def gear_segments(
     windows: Sequence[Window], vehicle_class: VehicleClass, signals: SignalParameters
 ) -> GearSegments | Reason:
-    """Return the segments of a running gear, or why there are none.
-
-    Args:
-        windows: Of one time: of a wheelset, or of front and rear wheelset of a bogie; (n,) samples each.
-    """
+    """Return the segments of windows (n,) of one time, of a wheelset or of both of a bogie, or why there are none."""
     axles = 1 if vehicle_class.bogie is None else AXLES_OF_A_BOGIE
     if len(windows) != axles or len({(one.start_ns, len(one.valid)) for one in windows}) != 1:
         raise ValueError(f"{len(windows)} windows for a running gear of {axles} wheelsets, or not of one time")
@@ -84,10 +89,8 @@ def gear_segments(
 def _accelerations(
     windows: Sequence[Window], parts: Sequence[IntegratedSegment], rolls: Sequence[FloatArray]
 ) -> FloatArray:
-    """Return the accelerations (3 a, m) without gravity and means: lateral and yaw of each axle, then those above.
-
-    The sensors above are on one frame, which rests on both axles and rolls with their mean.
-    """
+    """Return the accelerations (3 a, m) without gravity and means: lateral and yaw of each axle, then those above."""
+    # the sensors above are on one frame, which rests on both axles and rolls with their mean
     part, known = parts[0].part, parts[0].known
     mean_roll = np.mean(rolls, axis=0)
     rows = []
@@ -224,10 +227,8 @@ def forces_on(
 
 
 def _smoothed(gear: GearSegments, segment: GearSegment, vehicle_class: VehicleClass) -> tuple[FloatArray, float, bool]:
-    """Return the signals (a, 4, m) of a segment in the order of ``ContactForces``.
-
-    Beside them the largest mean square of a channel's innovations, and whether its axle boxes vibrate.
-    """
+    """Return the signals (a, 4, m) of a segment in the order of ``ContactForces``."""
+    # beside them the largest mean square of a channel's innovations, and whether its axle boxes vibrate
     p, parts, rolls = vehicle_class.parameters, segment.axles, segment.rolls
     first = parts[0]
     speed = float(first.speed.mean())
@@ -285,3 +286,85 @@ def _named(
     force = made.states + 2 * axle
     gyroscopic = p.pitch_inertia * segment.speed / p.nominal_radius * roll_rate
     return np.stack([states[:, force], states[:, force + 1] + gyroscopic, states[:, AXLE * axle + 3], roll])
+
+
+# creep coefficient, yaw spring and load on file scale 1/mu; the scale of a sensor looks like creep that grows with the
+# force, at every friction alike: in parts of b, as measured with sensors that are 5 % off (`bench adhesion`)
+YAW_AS_CREEP = 0.55  # b that a scale of the yaw sensors leaves, over its error
+LATERAL_AS_CREEP = 0.35  # the same of the lateral sensors
+
+
+@dataclass(frozen=True, slots=True)
+class FileErrors:
+    """Relative stds of what all vehicles of a class have in common."""
+
+    creep: float = CREEP_STD  # coefficient
+    spring: float = STIFFNESS_STD  # in yaw
+    load: float = LOAD_STD
+    yaw_scale: float = UNSTATED_SCALE_STD  # of the yaw sensors
+    lateral_scale: float = UNSTATED_SCALE_STD  # of the lateral sensors
+
+    @classmethod
+    def of(cls, classes: Collection[VehicleClass]) -> Self:
+        """Return the largest std that any of some classes has; the defaults where there is none."""
+        if not classes:
+            return cls()
+        return cls(
+            max(one.std_of("longitudinal_creep_coefficient") for one in classes),
+            max(one.std_of("yaw_stiffness") for one in classes),
+            max(one.std_of("load") for one in classes),
+            max(one.sensors.yaw.usual_scale_std for one in classes),
+            max(lateral_scale_std(one.sensors) for one in classes),
+        )
+
+    @property
+    def factor_std(self) -> float:
+        """Relative std of 1/mu of all places."""
+        return math.hypot(self.creep, self.spring, self.load)
+
+    @property
+    def creep_std(self) -> float:
+        """Std of what the scales of the sensors leave, as a b of all vehicles."""
+        return math.hypot(YAW_AS_CREEP * self.yaw_scale, LATERAL_AS_CREEP * self.lateral_scale)
+
+
+def lateral_scale_std(sensors: SensorLayout) -> float:
+    """Return the relative std of the scale of the lateral sensors: the larger one of axle boxes and what is above."""
+    return max(sensors.lateral.usual_scale_std, sensors.mass_lateral.usual_scale_std)
+
+
+def force_errors(vehicle_class: VehicleClass) -> tuple[float, float, float]:
+    """Return the relative stds that file and sensors leave to forces across the track, the moment in yaw, and load."""
+    std_of, sensors = vehicle_class.std_of, vehicle_class.sensors
+    return (
+        math.hypot(std_of("wheelset_mass"), std_of("lateral_stiffness"), lateral_scale_std(sensors)),
+        math.hypot(std_of("yaw_stiffness"), sensors.yaw.usual_scale_std),
+        std_of("load"),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FrictionParameters:
+    """When friction is published, and when it is low."""
+
+    low: float = 0.15  # limit of low adhesion
+    likely: float = 0.45  # probability of a friction below the limit from which a place has low adhesion
+    at_ends: float = 0.3  # the same of the places around it, to which its stretch reaches
+    good: float = 0.4  # friction of good rails: an interval that holds it shows no low friction
+    certain: float = 0.9  # that probability where a vehicle is alone, and from which samples are left out elsewhere
+    beside_others: float = 0.7  # the same of a place that one vehicle met, where others have passed the section
+    fewest_vehicles: int = 2  # that agree, where the probability is less
+    fewest_passes: int = 3  # of wheelsets
+    creep_error_std: float = 0.1  # of b, relative
+    usual: float = 3.3  # 1/mu of rails that nothing is known of: a friction of 0.3
+    usual_std: float = 3.0  # of it, at a place
+    most_usual: float = 6.7  # 1/mu of a place that is usual yet
+    level_std: float = 1.0  # of it, of the middle one of all places of a section
+    law_std: float = 0.1  # of 1/mu, relative: creep laws differ
+    file: FileErrors = field(default_factory=FileErrors)  # what file and sensors leave open of all vehicles alike
+    track_std: float = 0.45  # of 1/mu of a place, at least: the error of the alignment is the same in all passes
+    smoothed_std: float = 1.0  # the same of what forces have lost with the vibration of axle boxes
+    change_std: float = 0.2  # of the logarithm of 1/mu from a place to the next
+    fresh: float = 0.05  # share of places whose friction has nothing to do with that of the place before
+    least_upper: float = 0.6  # an interval that reaches beyond says no more than a lower bound
+    rounds: int = 12

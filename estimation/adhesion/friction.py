@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from estimation.adhesion.parameters import FrictionParameters
+from estimation.adhesion.creep_forces import FrictionParameters
 from estimation.adhesion.pass_sums import (
     Agreed,
     PassSums,
@@ -36,12 +36,11 @@ from estimation.adhesion.pass_sums import (
     creep_levels,
     pass_sums,
 )
+from estimation.motion.checks import MARGIN
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import Correction
-from estimation.values.windows import Window
 
 MOST_CREEP = 2.0  # stds of b that all vehicles have in common, from which the shape is asked
 LEAST_SUPPORT = 0.8  # of the squares that an error of linear creep would leave, to be taken for one
@@ -60,7 +59,6 @@ def slippery_throughout(sums: PassSums, creep: FloatArray, slope: FloatArray, cr
 
 
 def _left(sums: PassSums, creep: FloatArray, slope: FloatArray) -> float:
-    """Return the squares of e that are left where each place has the friction that fits it best, but for a constant."""
     b, a = creep[sums.vehicle], slope[sums.wheelset]
     _, eq, qq, _, qx, _ = sums.squares.T
     linear = b * (b * qq - 2.0 * eq + 2.0 * a * qx)
@@ -75,11 +73,7 @@ MEDIAN_SQUARE = 0.4549  # of a standard normal variable
 def section_adhesion(
     track_section: str, passes: Sequence[WindowAdhesion], parameters: FrictionParameters, length: float = math.inf
 ) -> SectionAdhesion | None:
-    """Return the friction along a section and where it is low; None where no pass says anything.
-
-    Args:
-        length: Of the section, m; what was measured before its begin and behind its end belongs to no place of it.
-    """
+    """Return the friction on the ``length`` (m) of a section and where it is low; None where no pass says anything."""
     known = [one for one in passes if one.sums is not None and len(one.sums.cells)]
     found, left_out = pooled_friction(known, parameters)
     cells = tuple(cell for cell in found if 0.0 <= cell.from_m < length)
@@ -121,7 +115,8 @@ def _staying(passes: Sequence[WindowAdhesion], left_out: Sequence[LeftOut]) -> S
 def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> tuple[CellFriction, ...]:
     left, counts, vehicles = _left_std(sums, found, parameters), sums.counts, sums.vehicles_of_places
     mean, std = _along(sums, found, left, _scatter(sums, found, parameters), parameters)
-    slope = _slope(sums, mean)
+    _, gg, gq, _ = sums.by_place(sums.at(mean).T).T
+    slope = np.asarray(mean * gq / np.maximum(gg, TINY))
     by_creep = found.left_creep_std * slope
     by_scale = parameters.file.creep_std * _everywhere(slope, mean, parameters)
     smoothed = sums.by_place(sums.smoothed) > 0.0
@@ -136,15 +131,12 @@ def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) ->
 
 @dataclass(frozen=True, slots=True)
 class _Solution(Agreed):
-    """What all passes of a section agree on, and what that leaves."""
-
     creep: FloatArray  # (v,) b
     left_creep_std: float  # that a b of all vehicles is left
     common_std: FloatArray  # (c,) of 1/mu: by what all passes of a place have wrong
 
 
 def _solved(sums: PassSums, parameters: FrictionParameters) -> _Solution:
-    """Return what all passes agree on; creep that all vehicles have in common is the rails' where its shape says so."""
     found = _in_turn(sums, parameters, None)
     if not slippery_throughout(sums, found.creep, found.slope, parameters.creep_error_std):
         return found
@@ -168,10 +160,8 @@ def _in_turn(sums: PassSums, parameters: FrictionParameters, given: tuple[FloatA
 
 
 def _noise(sums: PassSums, at: FloatArray, creep: FloatArray, slope: FloatArray) -> float:
-    """Return the variance of e that the scatter of the passes about their common 1/mu shows, m2.
-
-    The product of what is left of a pass with g has the variance of e, times its correlated samples, times g g.
-    """
+    """Return the variance of e that the scatter of the passes about their common 1/mu shows, m2."""
+    # the product of what is left of a pass with g has the variance of e, times its correlated samples, times g g
     ge, gg, gq, gx = at
     left = ge - gg - creep[sums.vehicle] * gq - slope[sums.wheelset] * gx
     there = gg > 0.0
@@ -181,10 +171,8 @@ def _noise(sums: PassSums, at: FloatArray, creep: FloatArray, slope: FloatArray)
 def _misfits(
     sums: PassSums, creep: FloatArray, slope: FloatArray, noise: float, parameters: FrictionParameters
 ) -> FloatArray:
-    """Return the sums of squares (n, k) that every friction leaves of a pass at a place, but for a constant.
-
-    What is known of the place beforehand is spread over its passes.
-    """
+    """Return the sums of squares (n, k) that every friction leaves of a pass at a place, but for a constant."""
+    # what is known of the place beforehand is spread over its passes
     known = noise * ((INVERSE - parameters.usual) / parameters.usual_std) ** 2
     return _own_misfits(sums, creep, slope) + known / sums.counts[sums.place][:, None]
 
@@ -209,17 +197,14 @@ def _least(misfits: FloatArray) -> FloatArray:
 
 
 def _left_std(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> FloatArray:
-    """Return the std of 1/mu (c,) that noise and what is known beforehand leave to the passes of a place alone.
-
-    About 1/mu g is in proportion to it.
-    """
+    """Return the std of 1/mu (c,) that noise and what is known beforehand leave to the passes of a place alone."""
+    # about 1/mu g is in proportion to it
     gg = sums.by_place(sums.at(found.inverse)[1])
     known = gg / np.maximum(found.inverse, TINY) ** 2 / max(found.noise, TINY)
     return np.asarray(1.0 / np.sqrt(known + 1.0 / parameters.usual_std**2))
 
 
 def _scatter(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> FloatArray:
-    """Return the std of 1/mu (c,) that the passes of a place show: each is left out in turn."""
     misfits = _misfits(sums, found.creep, found.slope, found.noise, parameters)
     left_out = _least(sums.by_place(misfits)[sums.place] - misfits)
     n = sums.counts
@@ -238,12 +223,6 @@ def _along(
     return along_track(sums.cells, misfits * widened[:, None] / max(found.noise, TINY), place_std, parameters)
 
 
-def _slope(sums: PassSums, inverse: FloatArray) -> FloatArray:
-    """Return by how much 1/mu (c,) falls as b of all vehicles rises."""
-    _, gg, gq, _ = sums.by_place(sums.at(inverse).T).T
-    return np.asarray(inverse * gq / np.maximum(gg, TINY))
-
-
 def _everywhere(slope: FloatArray, inverse: FloatArray, parameters: FrictionParameters) -> FloatArray:
     """Return by how much 1/mu (c,) falls as the scale of a sensor makes a b: at every friction as at usual places."""
     usual = slope[inverse < 1.0 / parameters.low]
@@ -253,7 +232,6 @@ def _everywhere(slope: FloatArray, inverse: FloatArray, parameters: FrictionPara
 def _cell(
     cell: int, n: int, left: float, inverse: float, stds: tuple[float, float, float], parameters: FrictionParameters
 ) -> CellFriction:
-    """Return the friction of a place of n passes by its 1/mu, with stds by the passes, by common b, by sensors."""
     if n < parameters.fewest_passes:
         few = Reason(ReasonCode.TOO_FEW_PASSES, f"{n} of {parameters.fewest_passes} passes that are needed")
         return CellFriction(cell, Estimate.unknown(few, float(n)), 0.0, 0.0, n)
@@ -284,12 +262,10 @@ def _two_sided(found: CellFriction) -> CellFriction:
 
 
 def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters) -> tuple[tuple[float, float], ...]:
-    """Return where friction is low: (begin, end) in m of adjoining places, in order of distance.
-
-    One place of a stretch, at least, is likely to be low by what vehicles agree on, or near to certain by what one
-    shows, and is no good rails; the stretch reaches as far as that is not unlikely. One other place may be between.
-    The creep of one vehicle is better known on a section where it is held against that of others.
-    """
+    """Return where friction is low: (begin, end) in m of adjoining places, in order of distance."""
+    # One place of a stretch, at least, is likely to be low by what vehicles agree on, or near to certain by what one
+    # shows, and is no good rails; the stretch reaches as far as that is not unlikely. One other place may be between.
+    # The creep of one vehicle is better known on a section where it is held against that of others.
     reached = min(parameters.at_ends, parameters.likely)
     beside = any(one.vehicles >= parameters.fewest_vehicles for one in cells)
     by_one = max(parameters.likely, parameters.beside_others if beside else parameters.certain)
@@ -309,10 +285,8 @@ def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters)
 
 
 def certain_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters) -> tuple[tuple[float, float], ...]:
-    """Return where friction is certainly low: (begin, end) in m of adjoining places, in order of distance.
-
-    A vehicle that is alone is certain of nothing: the geometries by which it judges the rails are its own.
-    """
+    """Return where friction is certainly low: (begin, end) in m of adjoining places, in order of distance."""
+    # a vehicle that is alone is certain of nothing: the geometries by which it judges the rails are its own
     certain = max(parameters.certain, parameters.likely)
     found: list[tuple[float, float]] = []
     for one in cells:
@@ -322,36 +296,6 @@ def certain_stretches(cells: Sequence[CellFriction], parameters: FrictionParamet
         begin = found.pop()[0] if found and found[-1][1] == one.from_m else one.from_m
         found.append((begin, one.to_m))
     return tuple(found)
-
-
-MARGIN = 25.0  # m kept from a stretch of low friction: half a place
-MOST_LEFT_OUT = 0.25  # share of the samples from which low friction is why too few are left
-TOO_LITTLE = frozenset({ReasonCode.NO_USABLE_SAMPLE, ReasonCode.INTERRUPTED, ReasonCode.TOO_FEW_USABLE})
-
-
-def away_from_low_adhesion(
-    window: Window, stretches: Sequence[tuple[float, float]], correction: Correction | None = None
-) -> Window | Reason:
-    """Return the window with its samples on low friction not valid, or that none is left."""
-    if not stretches:
-        return window
-    distance = window.distance if correction is None else correction.at(window.distance)
-    low = np.zeros(len(window.valid), np.bool_)
-    for begin, end in stretches:
-        low |= (distance >= begin - MARGIN) & (distance <= end + MARGIN)
-    left = window.valid & ~low
-    if not left.any() and window.valid.any():
-        return Reason(ReasonCode.LOW_ADHESION, "all of the window is on rails of low friction")
-    return replace(window, valid=left)
-
-
-def refused_for_low_adhesion(reason: Reason, window: Window, kept: Window) -> Reason:
-    """Return why a window is refused: low friction, where that took most of its samples and too few are left."""
-    share = 1.0 - float(kept.valid.sum()) / max(int(window.valid.sum()), 1)
-    if share < MOST_LEFT_OUT or reason.code not in TOO_LITTLE:
-        return reason
-    text = f"{share:.0%} of its samples are on rails of low friction; of the rest: {reason.text}"
-    return Reason(ReasonCode.LOW_ADHESION, text)
 
 
 def touched(one: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:

@@ -35,7 +35,7 @@ from typing import Annotated
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from estimation.adhesion.parameters import FileErrors, FrictionParameters
+from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.opinions import INVERSE, LeftOut, WindowAdhesion
 from estimation.values.reasons import Reason, ReasonCode
@@ -130,10 +130,8 @@ class Scales(FrozenArrays):
     misfits: Annotated[FloatArray, len(SCALES), "n"]  # sums of squares at ``SCALES`` over the noise, but for a constant
 
     def std_from(self, other: FloatArray) -> FloatArray:
-        """Return the std (g,) of the difference from other logarithms that the misfit there says; infinite for none.
-
-        The scale itself has nearly normal errors, its logarithm has not: a curvature would say too little.
-        """
+        """Return the std (g,) of the difference from other logarithms that the misfit there says; infinite for none."""
+        # the scale itself has nearly normal errors, its logarithm has not: a curvature would say too little
         there = np.array([np.interp(at, SCALES, misfit) for at, misfit in zip(other, self.misfits.T, strict=True)])
         more = there - self.misfits.min(axis=0)
         away = np.abs(np.clip(other, SCALES[0], SCALES[-1]) - self.logarithm)
@@ -244,7 +242,13 @@ def along_track(
     logarithm = np.log(GRID)
     steps = np.exp(-0.5 * ((logarithm[:, None] - logarithm) / parameters.change_std) ** 2)
     steps = (1.0 - parameters.fresh) * steps / steps.sum(axis=1, keepdims=True) + parameters.fresh * prior
-    likelihoods = _likelihoods(misfits, place_std, width)
+    values = CubicSpline(INVERSE, misfits, axis=1)(GRID)
+    own = np.exp(-0.5 * (values - values.min(axis=1, keepdims=True)))
+    widened = np.empty_like(own)
+    for std in np.unique(place_std):
+        spread = (1.0 - WRONG_SHARE) * _spread(std, width) + WRONG_SHARE * _spread(WRONG_BY * std, width)
+        widened[place_std == std] = own[place_std == std] @ spread.T
+    likelihoods = np.asarray(widened / widened.max(axis=1, keepdims=True) + LEAST_LIKELIHOOD)
     adjoins = np.diff(cells) == 1
     forward, back = np.empty_like(likelihoods), np.ones_like(likelihoods)
     for place, likelihood in enumerate(likelihoods):
@@ -257,17 +261,6 @@ def along_track(
     posterior /= posterior.sum(axis=1, keepdims=True)
     mean = posterior @ GRID
     return mean, np.sqrt(np.maximum(posterior @ GRID**2 - mean**2, 0.0))
-
-
-def _likelihoods(misfits: FloatArray, place_std: FloatArray, width: FloatArray) -> FloatArray:
-    """Return the likelihood (c, g) of 1/mu on the grid, over its largest; the error of a place widens it."""
-    values = CubicSpline(INVERSE, misfits, axis=1)(GRID)
-    own = np.exp(-0.5 * (values - values.min(axis=1, keepdims=True)))
-    widened = np.empty_like(own)
-    for std in np.unique(place_std):
-        spread = (1.0 - WRONG_SHARE) * _spread(std, width) + WRONG_SHARE * _spread(WRONG_BY * std, width)
-        widened[place_std == std] = own[place_std == std] @ spread.T
-    return np.asarray(widened / widened.max(axis=1, keepdims=True) + LEAST_LIKELIHOOD)
 
 
 def _spread(std: float, width: FloatArray) -> FloatArray:

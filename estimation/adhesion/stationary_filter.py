@@ -23,7 +23,7 @@ With (x_i) the place of an axle ahead of the middle of its bogie's frame (y_f, p
     I_f psi_f'' = -(sum of the suspensions' moments and of x_i times their forces) - k2 psi_f - c2 psi_f'
 
 Without a bogie the mass above a single wheelset hangs on its springs alone and does not yaw (Eq. 3-5 of
-``estimation.vehicle.equations_of_motion``). No speed, no creep law and no contact geometry is in these equations.
+``estimation.vehicle.regressors``). No speed, no creep law and no contact geometry is in these equations.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ import numpy as np
 import scipy.linalg
 
 from estimation.values.arrays import FloatArray, FrozenArrays
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass, VehicleParameters
 
 AXLE = 4  # states of a wheelset: y, y', psi, psi'
 
@@ -96,10 +95,8 @@ def gear_equations(parameters: VehicleParameters, bogie: BogieParameters | None)
 
 
 def _suspension(p: VehicleParameters, n: int, axle: int, place: float | None) -> tuple[FloatArray, FloatArray]:
-    """Return force, N, and moment, N m, of the primary suspension on a wheelset, each (n,) by the states.
-
-    ``place`` is None where what is above does not yaw.
-    """
+    """Return force, N, and moment, N m, of the primary suspension on a wheelset, each (n,) by the states."""
+    # `place` is None where what is above does not yaw
     first, above = AXLE * axle, n - (2 if place is None else 6)
     lateral, yaw = np.zeros(n), np.zeros(n)
     lateral[[above, first]] = p.lateral_stiffness, -p.lateral_stiffness
@@ -155,11 +152,7 @@ class StationaryFilter(FrozenArrays):
 
 
 def stationary_filter(vehicle_class: VehicleClass, sample_interval_s: float, speed: float) -> StationaryFilter:
-    """Return the filter of a class at a speed.
-
-    Raises:
-        numpy.linalg.LinAlgError: The class has no stationary filter.
-    """
+    """Return the filter of a class at a speed; a LinAlgError where it has no stationary one."""
     rounded = max(SPEED_STEP, SPEED_STEP * round(speed / SPEED_STEP))
     gear = (vehicle_class.parameters, vehicle_class.bogie, vehicle_class.sensors)
     return _filter(*gear, sample_interval_s, rounded)

@@ -24,8 +24,7 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.adhesion.creep_forces import ContactForces
-from estimation.adhesion.parameters import force_errors
+from estimation.adhesion.creep_forces import ContactForces, force_errors
 from estimation.compiled import compiled
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
@@ -33,7 +32,7 @@ from estimation.contact.profiles import is_design, rail_profile, wheel_profile
 from estimation.contact.wear import HOLLOWS, TreadWear, worn
 from estimation.errors import ContactError, ProfileError
 from estimation.filters import remove_wander
-from estimation.motion.parameters import WindowParameters
+from estimation.motion.integration import WindowParameters
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array, runs
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.opinions import CELL_LENGTH, INVERSE, FrictionSums, WindowAdhesion
@@ -41,8 +40,7 @@ from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackSectionRecord
 from estimation.values.windows import Motion, Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
 
 DISPLACEMENT = np.arange(-140, 141) * 0.05e-3  # m
 DEPTHS = np.arange(9) * 0.25e-3  # m, of wear
@@ -128,10 +126,8 @@ STEPS = 4096  # of the table of excesses
 
 @cache
 def excess_table() -> FloatArray:
-    """Return linear over true creep force of a wheel less 1 at T/(mu N) from 0 to 0.98 in equal steps, (4097,).
-
-    It is 0 without slip. Between the points it is taken as linear, which misses it by less than 1e-5.
-    """
+    """Return linear over true creep force of a wheel less 1 at T/(mu N) from 0 to 0.98 in equal steps, (4097,)."""
+    # It is 0 without slip. Between the points it is taken as linear, which misses it by less than 1e-5.
     t = np.maximum(np.linspace(0.0, MOST_UTILISATION, STEPS + 1), LEAST_UTILISATION)
     return frozen_array(3.0 * (1.0 - np.cbrt(1.0 - t)) / t - 1.0, (STEPS + 1,), name="excess")
 
@@ -343,7 +339,6 @@ def _forces(
     vehicle_class: VehicleClass,
     force_error: float,
 ) -> tuple[Estimate, Estimate, Estimate, Estimate]:
-    """Return the rms of contact and lateral force and of the moment, and the adhesion that was used."""
     of_lateral, of_moment, of_load = force_errors(vehicle_class)
     contact, moment = (_rms(values[found.valid]) for values in (found.contact, found.moment))
     contact_force = with_interval(contact, contact * math.hypot(force_error, of_lateral))

@@ -21,8 +21,7 @@ import numpy as np
 from estimation.trend.change_point import BESIDE, Series, StepModel, newest_change
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
-from estimation.values.results import History, ResultKind
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import History, ResultKind, SubjectKind
 
 EVEN = StepModel(
     slope=0.0,
@@ -63,13 +62,11 @@ class Mirrored:
 
 
 def newest_mirrored(parts: Parts) -> Mirrored | None:
-    """Return the newest change of sign since the last known event, by a whole history; None where there is none.
-
-    From one interval to the next a curve differs by no more than its standard deviations where these are large,
-    although most of what they hold is common to all intervals of a wheelset. Over a history the noise is known: the
-    even parts are one pattern of changing size, which wears slowly, and a wheelset that was turned end for end has the
-    same size with the other sign.
-    """
+    """Return the newest change of sign since the last known event, by a whole history; None where there is none."""
+    # From one interval to the next a curve differs by no more than its standard deviations where these are large,
+    # although most of what they hold is common to all intervals of a wheelset. Over a history the noise is known: the
+    # even parts are one pattern of changing size, which wears slowly, and a wheelset that was turned end for end has
+    # the same size with the other sign.
     bins = np.isfinite(parts.even).mean(axis=0) >= 1.0 - SAME_SIZE
     whole = np.flatnonzero(np.isfinite(parts.even[:, bins]).all(axis=1))
     if bins.sum() < LEAST_BINS or len(whole) < 2 * EVEN.least_points:
@@ -202,15 +199,12 @@ def identity_events(
 
 
 def jumps(seen: Sequence[Observation], parameters: IdentityParameters) -> bool:
-    """Whether the geometry of a wheelset jumps, so that it must be compared with those of the others.
-
-    Observations before the last two of which one did not jump need not be looked at again.
-    """
+    """Whether the geometry of a wheelset jumps, so that it must be compared with those of the others."""
+    # observations before the last two of which one did not jump need not be looked at again
     return _first_jump(seen, parameters) is not None or _reversed_in(seen, parameters) is not None
 
 
 def _first_jump(seen: Sequence[Observation], p: IdentityParameters) -> tuple[Observation, Observation] | None:
-    """Return the first two observations between which the geometry jumps, the one with both kinds in it left out."""
     usable = [item for item in seen if item.geometry.windows >= p.least_windows]
     for i in range(len(usable) - 1):
         before, next_one = usable[i], usable[i + 1]
@@ -235,10 +229,8 @@ def _jumps(before: Observation, after: Observation, p: IdentityParameters) -> bo
 def reversed_between(
     before: Observation, after: Observation, parameters: IdentityParameters | None = None
 ) -> IdentityEvent | None:
-    """Return the event where the curve after is the mirror image of the one before; None where it is not.
-
-    Only the even part of R decides: the odd part is its own mirror image.
-    """
+    """Return the event where the curve after is the mirror image of the one before; None where it is not."""
+    # only the even part of R decides: the odd part is its own mirror image
     p = parameters or IdentityParameters()
     worn = _worn(before, after, p)
     first, second = _curve(before), _curve(after)
@@ -254,10 +246,8 @@ def reversed_between(
 
 
 def _reversed_in(seen: Sequence[Observation], p: IdentityParameters) -> IdentityEvent | None:
-    """Return the event where the even part has changed its sign, by all of a history; None where it has not.
-
-    The intervals have to be on the same bins; what is between the two sides is of neither.
-    """
+    """Return the event where the even part has changed its sign, by all of a history; None where it has not."""
+    # the intervals have to be on the same bins; what is between the two sides is of neither
     usable = [item for item in seen if item.geometry.windows >= p.least_windows]
     evens = [_even(_curve(item)) for item in usable]
     if not evens or any(len(one.at) != len(evens[0].at) or not np.allclose(one.at, evens[0].at) for one in evens):
@@ -328,19 +318,16 @@ def _curve(item: Observation) -> _Curve:
 
 
 def _mirrored(curve: _Curve) -> _Curve:
-    """Return the curve of the wheelset the other way round, -R(-x), on the same bins."""
     return _Curve(curve.at, -_at_other_side(curve, curve.value), _at_other_side(curve, curve.std))
 
 
 def _even(curve: _Curve) -> _Curve:
-    """Return the even part (R(x) + R(-x)) / 2 for x > 0."""
     other, other_std = _at_other_side(curve, curve.value), _at_other_side(curve, curve.std)
     right = curve.at > 0.0
     return _Curve(curve.at[right], 0.5 * (curve.value + other)[right], 0.5 * np.hypot(curve.std, other_std)[right])
 
 
 def _at_other_side(curve: _Curve, values: FloatArray) -> FloatArray:
-    """Return ``values`` at -x, NaN where a bin beside -x is not known."""
     return np.interp(-curve.at, curve.at, values, left=np.nan, right=np.nan)
 
 

@@ -56,14 +56,9 @@ def transition(
     delays: AlertDelays | None = None,
     rules_version: str | None = None,
 ) -> Transition | None:
-    """Return what a finding does to the open alert of its wheelset and kind.
+    """Return what a finding does to the open alert of its wheelset and kind; None where nothing changes, as a repeat.
 
-    Args:
-        delays: Delays of the rule, for a new alert; an open alert keeps those that it was raised with.
-
-    Returns:
-        Transition or None: None where nothing changes; a repeat with the same data is such a case. ``events`` is empty
-            where only counters or a pending alert changed.
+    A new alert keeps ``delays``. ``events`` is empty where only counters or a pending alert changed.
     """
     if open_alert is None:
         opens = finding.breached if finding.stands is None else finding.stands
@@ -114,7 +109,6 @@ def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
 
 
 def _pending(alert: Alert, finding: Finding) -> Transition | None:
-    """Count a breach towards the on-delay; without one the alert ends before it was published."""
     if finding.breached is None or not _is_news(alert, finding):
         return None
     if not (finding.breached if finding.stands is None else finding.stands):
@@ -165,7 +159,6 @@ def _seen_again(alert: Alert, finding: Finding) -> Alert:
 
 
 def _refreshed(alert: Alert, finding: Finding) -> Alert:
-    """Take over the values of the finding; a rise in severity ends the acknowledgement."""
     after = replace(
         alert,
         severity=finding.severity,
@@ -207,7 +200,6 @@ def _changed(before: Alert, after: Alert, events: tuple[AlertEventKind, ...]) ->
 
 
 def _material(alert: Alert) -> tuple[object, ...]:
-    """Return the fields whose change is an event of the feed."""
     band = None if alert.probability is None else bisect_right(PROBABILITY_BANDS, alert.probability)
     evidence = {key: value for key, value in alert.evidence.items() if key != DELAYS}
     limits = (alert.raise_limit, alert.clear_limit)
@@ -231,7 +223,6 @@ def _counted(alert: Alert, finding: Finding, *, clear_seen: int) -> Alert:
 
 
 def _run_over(alert: Alert, finding: Finding, seen: int, which: str) -> bool:
-    """Return whether findings on end, with this one, have lasted for the on-delay or off-delay."""
     km = _number(_counters(alert).get(f"{which}_delay_km"), 0.0)
     if km <= 0.0:
         return seen >= _delay(alert, f"{which}_evaluations")
@@ -248,10 +239,8 @@ def _number(value: JsonValue, default: float) -> float:
 
 
 def close(alert: Alert, reason: CloseReason, at_ns: int) -> Transition:
-    """Close an alert for a reason outside the data, such as a reprofiling or an exchange.
-
-    The condition stays as it was: what was true then is on record. A pending alert goes without an event.
-    """
+    """Close an alert for a reason outside the data, such as a reprofiling or an exchange."""
+    # The condition stays as it was: what was true then is on record. A pending alert goes without an event.
     must_be_open(alert)
     after = replace(alert, closed_ns=at_ns, close_reason=reason)
     return Transition(after, () if alert.condition is Condition.PENDING else (AlertEventKind.CLOSED,))
@@ -323,10 +312,8 @@ def unshelve(alert: Alert, now_ns: int) -> Transition:
 
 
 def link(alert: Alert, ref: str) -> Transition | None:
-    """Note the reference of another system, such as a work order; None where it is noted already.
-
-    Closed alerts take references too: the work order often comes after.
-    """
+    """Note the reference of another system, such as a work order; None where it is noted already."""
+    # closed alerts take references too: the work order often comes after
     wanted = ref.strip()
     if not 0 < len(wanted) <= REFERENCE_LENGTH:
         raise InputError(f"a reference has 1 to {REFERENCE_LENGTH} characters", field="external_refs")

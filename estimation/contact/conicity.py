@@ -37,9 +37,6 @@ def equivalent_conicity(
     Args:
         lateral_displacement: (n,) m, strictly increasing, positive to the left.
         rolling_radius_difference: (n,) m, left minus right.
-
-    Raises:
-        ParameterError: Lengths that differ, displacements that do not increase, an amplitude that is not positive.
     """
     y, difference = _curve(lateral_displacement, rolling_radius_difference)
     return np.asarray(_integrate(y, difference, _amplitudes(amplitudes)))
@@ -115,7 +112,6 @@ def _equilibrium(y, difference):  # type: ignore[no-untyped-def]  # noqa: ANN001
 
 @compiled()
 def _potentials(y, difference, crossing):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return points with the crossing among them, Delta r, S there, and the running maximum of S outwards."""
     k = np.searchsorted(y, crossing)
     n = len(y) + 1
     points, values, potential = np.empty(n), np.empty(n), np.zeros(n)
@@ -130,7 +126,6 @@ def _potentials(y, difference, crossing):  # type: ignore[no-untyped-def]  # noq
 
 @compiled()
 def _potential_at(x, points, values, potential):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return S at x: quadratic between points."""
     i = min(max(np.searchsorted(points, x, side="right") - 1, 0), len(points) - 2)
     width = points[i + 1] - points[i]
     if width <= 0.0:
@@ -141,7 +136,6 @@ def _potential_at(x, points, values, potential):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _peaks(points, values, potential, k):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return, per point, the largest S between the crossing and it, peaks between points included."""
     n = len(points)
     highest = np.zeros(n)
     for i in range(k + 1, n):
@@ -161,7 +155,6 @@ def _peaks(points, values, potential, k):  # type: ignore[no-untyped-def]  # noq
 
 @compiled()
 def _highest_at(x, points, values, potential, highest, k):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return the running maximum of S between the crossing and x."""
     here = _potential_at(x, points, values, potential)
     i = min(max(np.searchsorted(points, x, side="right") - 1, 0), len(points) - 2)
     inner, outer = (i, i + 1) if x >= points[k] else (i + 1, i)
@@ -198,7 +191,6 @@ def _turn(a, crossing, points, values, potential, highest, k):  # type: ignore[n
 
 @compiled()
 def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return tan(gamma_e) (k,) of a piecewise straight curve."""
     result = np.full(len(amplitudes), np.nan)
     crossing, _ = _equilibrium(y, difference)
     if math.isnan(crossing):
@@ -221,7 +213,6 @@ def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # no
 
 @compiled()
 def _from_travel(middle, amplitude, energy, points, values, potential):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return pi^2 / I^2 for the travel middle +- amplitude; 0 where the wheelset comes to rest on the way."""
     total, i, last = 0.0, 0, len(points) - 2
     for j in range(_ANGLES):
         x = middle + amplitude * _SINES[j]

@@ -82,11 +82,9 @@ def nearest_design(kind: ProfileKind, points: FloatArray) -> DesignCurve | None:
 
 
 def explains(design: DesignCurve, points: FloatArray, noise: FloatArray, length: float) -> bool:
-    """Return whether points differ from a design by no more than their noise, where wheel and rail may touch.
+    """Return whether points (n, 2), mm, differ from a design by no more than their noise (n,), mm, where wheels touch.
 
-    Args:
-        points, noise: (n, 2) mm, without outliers; (n,) standard deviation of each across the profile, mm.
-        length: Arc over which neighbours share it, mm.
+    ``length`` is the arc over which neighbours share noise, mm.
     """
     arc = design.foot(points)
     at, tangent = design.at(arc)
@@ -109,7 +107,6 @@ def explains(design: DesignCurve, points: FloatArray, noise: FloatArray, length:
 
 
 def _names(kind: ProfileKind, points: FloatArray) -> list[str]:
-    """Return the designs that come into question; the flange of EN 13715 is the one of the nearest height."""
     if kind == "rail":
         return _different(RAIL_DEFINITIONS)
     height = min(
@@ -121,7 +118,6 @@ def _names(kind: ProfileKind, points: FloatArray) -> list[str]:
 
 
 def _different(definitions: Mapping[str, tuple[Segment, ...]]) -> list[str]:
-    """Return one name of each definition."""
     return list({segments: name for name, segments in reversed(list(definitions.items()))}.values())
 
 
@@ -138,7 +134,6 @@ def _design(kind: ProfileKind, name: str) -> tuple[DesignCurve, cKDTree]:
 
 
 def _start(design: DesignCurve, points: FloatArray) -> _Movement:
-    """Return the movement that brings the top and the middle of a rail head to those of the points."""
     middles = []
     for head in (design.points, points):
         upper = head[head[:, 1] < head[:, 1].min() + HEAD_DEPTH, 0]
@@ -149,7 +144,6 @@ def _start(design: DesignCurve, points: FloatArray) -> _Movement:
 def _moved(
     kind: ProfileKind, name: str, movement: _Movement, points: FloatArray, reaches: tuple[float, ...]
 ) -> _Movement:
-    """Return the movement of the design to the points, by Gauss and Newton; far distances count little."""
     for reach in reaches:
         for _ in range(ROUNDS):
             across, at, normal = _across(kind, name, movement, points)
@@ -163,7 +157,6 @@ def _moved(
 
 
 def _rotation(turn: float) -> FloatArray:
-    """Return the matrix by which rows of points are multiplied to turn them."""
     cos, sin = math.cos(turn), math.sin(turn)
     return np.array([[cos, sin], [-sin, cos]])
 

@@ -208,7 +208,6 @@ def _grid(values: npt.ArrayLike, field: str) -> FloatArray:
 
 
 def _check_outcomes(displacement: FloatArray, deviation: FloatArray, outcomes: IntArray, outside: str) -> None:
-    """Raise unless every gauge has some contact and ``outside`` allows the rest."""
     missing = outcomes != kernels.FOUND
     if missing.all():
         raise ContactError(f"the profiles never touch: {_REASONS[int(outcomes[len(displacement) // 2, 0])]}")
@@ -290,7 +289,6 @@ def _refined(
     outcomes: IntArray,
     setting: Setting,
 ) -> RadiusDifferenceCurve:
-    """Return the curve from contacts on the wheels and rails (5, n) on ``grid`` (n,), and their outcomes (n,)."""
     displacement, (left, right) = kernels.refined(grid, gauge_deviation, values, outcomes, *setting)
     radius_left = wheelset.left_radius + wheelset.left_wheel.height(left)
     radius_right = wheelset.right_radius + wheelset.right_wheel.height(right)

@@ -37,7 +37,6 @@ FOUND, NO_OVERLAP, FLANGE_TIP, OUTER_EDGE, NO_ROLL = 0, 1, 2, 3, 4  # outcome of
 
 @compiled(inline="always")
 def _cubic(height, slope, step, position):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202 - compiled
-    """Return height and slope at ``position`` (in grid steps) of the cubic through heights and slopes."""
     i = min(max(int(position), 0), len(height) - 2)
     t = position - i
     rise = height[i + 1] - height[i]
@@ -50,7 +49,6 @@ def _cubic(height, slope, step, position):  # type: ignore[no-untyped-def]  # no
 
 @compiled(inline="always")
 def _gap_at(y, shift, cosine, sine, half, radius, wheel, rail):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return the gap at wheel coordinate ``y``, its slope along the wheel, the rail's position and slope there."""
     z, dz = _cubic(wheel[2], wheel[3], wheel[1], (y - wheel[0]) / wheel[1])
     across, below = half + y, radius + z
     position = shift + across * cosine + below * sine
@@ -87,7 +85,6 @@ def _refine(low, high, shift, cosine, sine, half, radius, wheel, rail):  # type:
 
 @compiled()
 def _scan(gaps, shift, cosine, sine, half, radius, wheel, rail):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Fill ``gaps`` at every STRIDE-th wheel point; return the smallest and the first and last index over the rail."""
     rail_length = len(rail[2]) - 1
     best, first, last = OUTSIDE, -1, -1
     for k in range(len(gaps)):
@@ -202,7 +199,6 @@ def table(displacement, deviation, rigid, half, radii, wheels, rails):  # type: 
 
 @compiled()
 def _moved(first, second):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return how far the contact that moved most, moved."""
     left = max(abs(first[1] - second[1]), abs(first[3] - second[3]))
     right = max(abs(first[2] - second[2]), abs(first[4] - second[4]))
     return max(left, right)
@@ -210,7 +206,6 @@ def _moved(first, second):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN2
 
 @compiled()
 def _is_jump(low, high, first, second, deviation, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return whether a contact jumps between two displacements: halve, keep the half that moves more."""
     while _moved(first, second) > JUMP_DISTANCE:
         if high - low < JUMP_INTERVAL:
             return True
@@ -244,7 +239,6 @@ def jumps(displacement, deviation, values, outcomes, rigid, half, radii, wheels,
 
 @compiled()
 def _difference(found, wheels):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return left minus right height of the contacts on the wheels."""
     left, right = wheels
     z_left = _cubic(left[2], left[3], left[1], (found[1] - left[0]) / left[1])[0]
     return z_left - _cubic(right[2], right[3], right[1], (found[2] - right[0]) / right[1])[0]

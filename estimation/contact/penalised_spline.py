@@ -180,7 +180,6 @@ def _first_arc(points: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _basis(arc: FloatArray, spacing: float) -> tuple[FloatArray, FloatArray]:
-    """Return uniform knots over the arc and the basis functions (n, k) at it."""
     first, last = float(arc.min()), float(arc.max())
     count = max(2 * DEGREE, round((last - first) / max(KNOT_STEP, spacing)))
     knots: FloatArray = first + (last - first) / count * np.arange(-DEGREE, count + DEGREE + 1, dtype=np.float64)
@@ -250,7 +249,6 @@ def _levelled(rows: _Rows, fit: _Fit, *, known: bool) -> _Fit:
 
 
 def _posterior(normal: tuple[FloatArray, FloatArray], noise: float, local: FloatArray) -> _Fit:
-    """Return mean and covariance of the coefficients, given noise and the variance of their third differences."""
     gram, moment = normal
     k = len(gram)
     difference = np.diff(np.eye(k), n=ORDER, axis=0)

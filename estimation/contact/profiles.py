@@ -53,9 +53,6 @@ def en13715_wheel(name: str) -> tuple[Segment, ...] | None:
     """Return the profile of a designation as ``EN13715-S1002/h30/e31.5/6.7%``; None if the name is no designation.
 
     ``EN13715``, the outer slope (per cent, by default 1:15) and punctuation are free.
-
-    Raises:
-        ProfileError: A dimension outside the standard's range.
     """
     found = _DESIGNATION.match(name.strip())
     if found is None:
@@ -84,7 +81,6 @@ def _height_at_end(segment: Segment) -> float:
 
 
 def _flange(higher: float, thinner: float) -> list[Segment]:
-    """Return the flange from its back to E1; it is ``higher`` than 28 mm and ``thinner`` than 32.5 mm."""
     tip_y, tip_z = -55.0 - thinner, 16.0 + higher
     radius = 20.0 + 0.75 * higher
     face_y = _FACE_END[0] - thinner
@@ -129,7 +125,6 @@ def _s1002_tread(thinner: float) -> list[Segment]:
 
 
 def _moved(segment: Polynomial, shift: float) -> Polynomial:
-    """Return the polynomial shifted along y, expanded by Taylor's theorem."""
     if shift == 0.0:
         return segment
     degree = len(segment.coefficients)
@@ -239,10 +234,8 @@ def wheel_profile(name: str) -> Profile:
 
 
 def rail_profile(name: str) -> Profile:
-    """Return the rail profile of that name: one of EN 13674-1 as 60E1 or 49E1, BS113A, UIC60, EN15302-A.
-
-    Case and punctuation are free. EN15302-A is given in track axes (inclined already); all others are uninclined.
-    """
+    """Return the rail profile of that name: one of EN 13674-1 as 60E1 or 49E1, BS113A, UIC60, EN15302-A."""
+    # Case and punctuation are free. EN15302-A is given in track axes (inclined already); all others are uninclined.
     return _named("rail", name, RAIL_DEFINITIONS)
 
 
@@ -346,10 +339,8 @@ def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
 
 
 def _gauge_edge(name: str, y: FloatArray, depth: FloatArray, *, wall: bool) -> float:
-    """Return the smallest y within `GAUGE_DEPTH` below the top; the last point of the arrays is the top.
-
-    ``wall``: the rail ends in a face so steep that its last point stands for what is below.
-    """
+    """Return the smallest y within `GAUGE_DEPTH` below the top; the last point of the arrays is the top."""
+    # `wall`: the rail ends in a face so steep that its last point stands for what is below
     below = np.flatnonzero(depth > GAUGE_DEPTH)
     if len(below) == 0 and wall:
         return float(y.min())
@@ -366,10 +357,8 @@ def _gauge_edge(name: str, y: FloatArray, depth: FloatArray, *, wall: bool) -> f
 
 
 def _run(slope: FloatArray, z: FloatArray, start: int, direction: int) -> int:
-    """Return the last index from ``start`` in ``direction`` (+1, -1) up to which the surface can be touched.
-
-    It ends where the surface is too steep over more than `_NOTCH` of height; a point or two of noise do not end it.
-    """
+    """Return the last index from ``start`` in ``direction`` (+1, -1) up to which the surface can be touched."""
+    # it ends where the surface is too steep over more than `_NOTCH` of height; a point or two of noise do not end it
     steep = np.abs(slope[start::direction]) >= _STEEPEST
     height = z[start::direction]
     for first, behind in runs(steep):

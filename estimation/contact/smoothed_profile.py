@@ -16,11 +16,9 @@ MOST_POINTS = 4000  # one in 0.05 mm of a wheel's arc: the spacing at which smoo
 
 
 def thinned(points: FloatArray) -> IntArray:
-    """Return the indices of at most `MOST_POINTS` of points (n, 2), mm, evenly spaced along the arc.
-
-    Points are chosen, not averaged: each keeps the noise of the instrument, its place in the file, and whether it is
-    an outlier. The arc is that of the running mean of the points, which noise lengthens little.
-    """
+    """Return the indices of at most `MOST_POINTS` of points (n, 2), mm, evenly spaced along the arc."""
+    # Points are chosen, not averaged: each keeps the noise of the instrument, its place in the file, and whether it is
+    # an outlier. The arc is that of the running mean of the points, which noise lengthens little.
     n = len(points)
     if n <= MOST_POINTS:
         return np.arange(n)
@@ -112,7 +110,6 @@ def smoothed_profile(
 
 
 def _without_outliers(points: FloatArray, level: float, noise_std: float | None) -> tuple[PenalisedSpline, FloatArray]:
-    """Return the curve and the weights (n,) of the points, 0 for outliers."""
     weight = without_spikes(points, level)
     spline = fit_spline(points, weight, noise_std)
     for _ in range(OUTLIER_ROUNDS):
@@ -132,11 +129,7 @@ def _without_outliers(points: FloatArray, level: float, noise_std: float | None)
 
 
 def datum_at_zero(profile: Profile) -> Profile:
-    """Return a wheel with z = 0 at its tread datum, and a rail as it is.
-
-    Raises:
-        ProfileError: The wheel does not reach its tread datum.
-    """
+    """Return a wheel with z = 0 at its tread datum, which it must reach, and a rail as it is."""
     if profile.kind == "rail":
         return profile
     level = float(profile.height(np.zeros(1))[0])
@@ -190,7 +183,6 @@ def without_spikes(points: FloatArray, level: float) -> FloatArray:
 
 
 def _limit(residual: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return how far from the curve each point may be by the noise of its neighbours, mm."""
     magnitude = np.where(weight > 0.0, np.abs(residual), np.nan)
     local = 1.4826 * np.nanmedian(_windows(magnitude, NEIGHBOURHOOD), axis=1)
     return np.maximum(OUTLIER * local, LEAST_OUTLIER)

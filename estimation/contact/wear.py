@@ -16,15 +16,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cache
-from importlib.resources import as_file, files
 from typing import Annotated
 
 import numpy as np
 
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.errors import ParameterError, ProfileError
-from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
+from estimation.values.arrays import FloatArray
 from estimation.values.fields import in_mm
 
 DEEPEST_HOLLOW = 6e-3  # largest depth that the form is meant for, m
@@ -58,12 +56,10 @@ class WearFamily(StrEnum):
 
 
 def wear_course(family: WearFamily, depth: float) -> TreadWear:
-    """Return the wear of a wheel of that family when its tread has lost ``depth`` metres at its centre.
-
-    The hollow is where the pair's contact patches are; the flange loses as much as the tread. On the pair's new
-    rail at 1435 mm equivalent conicity at 3 mm (EN 15302) grows steadily with depth: P8 on 56E1 from 0.195 to 0.44
-    at 2.2 mm, S1002 on 60E1 from 0.174 to 0.42 at 1.3 mm; beyond, P8 grows on and S1002 levels off near 0.46.
-    """
+    """Return the wear of a wheel of that family when its tread has lost ``depth`` metres at its centre."""
+    # The hollow is where the pair's contact patches are; the flange loses as much as the tread. On the pair's new rail
+    # at 1435 mm equivalent conicity at 3 mm (EN 15302) grows steadily with depth: P8 on 56E1 from 0.195 to 0.44 at 2.2
+    # mm, S1002 on 60E1 from 0.174 to 0.42 at 1.3 mm; beyond, P8 grows on and S1002 levels off near 0.46.
     centre, half_width = {WearFamily.P8_ON_56E1: (3e-3, 44e-3), WearFamily.S1002_ON_60E1: (4e-3, 33e-3)}[family]
     return TreadWear(depth, centre, half_width, depth)
 
@@ -83,14 +79,12 @@ def worn(wheel: Profile, wear: TreadWear) -> Profile:
 
 
 def _hollow(y: FloatArray, wear: TreadWear | RailWear) -> tuple[FloatArray, FloatArray]:
-    """Return lost height and its slope (n,)."""
     u = np.clip((y - wear.centre) / wear.half_width, -1.0, 1.0)
     rest = 1.0 - u * u
     return wear.depth * rest**3, -6.0 * wear.depth / wear.half_width * u * rest**2
 
 
 def _blend(y: FloatArray, low: float, high: float) -> tuple[FloatArray, FloatArray]:
-    """Return a smooth step from 0 at ``low`` to 1 at ``high`` and its derivative, both (n,)."""
     t = np.clip((y - low) / (high - low), 0.0, 1.0)
     return t**3 * (10.0 - 15.0 * t + 6.0 * t * t), 30.0 * t * t * (1.0 - t) ** 2 / (high - low)
 
@@ -138,11 +132,7 @@ class WearMeasures:
 
 
 def wear_measures(wheel: Profile) -> WearMeasures:
-    """Return the wear measures of a wheel whose origin is the tread datum, 70 mm from the flange back.
-
-    Raises:
-        ProfileError: A rail, or a profile that does not reach from the flange to the datum.
-    """
+    """Return the wear measures of a whole wheel whose origin is the tread datum, 70 mm from the flange back."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear measures are a wheel's", field="kind")
     if not wheel.y[0] < _TREAD_FROM or not wheel.y[-1] > 0.0:
@@ -159,7 +149,6 @@ def wear_measures(wheel: Profile) -> WearMeasures:
 
 
 def _face(y: FloatArray, z: FloatArray, level: float) -> float:
-    """Return where the flange face, from its tip outwards, first rises above ``level``."""
     above = np.flatnonzero(z < level)
     if len(above) == 0 or above[0] == 0:
         raise ProfileError(f"the flange face does not cross a depth of {level * 1e3:.2f} mm", field="z")
@@ -203,23 +192,3 @@ HOLLOWS: Mapping[str, tuple[float, float]] = {  # centre and half width of the h
     "EN15302-H": (3e-3, 40e-3),
     "EN15302-I": (3e-3, 40e-3),
 }
-TABLE = "worn_family.npy"  # written by ``python -m bench.worn_family``
-UNIT = 1e-4  # of a stored conicity
-AMPLITUDES: FloatArray = np.arange(2, 13, dtype=np.float64) * 0.25e-3  # m
-
-
-@dataclass(frozen=True, slots=True)
-class WornFamily(FrozenArrays):
-    """Conicities by amplitude of many wheelsets, new and worn: how conicity goes on with amplitude."""
-
-    amplitude: Annotated[FloatArray, "a"]  # m
-    conicity: Annotated[FloatArray, "m", "a"]
-    pair: Annotated[IntArray, "m"]  # number of the pair of design wheel and rail
-
-
-@cache
-def worn_family() -> WornFamily:
-    """Return all pairs, as they are kept beside this module."""
-    with as_file(files("estimation.contact") / TABLE) as path:
-        stored = np.load(path, allow_pickle=False)
-    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * UNIT), stored[:, 0].astype(np.int64))

@@ -165,7 +165,6 @@ S1002_TREAD = (
 
 
 def _flange(face_end: float, centre_shift: tuple[float, float] = (0.0, 0.0), face_z: float = -93.5767) -> list[Segment]:
-    """Return the S1002 flange as the EN 15302 wheels A, B, H and I print it; they differ in the last digits."""
     tip, outer = centre_shift
     return [
         Arc(-70.0, -62.7647, -49.5, 9.5193, 20.5, 1),

@@ -49,11 +49,9 @@ LARGEST_STD = 0.3  # relative, of parameters beside the damper: beyond it their 
 
 
 def looked_at(first: Window) -> bool:
-    """Return whether the damper is looked at in a window: in one of ``EVERY``, whatever others there are.
-
-    Its start is mixed first, so that no recorder that runs at regular times is always left out. Both running gears of a
-    vehicle are looked at in the same windows.
-    """
+    """Return whether the damper is looked at in a window: in one of ``EVERY``, whatever others there are."""
+    # Its start is mixed first, so that no recorder that runs at regular times is always left out. Both running gears of
+    # a vehicle are looked at in the same windows.
     return zlib.crc32(f"{first.vehicle} {first.start_ns // first.length_ns}".encode()) % EVERY == 0
 
 
@@ -79,10 +77,8 @@ def window_damper(
 
 
 def _window_sums(gear: GearSegments, vehicle_class: VehicleClass) -> tuple[DamperSums | Reason, float | None]:
-    """Return the sums of a window, or why there are none.
-
-    Beside them the mean square of the innovations over the largest that is believed.
-    """
+    """Return the sums of a window, or why there are none."""
+    # beside them the mean square of the innovations over the largest that is believed
     refused = not_judged(vehicle_class)
     if refused is not None:
         return refused, None
@@ -141,7 +137,6 @@ def _taken(
 def _judged(
     products: FloatArray, count: int, square: float, filters: DamperFilters
 ) -> tuple[DamperSums | Reason, float]:
-    """Return sums over the mean square of what the best particle does not explain, where its filter has followed."""
     whole = of_signals(filters, products)
     least = min(_least(one, count) for one in whole)
     innovation = float(least) / (float(filters.noise[:, 0, 0].max()) + MOST_UNEXPLAINED * square / count)
@@ -158,10 +153,8 @@ def _judged(
 
 
 def _excitation(products: FloatArray, noise: FloatArray) -> float:
-    """Return what motion makes of the part that only the damper explains over what noise makes of it.
-
-    Least over the particles. That part is the change from one particle to the next without what others explain of it.
-    """
+    """Return what motion makes of the part that only the damper explains over what noise makes of it."""
+    # Least over the particles. That part is the change from one particle to the next without what others explain of it.
     others = products[:, 1:-1, 1:-1] + np.eye(products.shape[-1] - 2)
     explained = np.linalg.solve(others, products[:, 1:-1, -1:])[..., 0]
     direction = np.concatenate([-explained, np.ones((len(products), 1))], axis=1)
@@ -171,7 +164,6 @@ def _excitation(products: FloatArray, noise: FloatArray) -> float:
 
 
 def _least(products: FloatArray, count: int) -> float:
-    """Return the least mean square of a particle's innovations that parameters within two stds make."""
     size = len(products) - 1
     ridge = np.diag(np.full(size, 0.25 * products[0, 0] / count))
     best = np.linalg.solve(products[1:, 1:] + ridge, -products[1:, 0])
@@ -273,7 +265,6 @@ def _not_excited(why: str) -> Reason:
 
 
 def _newest_alike(shown: Sequence[WindowDamper]) -> Sequence[WindowDamper]:
-    """Return the newest windows that tell of one damper: halved until both halves agree."""
     while len(shown) >= 4 * FEWEST:
         halves = shown[: len(shown) // 2], shown[len(shown) // 2 :]
         (old, old_std), (new, new_std) = (_replicated(half) for half in halves)
@@ -291,7 +282,6 @@ def _sums(shown: Sequence[WindowDamper]) -> FloatArray:
 
 
 def _replicated(shown: Sequence[WindowDamper]) -> tuple[Posterior | None, float]:
-    """Return what windows say, and the std of its share from groups of them left out."""
     sums = _sums(shown)
     groups = np.array([part.sum(axis=0) for part in np.array_split(sums, min(len(sums), GROUPS))])
     total = groups.sum(axis=0)
@@ -335,10 +325,8 @@ def posterior(sums: FloatArray, curved: int) -> Posterior | None:
 def _conditional(
     products: FloatArray, between: FloatArray, curved: int
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return the errors (n, k) of the other parameters that are likeliest given a share, their square and precision.
-
-    By Gauss and Newton: their effect has a first and, for the first of them, a second order.
-    """
+    """Return the errors (n, k) of the other parameters that are likeliest given a share, their square and precision."""
+    # By Gauss and Newton: their effect has a first and, for the first of them, a second order
     n, m, _ = products.shape
     k = m - 2 - curved
     errors, rows = np.zeros((n, k)), np.arange(curved)

@@ -156,18 +156,12 @@ class DamperFilters(FrozenArrays):
 
 
 def damper_filters(vehicle_class: VehicleClass, sample_interval_s: float) -> DamperFilters:
-    """Return the filters of a class.
-
-    Raises:
-        numpy.linalg.LinAlgError: The class has no stationary filter.
-    """
+    """Return the filters of a class; a LinAlgError where it has no stationary one."""
     return _filters(_Kept(vehicle_class), sample_interval_s)
 
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
-    """A class, compared by what its filters follow from."""
-
     vehicle_class: VehicleClass
 
     def __hash__(self) -> int:
@@ -251,11 +245,7 @@ RESPONSE_S = 30.0  # after which the filters have forgotten
 def add_products(
     filters: DamperFilters, below: FloatArray, above: FloatArray, counted: BoolArray, products: FloatArray
 ) -> None:
-    """Add the products of the innovations over a segment.
-
-    Args:
-        below, above: (k, s) accelerations of wheelsets and of what is above, as ``SOURCES`` names them, m/s2.
-    """
+    """Add the products of the innovations over a segment of accelerations (k, s), m/s2, as ``SOURCES`` names them."""
     add_innovation_products(
         filters.transition,
         filters.by_input,
@@ -285,7 +275,6 @@ def _axles(vehicle_class: VehicleClass) -> int:
 def _one(
     vehicle_class: VehicleClass, share: float, stds: Mapping[str, float], step_s: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return transition, by_input, measured and gain of a filter with some parameters off by these relative stds."""
     factors = {name: 1.0 + std for name, std in stds.items() if name != GAIN}
     equations = suspension_equations(vehicle_class, share, factors)
     n = len(equations.rates) + 1
@@ -313,6 +302,5 @@ def _held(rates: FloatArray, by_input: FloatArray, step_s: float) -> FloatArray:
 
 
 def _densities(sensors: SensorLayout, axles: int) -> tuple[float, float]:
-    """Return the noise density of the means of the wheelsets' sensors, and of those above, m/s2 per root hertz."""
     found = [max(one.noise_density, LEAST_DENSITY) for one in (sensors.lateral, sensors.mass_lateral)]
     return found[0] / math.sqrt(axles), found[1] / math.sqrt(axles)

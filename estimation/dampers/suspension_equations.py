@@ -7,7 +7,7 @@ frame's yaw drops out of the means. With d = y_f - mean y_i and e = y_b - y_f::
     d'' = y_f'' - u,      e'' = -(ks e + cs e')/m_b - y_f''
 
 and of a single wheelset mm ym'' = -(ky d + fy d') with d = ym - y, fy the damper looked for (Eq. 3 and 4 of
-``estimation.vehicle.equations_of_motion``). No creep force, contact geometry, track or speed is in these equations.
+``estimation.vehicle.regressors``). No creep force, contact geometry, track or speed is in these equations.
 
 The low-pass that accelerations get before the filters, and how they are thinned out.
 
@@ -25,8 +25,7 @@ from typing import Annotated
 import numpy as np
 
 from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass, VehicleParameters
 
 SINGLE_UNCERTAIN = {"lateral_stiffness": "suspended_mass"}
 BOGIE_UNCERTAIN = {
@@ -82,16 +81,12 @@ def suspension_equations(
     p, bogie = vehicle_class.parameters, vehicle_class.bogie
     p = replace(p, **{name: value * getattr(p, name) for name, value in factors.items() if hasattr(p, name)})
     if bogie is None:
-        return _single(p, share)
+        above = -np.array([p.lateral_stiffness, share * p.lateral_damping]) / p.suspended_mass
+        return SuspensionEquations(np.array([[0.0, 1.0], above]), np.array([0.0, -1.0]), above)
     body = factors.get("body_mass", 1.0)
     spring = body * factors.get("secondary_lateral_stiffness", 1.0) * bogie.secondary_lateral_stiffness
     changed = replace(bogie, body_mass=body * bogie.body_mass, secondary_lateral_stiffness=spring)
     return _bogie(p, changed, share)
-
-
-def _single(p: VehicleParameters, share: float) -> SuspensionEquations:
-    above = -np.array([p.lateral_stiffness, share * p.lateral_damping]) / p.suspended_mass
-    return SuspensionEquations(np.array([[0.0, 1.0], above]), np.array([0.0, -1.0]), above)
 
 
 def _bogie(p: VehicleParameters, bogie: BogieParameters, share: float) -> SuspensionEquations:

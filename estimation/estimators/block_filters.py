@@ -39,8 +39,8 @@ from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import regression
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 STEP_S = 0.012  # between the samples that a filter takes
 SHORTEST = 100  # samples of a block that is filtered
@@ -143,7 +143,6 @@ def follows(found: Posterior) -> bool:
 
 
 def _inputs(motion: Motion, parameters: EstimatorParameters, keep: BoolArray) -> Inputs:
-    """Return what a filter takes of the samples that are kept, every ``STEP_S``."""
     stride = max(round(STEP_S / motion.sample_interval_s), 1)
     at = np.flatnonzero(keep)
     run = np.cumsum(np.append(0, np.diff(at) > 1))

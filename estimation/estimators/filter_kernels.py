@@ -26,11 +26,7 @@ RENEWED = (1e-3, 1e-3)  # m, rad, std of y - d and psi behind a gap
 
 @compiled(nogil=True, error_model="numpy")
 def renew(mean: FloatArray, P: FloatArray, displacement: float, yaw: float) -> None:
-    """Begin y - d and psi again from what is measured, and keep the rest.
-
-    Args:
-        mean, P: (k,) and (k, k) of the state, changed; y - d and psi come first.
-    """
+    """Begin y - d and psi, the first of a state (k,) and (k, k), again from what is measured, and keep the rest."""
     mean[0], mean[1] = displacement, yaw
     for row in range(2):
         P[row, :] = 0.0
@@ -40,11 +36,7 @@ def renew(mean: FloatArray, P: FloatArray, displacement: float, yaw: float) -> N
 
 @compiled(nogil=True, error_model="numpy")
 def correct(mean: FloatArray, P: FloatArray, part: int, measured: float, variance: float) -> tuple[float, float]:
-    """Correct a state by one of its parts that is measured; return the innovation and its variance.
-
-    Args:
-        mean, P: (k,) and (k, k), changed.
-    """
+    """Correct a state (k,) and (k, k) by a measured part of it; return the innovation and its variance."""
     innovation, total = measured - mean[part], P[part, part] + variance
     size = len(mean)
     for a in range(size):

@@ -140,13 +140,7 @@ def add_expected(
     displacement: FloatArray, difference: FloatArray, chunk: int, posterior: FloatArray, grid: FloatArray,
     first: float, width: float, weight: float, sums: FloatArray, counts: FloatArray,
 ) -> None:  # fmt: skip
-    """Add R and the number of samples to the cells in which they are expected.
-
-    Args:
-        posterior: (k, s) from :func:`smooth`.
-        weight: Of every sample.
-        sums, counts: (b,) m and number, added to.
-    """
+    """Add R and the weights of samples to the cells (b,) in which they are expected by the ``posterior`` (k, s)."""
     for k in range(len(posterior)):
         for s in range(len(grid)):
             probability = posterior[k, s]
@@ -271,7 +265,6 @@ class HiddenDisplacement:
 
 
 def _chunk(motion: Motion, parameters: EstimatorParameters) -> int:
-    """Return how many samples make a chunk; one where nothing is hidden."""
     if not parameters.band_limited:
         return 1
     if not motion.sample_interval_s > 0.0:
@@ -298,13 +291,11 @@ def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArr
 
 
 def _filled(sums: FloatArray, counts: FloatArray) -> FloatArray:
-    """Return the mean (FINE,) of every cell, interpolated where there are too few samples."""
     known = counts >= min(LEAST_IN_CELL, counts.max())
     return np.asarray(np.interp(MIDDLES, MIDDLES[known], sums[known] / counts[known]))
 
 
 def _run(counts: FloatArray, span: tuple[float, float]) -> slice:
-    """Return the cells around the centre, without a break inside ``span``, that have enough samples."""
     x, middle = MIDDLES, FINE // 2
     enough = (counts >= LEAST_IN_CELL) & (x > span[0]) & (x < span[1])
     right = middle + int(np.argmin(np.append(enough[middle:], False)))
@@ -343,12 +334,10 @@ class Stepped(NamedTuple):
 
 
 def stepped(x: FloatArray, curve: FloatArray) -> Stepped:
-    """Return a curve (n,), m, at even distances of displacement, whose contact jumps are each in one place.
-
-    A contact point jumps at one displacement. What is left of the error of y - d spreads the step over some 0.1 mm,
-    evenly to both sides; so the jump is in the mean of the rise. A rise that is spread further is left as it is: wheels
-    have steep parts without any jump.
-    """
+    """Return a curve (n,), m, at even distances of displacement, whose contact jumps are each in one place."""
+    # A contact point jumps at one displacement. What is left of the error of y - d spreads the step over some 0.1 mm,
+    # evenly to both sides; so the jump is in the mean of the rise. A rise that is spread further is left as it is:
+    # wheels have steep parts without any jump.
     width = x[1] - x[0]
     middles, rise = 0.5 * (x[1:] + x[:-1]), np.diff(curve)
     near = np.abs(middles) < JUMP_REACH

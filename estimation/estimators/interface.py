@@ -29,7 +29,7 @@ from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status, jackknife_std, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +217,6 @@ def with_scales(curve: Replicates, parameters: EstimatorParameters) -> FloatArra
 
 
 def _own_std(curve: Replicates, conicity: FloatArray, amplitude: FloatArray) -> FloatArray:
-    """Return the std (k,) of the conicity by the covariance that the estimator itself states; NaN without one."""
     if not len(curve.own):
         return np.full(len(amplitude), np.nan)
     changed = [equivalent_conicity(curve.displacement, curve.all_data + row, amplitude) for row in curve.own]
@@ -225,12 +224,7 @@ def _own_std(curve: Replicates, conicity: FloatArray, amplitude: FloatArray) -> 
 
 
 def estimate_of(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
-    """Return one number with its interval from its replicates.
-
-    Args:
-        values: (1 + groups + p,) from all data, with each group left out, and with each of p uncertain parameters
-            shifted by one std.
-    """
+    """Return one number with its interval from replicates (1 + groups + p,): all, less groups, parameters shifted."""
     if not np.isfinite(values).all():
         return Estimate.unknown(reason, count)
     systematic = float(np.sqrt(((values[groups + 1 :] - values[0]) ** 2).sum()))
@@ -238,7 +232,6 @@ def estimate_of(values: FloatArray, groups: int, count: float, reason: Reason) -
 
 
 def _spread(rows: FloatArray, groups: int) -> FloatArray:
-    """Return the jackknife's std of the first row; zero without groups."""
     return jackknife_std(rows[: groups + 1]) if groups else np.zeros(rows.shape[1:])
 
 

@@ -2,7 +2,7 @@
 
 Ward, Goodall, Dixon, UKACC 2010, section 4: bins of y - d, a threshold count, grey-box recursion in each bin. Two
 multiple-input single-output identifications with the regressors [psi, phi', 1], lateral (Eq. 15-16) and yaw (Eq.
-17-18), give the four combinations; signs of the known parts are those of ``estimation.vehicle.equations_of_motion``.
+17-18), give the four combinations; signs of the known parts are those of ``estimation.vehicle.regressors``.
 
 Of the estimator only the yaw identification runs, which gives rL - rR; V of the paper is the mean speed of a stretch.
 The recursion starts in a bin when the threshold count is reached. Its own covariance takes every residual for
@@ -42,8 +42,8 @@ from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 REGRESSORS = 3
 
@@ -118,11 +118,7 @@ def yaw_output(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) 
 def recursion_in_bins(
     features: FloatArray, output: FloatArray, index: IntArray, bins: int, parameters: PaperParameters
 ) -> tuple[FloatArray, IntArray]:
-    """Run Eq. 10-14 in every bin; return theta (b, 3), NaN below the threshold, and the counts (b,).
-
-    Args:
-        index: (n,) bin of each sample, 0..bins-1.
-    """
+    """Run Eq. 10-14 in bins ``index`` (n,); return theta (b, 3), NaN below the threshold, and the counts (b,)."""
     count = np.bincount(index, minlength=bins).astype(np.int64)
     theta = np.full((bins, REGRESSORS), np.nan)
     order = np.argsort(index, kind="stable")  # a bin's samples together, in their own order
@@ -145,7 +141,6 @@ def recursion_in_bins(
 
 @compiled(nogil=True)
 def _recurse_bin(theta: FloatArray, P: FloatArray, X: FloatArray, z: FloatArray, W: float) -> FloatArray:
-    """Eq. 12-14, sample by sample."""
     for i in range(len(z)):
         x = X[i]
         Px = P @ x
@@ -350,7 +345,6 @@ def jumps_elsewhere(x: FloatArray, curve: FloatArray, std: float) -> FloatArray:
 def _recurse(
     theta: FloatArray, P: FloatArray, squares: float, X: FloatArray, z: FloatArray, W: float
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Eq. 12-14, sample by sample, and the sum of squared residuals."""
     for i in range(len(z)):
         x = X[i]
         Px = P @ x

@@ -31,8 +31,8 @@ from estimation.tables.bin_table import group_of
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 GROUPS = 16
 SMALLEST_VARIANCE = 1e-18  # m2
@@ -103,9 +103,7 @@ def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> Se
 def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
     """Return the curve of the series, its intervals from groups left out and parameters shifted.
 
-    Args:
-        ridge: Weight that holds functions without data at zero, as a share of the mean diagonal of the normal
-            equations.
+    ``ridge`` holds functions without data at zero: a share of the mean diagonal of the normal equations.
     """
     span = covered_range(state.counts)
     if isinstance(span, Reason):
@@ -292,7 +290,6 @@ def equations(motion: Motion, vehicle: VehicleParameters) -> tuple[FloatArray, F
 
 
 def _refusal(state: RecursionState, groups: int) -> Reason | None:
-    """Return why the sums tell no conicity; None where they do."""
     if groups < FEWEST_GROUPS:
         return too_few_blocks(groups)
     gram = state.gram.sum(axis=0)
@@ -309,5 +306,4 @@ def _refusal(state: RecursionState, groups: int) -> Reason | None:
 
 
 def _line(x: FloatArray, theta: FloatArray) -> FloatArray:
-    """Return R (n,), m, of the unknowns (3,)."""
     return np.asarray((theta[1] * MILLIMETRE + theta[2] * x) / theta[0])

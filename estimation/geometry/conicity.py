@@ -109,7 +109,6 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
 
 
 def _centre(row: _Row, curve: CurveReplicates, amplitude: float, conicity: float) -> Centre:
-    """Return the middle of the travel, and how far from it both wheels may roll alike."""
     middle = middle_of_travel(*row, amplitude)
     if not curve.band_limited:
         return Centre(middle, 0.0, CentreOrigin.TRACK_CENTRE)
@@ -130,10 +129,8 @@ def too_few_blocks(groups: int) -> Reason:
 def _nonlinearity(
     amplitude: FloatArray, values: FloatArray, groups: int, count: float, parameters: CurveParameters
 ) -> Estimate:
-    """Return NP, 1/mm, from the conicity rows (r, a) at its two amplitudes.
-
-    What is systematic at the two amplitudes is taken as mostly independent.
-    """
+    """Return NP, 1/mm, from the conicity rows (r, a) at its two amplitudes."""
+    # what is systematic at the two amplitudes is taken as mostly independent
     ends = (parameters.nonlinearity_low, parameters.nonlinearity_high)
     low, high = (values[:, int(np.argmin(np.abs(amplitude - a)))] for a in ends)
     per_mm = 1.0 / (1e3 * (ends[1] - ends[0]))
@@ -144,7 +141,6 @@ def _nonlinearity(
 
 
 def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:
-    """Return the unbroken run of usable bins that holds the bin nearest to zero displacement."""
     usable = curve.usable & np.isfinite(curve.difference).all(axis=(0, 2))
     centre = int(np.argmin(np.abs(curve.edges[:-1] + curve.edges[1:])))
     if not usable[centre]:
@@ -187,11 +183,9 @@ def _rows(curve: CurveReplicates, run: BoolArray, amplitude: FloatArray) -> tupl
 
 
 def _lost_to_filters(x: FloatArray, curve: FloatArray, amplitude: FloatArray) -> FloatArray:
-    """Return what the high-pass changes of the conicity (a,) where left and right wheel are unlike.
-
-    The part of R that is alike on both sides of the centre grows and falls with the amplitude; what is slow of that is
-    lost, and comes back as an error of R of some share of it.
-    """
+    """Return what the high-pass changes of the conicity (a,) where left and right wheel are unlike."""
+    # the part of R that is alike on both sides of the centre grows and falls with the amplitude; what is slow of that
+    # is lost, and comes back as an error of R of some share of it
     beside = np.linspace(0.0, min(-x[0], x[-1], ALIKE_REACH), ALIKE_POINTS)
     alike = 0.5 * (np.interp(beside, x, curve) + np.interp(-beside, x, curve)) - np.interp(0.0, x, curve)
     return np.asarray(ALIKE_SHARE * np.mean(np.abs(alike)) / (2.0 * amplitude))
@@ -200,11 +194,9 @@ def _lost_to_filters(x: FloatArray, curve: FloatArray, amplitude: FloatArray) ->
 def _systematic(
     error: DisplacementError, sharp: Sharpening, row: _Row, blurred: _Row, amplitude: FloatArray
 ) -> FloatArray:
-    """Return what each systematic error of the displacement changes of the conicity: (4, a).
-
-    As much as was taken back for the error stands for what remains unknown; half as much for the blur, or all that as
-    much again changes where it is left. A stretch and contact jumps that are elsewhere change the conicity in steps.
-    """
+    """Return what each systematic error of the displacement changes of the conicity: (4, a)."""
+    # As much as was taken back for the error stands for what remains unknown; half as much for the blur, or all that as
+    # much again changes where it is left. A stretch and contact jumps that are elsewhere change the conicity in steps.
     x, curve = row
     here = equivalent_conicity(x, curve, amplitude)
     middle = zero_crossing(x, curve)
@@ -234,7 +226,6 @@ def _systematic(
 
 
 def _estimate(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
-    """One number from its rows: all data, then each group left out, then one row a systematic uncertainty."""
     if not np.isfinite(values).all():
         return Estimate.unknown(reason, count)
     jackknife = float(jackknife_std(values[: groups + 1]))

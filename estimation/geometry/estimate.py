@@ -16,7 +16,7 @@ import numpy as np
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
 from estimation.geometry.model_fit import displaced, mismatch, model_fit, solve_with_shared_scales
 from estimation.geometry.uncertainty import DisplacementError, ParameterUncertainty, quotient_widening
-from estimation.tables import least_squares
+from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import BinStatus, BinTable, BinValues, Contradiction, WheelsetGeometry
@@ -105,7 +105,7 @@ def contradictions(
 def _expected_noise(table: BinTable, bins: BinParameters, uncertainty: ParameterUncertainty) -> float:
     """Return the std of the error of y - d, m, by the alignment and, at the speeds of the samples, by the sensors."""
     size = bins.yaw_regressors
-    gram, cross, _ = least_squares.unpack(table.yaw.sum(axis=0), size, len(YAW_TARGETS))
+    gram, cross, _ = bin_table.unpack(table.yaw.sum(axis=0), size, len(YAW_TARGETS))
     c = size - REGRESSORS + 1  # the first of the curve's
     square = float(gram[:, c, c].sum())
     of_sensors = float(cross[:, c, DISPLACEMENT_NOISE].sum()) / square if square > 0.0 else 0.0
@@ -179,9 +179,9 @@ def _replicates(table: BinTable, bins: BinParameters, parameters: GeometryParame
     )
 
 
-def _solve(packed: FloatArray, weight: FloatArray, targets: int) -> least_squares.Solution:
+def _solve(packed: FloatArray, weight: FloatArray, targets: int) -> bin_table.Solution:
     size = packed.shape[-1]
-    return least_squares.solve(packed.reshape(weight.size, size), weight.ravel(), REGRESSORS, targets)
+    return bin_table.solve(packed.reshape(weight.size, size), weight.ravel(), REGRESSORS, targets)
 
 
 def _jumps(replicates: _Replicates, too_few: BoolArray, parameters: GeometryParameters) -> BoolArray:
@@ -218,8 +218,6 @@ def _displacement_noise(
 
 @dataclass(frozen=True, slots=True)
 class _BinScreening:
-    """What decides about a bin in all four combinations."""
-
     too_few: BoolArray  # (b,)
     jump: BoolArray  # (b,)
     centre: FloatArray  # (b,) m
@@ -233,7 +231,6 @@ _STATUSES = (BinStatus.ESTIMATED, BinStatus.TOO_FEW, BinStatus.CONTACT_JUMP, Bin
 def _combinations(
     replicates: _Replicates, screening: _BinScreening, bins: BinParameters, parameters: GeometryParameters
 ) -> dict[str, Any]:
-    """Return S, R, A and D over the bins, by their names in a geometry."""
     unc, radius, angle = parameters.uncertainty, parameters.prior_radius, parameters.prior_angle
     R, A, D = replicates.yaw[:, :, 1], replicates.yaw[:, :, 0], replicates.lateral[:, :, 2].copy()
     # besides the parameters' stds enter those of the scales into R

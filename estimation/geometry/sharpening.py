@@ -46,11 +46,10 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtr
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
-from estimation.motion.rolling_radius_difference import HIDDEN_SHARE
+from estimation.motion.integration import HIDDEN_SHARE
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.quantities import NORMAL_95
-from estimation.vehicle.equations_of_motion import RAIL_HEAD_RADIUS
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import RAIL_HEAD_RADIUS, VehicleClass
 
 HELD_SLACK = 1e-12  # of the largest gradient: below, an unknown that is held at 0 stays there
 PATIENCE = 3  # exchanges of all without fewer on the wrong side, before it is one at a time
@@ -159,7 +158,6 @@ def sharpen(
     Args:
         low, high: (b,) m, edges of adjoining bins of one width.
         nodes: (2 b + 1,) m, the curve at :func:`edges_and_centres`.
-        steps: Of the search for slopes; a blur for which they do not suffice counts as one that does not fit.
     """
     weight = 1.0 / np.hypot(std, LEAST_STD)
     least = min(0.0, 2.0 * float(np.min(np.diff(nodes[1::2]) / np.diff(low)))) if len(low) > 1 else 0.0
@@ -211,13 +209,11 @@ def _changes(cells: int) -> FloatArray:
 
 
 def _beyond(width: float, blur: float) -> int:
-    """Return how many cells there are beyond the bins at each end."""
     return max(CELLS, int(np.ceil(REACH * blur * CELLS / width)))
 
 
 @lru_cache(maxsize=_KEPT)
 def _response(bins: int, width: float, blur: float) -> FloatArray:
-    """Return what a slope of 1 in each cell makes of the nodes of the bins, blurred: (2 b + 1, cells), m."""
     beyond = _beyond(width, blur)
     edges = width / CELLS * (np.arange(CELLS * bins + 2 * beyond + 1) - beyond)
     u = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
@@ -268,10 +264,8 @@ FREE = (0.0,) * len(SLOPES)
 
 
 def held_shares(vehicle_class: VehicleClass) -> tuple[float, ...]:
-    """Return which share of rho is left in R on average, at each of ``SLOPES``; zero without a bogie.
-
-    Of the rms over front and rear wheelset, each with differences of diameters of its own and of its neighbour.
-    """
+    """Return which share of rho is left in R on average, at each of ``SLOPES``; zero without a bogie."""
+    # of the rms over front and rear wheelset, each with differences of diameters of its own and of its neighbour
     if vehicle_class.bogie is None:
         return FREE
     return tuple(float(np.sqrt((left_in_difference(vehicle_class, slope) ** 2).sum() / 2.0)) for slope in SLOPES)
@@ -306,20 +300,16 @@ def held_difference_std(shares: tuple[float, ...], conicity: float) -> float:
 
 
 def moved_off(x: FloatArray, curve: FloatArray, amplitude: FloatArray, std: float) -> FloatArray:
-    """Return the change of the conicity (a,) per standard deviation of the mean of R, the larger of both ways.
-
-    About the running position the curve is nearly as it is about the rolling line, so that small differences change
-    little and large ones much.
-    """
+    """Return the change of the conicity (a,) per standard deviation of the mean of R, the larger of both ways."""
+    # about the running position the curve is nearly as it is about the rolling line, so that small differences change
+    # little and large ones much
     here = equivalent_conicity(x, curve, amplitude)
     return widest(lambda share: equivalent_conicity(x, curve + share * std, amplitude), here)
 
 
 def widest(changed: Callable[[float], FloatArray], here: FloatArray) -> FloatArray:
-    """Return the largest change per std within a 95 % interval, either way: a jump may be passed far out only.
-
-    Where a change leaves the range covered, the other way counts.
-    """
+    """Return the largest change per std within a 95 % interval, either way: a jump may be passed far out only."""
+    # where a change leaves the range covered, the other way counts
     changes = [np.abs(changed(share) - here) / abs(share) for share in (-NORMAL_95, -1.0, 1.0, NORMAL_95)]
     return np.asarray(np.max(np.nan_to_num(changes, posinf=np.inf), axis=0))
 

@@ -34,11 +34,9 @@ SCALE_STDS = {ContactRoll.SEEN: 0.006, ContactRoll.HIDDEN: 0.008}
 
 
 def quotient_widening(relative: float) -> float:
-    """Return by how much the std of a quotient exceeds that of first order: 1/(1 - s), infinite from 0.4.
-
-    The quotient grows without limit as its divisor, of relative std s, nears zero. With this std 92 to 96 % of the
-    95 % intervals of 1/(1 + e), e normal with std s, hold 1.
-    """
+    """Return by how much the std of a quotient exceeds that of first order: 1/(1 - s), infinite from 0.4."""
+    # The quotient grows without limit as its divisor, of relative std s, nears zero. With this std 92 to 96 % of the 95
+    # % intervals of 1/(1 + e), e normal with std s, hold 1.
     return 1.0 / (1.0 - relative) if relative < UNKNOWN_FACTOR else float("inf")
 
 
@@ -118,10 +116,8 @@ def _sensors_of_bogie(vehicle_class: VehicleClass) -> tuple[float, float, float]
 
 
 def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings | None:
-    """Return what has been found on ``track``; windows on a recording do not wait for findings of their wheelset.
-
-    Where no gauge moves wheelsets, what has been found is of vehicles alone.
-    """
+    """Return what has been found on ``track``; windows on a recording do not wait for findings of their wheelset."""
+    # where no gauge moves wheelsets, what has been found is of vehicles alone
     if track.findings is None or wheelset is None or track.source != AlignmentSource.RECORDED:
         return track.findings
     if not track.findings.gauge_shifts:
@@ -130,11 +126,9 @@ def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings 
 
 
 def alignment_std(track: TrackAlignment) -> float:
-    """Return the median std, m, of an alignment where it is known, at the usual cut-off of the motion.
-
-    That of a fleet is of all waves up to its own cut-off, and nearly all of it of the longest, for accelerations are
-    integrated twice: its variance grows as the cube of the cut-off.
-    """
+    """Return the median std, m, of an alignment where it is known, at the usual cut-off of the motion."""
+    # that of a fleet is of all waves up to its own cut-off, and nearly all of it of the longest, for accelerations are
+    # integrated twice: its variance grows as the cube of the cut-off
     known = np.isfinite(track.alignment_std)
     std = float(np.median(track.alignment_std[known])) if known.any() else 0.0
     share = USUAL_CUTOFF / track.cutoff_wavelength if track.source == AlignmentSource.FLEET else 1.0
@@ -142,11 +136,9 @@ def alignment_std(track: TrackAlignment) -> float:
 
 
 def _scale_std(track: TrackAlignment, wheelset: str | None) -> float:
-    """Return the relative std of y - d on ``track``: what its alignment leaves open, and what its gauge does.
-
-    A surveyed gauge that is wide as a whole changes the conicity as a whole. What is found of a wheelset on a gauge
-    that varies covers that only as far as it varies.
-    """
+    """Return the relative std of y - d on ``track``: what its alignment leaves open, and what its gauge does."""
+    # A surveyed gauge that is wide as a whole changes the conicity as a whole. What is found of a wheelset on a gauge
+    # that varies covers that only as far as it varies.
     mean, std = abs(float(np.mean(track.gauge_deviation))), float(np.std(track.gauge_deviation))
     beyond = max(mean - std, 0.0) if _gauge_taken_off(track, wheelset) else mean
     of_gauge = (SCALE_PER_GAUGE_SQUARE * std**2, SCALE_PER_MEAN_GAUGE * beyond)
@@ -154,13 +146,11 @@ def _scale_std(track: TrackAlignment, wheelset: str | None) -> float:
 
 
 def _gauge_taken_off(track: TrackAlignment, wheelset: str | None) -> bool:
-    """Whether what the gauge of ``track`` does to a wheelset has been found, and is subtracted."""
     shifts = {} if track.findings is None else track.findings.gauge_shifts
     return bool(shifts) if wheelset is None else wheelset in shifts
 
 
 def _jump_position_std(track: TrackAlignment, wheelset: str | None) -> float:
-    """Return the std, m, of where contact jumps are on the gauge of ``track``: until its effect is known, all of it."""
     share = (
         JUMP_SHARE_UNCORRECTED
         if not _gauge_taken_off(track, wheelset)
@@ -173,7 +163,6 @@ def _jump_position_std(track: TrackAlignment, wheelset: str | None) -> float:
 
 
 def _jump_mean_std(track: TrackAlignment) -> float:
-    """Return the std, m, of where contact jumps are on average: a wheelset runs further in wide gauge."""
     return 0.0 if track.gauge_known else JUMP_MEAN_SHARE * float(np.median(track.gauge_deviation_std))
 
 

@@ -19,9 +19,9 @@ from estimation.alerts.identity import (
     identity_events,
     jumps,
 )
-from estimation.alerts.rules.contradicted_registry import IdentityRule
+from estimation.alerts.rules.rule import latest_run, raised_at
 from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspension_change_finding
-from estimation.alerts.rules.standing import latest_run, raised_at
+from estimation.alerts.rules.sensor_data import IdentityRule
 from estimation.jobs.job import JobContext
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.identities import identity_changes
@@ -30,8 +30,7 @@ from estimation.trend.suspension import SuspensionParameters, suspension_histori
 from estimation.values.alerts import Finding
 from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.registry import WheelsetRecord
-from estimation.values.results import EVERYTHING, Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import EVERYTHING, Facet, SubjectKind
 from estimation.values.trend import (
     SUSPENSION,
     IdentityChange,

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from estimation.adhesion.friction import away_from_low_adhesion, refused_for_low_adhesion
 from estimation.errors import DamagedError, NotFoundError, PassingFaultError
 from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import Job, JobContext
@@ -30,8 +29,9 @@ from estimation.jobs.steps.load_window import (
     tracks_of_batch,
 )
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
+from estimation.motion.checks import away_from_low_adhesion, refused_for_low_adhesion
 from estimation.motion.hunting import in_place_of_quality
-from estimation.motion.parameters import WindowParameters
+from estimation.motion.integration import WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import cells_of_window

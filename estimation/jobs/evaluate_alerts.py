@@ -10,11 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from estimation.alerts.evaluation import findings, next_change_ns, superseded
-from estimation.alerts.fleet_alerts import in_flood, opened, refreshed
 from estimation.alerts.identity import IDENTITY_EVENT
 from estimation.alerts.life_cycle import close, transition, without_stale_acknowledgement
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook, findings, in_flood, next_change_ns, opened, refreshed, superseded
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS, SUSPENSIONS
 from estimation.jobs.isolation import Isolation
@@ -25,8 +23,7 @@ from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Finding, Transition
 from estimation.values.geometry import GEOMETRY
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import TREND
 from estimation.worklist.row import FACETS, FORM, STAGE
 

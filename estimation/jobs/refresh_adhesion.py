@@ -12,10 +12,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from estimation.adhesion.creep_forces import FrictionParameters
 from estimation.adhesion.friction import section_adhesion, touched
-from estimation.adhesion.parameters import FrictionParameters
 from estimation.alerts.life_cycle import close, section_transition
-from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
+from estimation.alerts.rules.running_gear import LowAdhesionRule, section_finding
 from estimation.dampers.damper import DamperParameters, gear_damper
 from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.job import Job, JobContext
@@ -44,8 +44,7 @@ from estimation.values.opinions import (
     WindowDamper,
     part_of_gear,
 )
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of_text, text_of_key
 
 Stretches = Sequence[tuple[float, float]]

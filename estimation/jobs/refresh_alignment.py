@@ -37,9 +37,8 @@ from estimation.track.passes import Entry, Journey, newest_within
 from estimation.track.results import place_alone
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import UpdateOutcome, update_alignment
-from estimation.values.results import Due as Seen
-from estimation.values.results import Facet, Mark, StageInputs
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Due as Seen
+from estimation.values.runs import Facet, Mark, StageInputs, SubjectKind
 from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
 from estimation.values.windows import DueStage, WindowKey, WindowRecord
 from estimation.vehicle.vehicle_class import ClassOnFile

@@ -19,8 +19,8 @@ from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import GEOMETRY as GEOMETRIES
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry, result_of_geometry
-from estimation.values.results import Facet
 from estimation.values.roll_up import RolledPart, RollUpState
+from estimation.values.runs import Facet
 from estimation.values.trend import TREND
 from estimation.values.windows import DueStage
 

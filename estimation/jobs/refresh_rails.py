@@ -20,8 +20,7 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.rail_anchors import AnchorInputs, anchor_inputs, anchors
 from estimation.jobs.steps.rail_cells import CELL_VERSION, WheelsetCells, wheelset_cells
 from estimation.rails.apart import exceeds, rails_apart, reported
-from estimation.rails.cell import with_refused
-from estimation.rails.parameters import RailsParameters
+from estimation.rails.cell import RailsParameters, with_refused
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import GEOMETRY
@@ -37,8 +36,7 @@ from estimation.values.opinions import (
     WheelKey,
     WheelsFinding,
 )
-from estimation.values.results import EVERYTHING, Facet, Result
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import EVERYTHING, Facet, Result, SubjectKind
 from estimation.values.trend import TREND
 
 _log = logging.getLogger(__name__)

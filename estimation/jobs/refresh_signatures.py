@@ -23,14 +23,13 @@ from estimation.jobs.steps.signature_windows import ASSUMED, JOB_NAME, OF_WINDOW
 from estimation.jobs.steps.vehicle_classes import ClassLookup, VehicleLookup
 from estimation.signatures.answer import compared, judged
 from estimation.signatures.library import Change, Libraries, Subject, current
-from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.geometry import GEOMETRY
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import EVERYTHING, Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import EVERYTHING, Facet, SubjectKind
 from estimation.values.signatures import (
     ANSWERS,
     NO_PAIR,

@@ -13,11 +13,10 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.identities import identity_changes
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, conicity_points
-from estimation.trend.steps import behind_step, newest_step, with_step
-from estimation.trend.trend import TrendParameters, refresh
+from estimation.trend.trend import TrendParameters, behind_step, newest_step, refresh, with_step
 from estimation.values.geometry import GEOMETRY, IntervalConicities
 from estimation.values.registry import VehicleRecord
-from estimation.values.results import Facet
+from estimation.values.runs import Facet
 from estimation.values.trend import TREND as TRENDS
 from estimation.values.trend import WearTrend, baseline_part, since_change
 

@@ -16,22 +16,18 @@ from enum import StrEnum
 from itertools import pairwise
 
 from estimation.adhesion.friction import section_adhesion
-from estimation.alerts.evaluation import findings, superseded
 from estimation.alerts.life_cycle import close, section_transition, transition
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook, findings, superseded
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
-from estimation.alerts.rules.rule import WheelsetFacts
-from estimation.alerts.rules.running_gear import SuspensionChangeRule, WeakDamperRule
+from estimation.alerts.rules.rule import WheelsetFacts, within_reach
+from estimation.alerts.rules.running_gear import LowAdhesionRule, SuspensionChangeRule, WeakDamperRule, section_finding
 from estimation.alerts.rules.sensor_data import NoDataRule
-from estimation.alerts.rules.standing import within_reach
 from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.wheelset_facts import hunted_beside, windows_wanted
 from estimation.jobs.steps.window_creep import friction_parameters, pool_ends, pooled_ns, section_length
 from estimation.storage import UnitOfWork
-from estimation.trend.steps import behind_step
-from estimation.trend.trend import TrendParameters
+from estimation.trend.trend import TrendParameters, behind_step
 from estimation.values.alerts import Alert, CloseReason, Condition
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
 from estimation.values.opinions import SectionAdhesion

@@ -22,8 +22,7 @@ from estimation.jobs.stage import AnyStage, Outcome, Part, made_from
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import BinStatus, BinValues
 from estimation.values.quantities import Estimate, Status
-from estimation.values.results import AnyResult, Due, Mark, Result, StageInputs
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import AnyResult, Due, Mark, Result, StageInputs, SubjectKind
 
 CLAIMED_TOGETHER = 4
 """Batches of subjects that are claimed together."""

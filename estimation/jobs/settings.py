@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.geometry.estimate import GeometryParameters
-from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
-from estimation.rails.parameters import RailsParameters
-from estimation.signatures.parameters import SignatureParameters
+from estimation.motion.integration import Gates, SignalParameters, WindowParameters
+from estimation.rails.cell import RailsParameters
+from estimation.signatures.window_signatures import SignatureParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.trend.trend import TrendParameters
 from estimation.values.fields import JsonValue

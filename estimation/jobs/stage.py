@@ -21,8 +21,7 @@ from estimation.storage import UnitOfWork
 from estimation.values.fields import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
-from estimation.values.results import Result, ResultKind, StageInputs
-from estimation.values.runs import Quarantined, SubjectKind
+from estimation.values.runs import Quarantined, Result, ResultKind, StageInputs, SubjectKind
 
 PLAIN = frozenset({int, float, str, bytes, bool, type(None)})
 """Types whose ``repr`` is read as the same value again: many of them are written at once."""

@@ -19,9 +19,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimation.motion.checks import BACKWARDS, direction, lateral_yaw_correlation, moving_samples
-from estimation.motion.integration import integrate
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.checks import direction, runs_backwards
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
@@ -80,7 +78,6 @@ class AxleDistance:
 
 
 def _clearer(correlation: float, other: float) -> float:
-    """Return how many times the power that one correlation leaves unexplained another one leaves."""
     return (1.0 - other**2) / max(1.0 - correlation**2, np.finfo(np.float64).eps)
 
 
@@ -125,11 +122,9 @@ def axle_distance(window: Window, partner: Window, ahead: float) -> AxleDistance
 
 
 def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatArray:
-    """Return a signal every ``STEP``, zero where it is unknown, of the wavelengths of the band.
-
-    It is filtered on a grid as fine as its samples: noise of high frequencies would fold into the band, and that of a
-    gyroscope, differentiated, grows with frequency.
-    """
+    """Return a signal every ``STEP``, zero where it is unknown, of the wavelengths of the band."""
+    # it is filtered on a grid as fine as its samples: noise of high frequencies would fold into the band, and that of a
+    # gyroscope, differentiated, grows with frequency
     from scipy.signal import sosfiltfilt  # noqa: PLC0415 - slow to import, and only windows in bogies need it
 
     finer = math.ceil(STEP * (len(run) - 1) / run[-1])
@@ -149,7 +144,6 @@ def _band_pass(finer: int) -> FloatArray:
 
 
 def _correlation(own: FloatArray, other: FloatArray) -> FloatArray:
-    """Return sum(own[n] other[n + k]) for k steps from -``FARTHEST`` to ``FARTHEST``."""
     reach = round(FARTHEST / STEP)
     size = 1 << (len(own) + reach).bit_length()
     products = np.fft.irfft(np.conj(np.fft.rfft(own, size)) * np.fft.rfft(other, size), size)
@@ -157,10 +151,8 @@ def _correlation(own: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _highest(correlation: FloatArray, ahead: float, least: float) -> AxleDistance:
-    """Return the maximum of the magnitude of a correlation beside those at the expected distance, of either sign.
-
-    Maxima below ``least`` may be chance.
-    """
+    """Return the maximum of the magnitude of a correlation beside those at the expected distance, of either sign."""
+    # maxima below `least` may be chance
     size = np.abs(correlation)
     distance = STEP * (np.arange(len(size)) - len(size) // 2)
     at = int(np.argmax(size))
@@ -178,20 +170,9 @@ def _highest(correlation: FloatArray, ahead: float, least: float) -> AxleDistanc
     return AxleDistance(float(distance[at]), float(size[at]), expected, exchanged, nearest, stands_out, ordered)
 
 
-def runs_backwards(window: Window) -> bool | None:
-    """Return whether the axes of a node point against the direction of travel; None where it does not say."""
-    signals = SignalParameters()
-    correlation = lateral_yaw_correlation(integrate(window, moving_samples(window, signals), signals))
-    if correlation is None or abs(correlation) < abs(BACKWARDS):
-        return None
-    return correlation < 0.0
-
-
 def bogie_runs_backwards(window: Window, partner: Window, ahead: float) -> bool | None:
-    """Return whether a bogie runs with its rear axle first; None where its nodes do not say.
-
-    Where they say both, one of them is the wrong way round, and which axle meets the track first decides.
-    """
+    """Return whether a bogie runs with its rear axle first; None where its nodes do not say."""
+    # where they say both, one of them is the wrong way round, and which axle meets the track first decides
     said = {runs_backwards(window), runs_backwards(partner)} - {None}
     if len(said) <= 1:
         return next(iter(said), None)
@@ -220,10 +201,8 @@ LEAST_FRAME_SHARE = 0.2  # of what the frame moves above the other axle: right n
 
 
 def check_frame_sensors(window: Window, partner: Window) -> Reason | None:
-    """Return that one of the two frame sensors of a bogie measures nothing; None where both do.
-
-    A frame moves above both its axles. A sensor that is dead gives one value, or its noise.
-    """
+    """Return that one of the two frame sensors of a bogie measures nothing; None where both do."""
+    # A frame moves above both its axles. A sensor that is dead gives one value, or its noise.
     known = window.valid & partner.valid
     if not known.any():
         return None
@@ -240,10 +219,8 @@ def check_frame_sensors(window: Window, partner: Window) -> Reason | None:
 
 
 def with_frame_yaw(window: Window, partner: Window, ahead: float) -> Window:
-    """Return ``window`` with the yaw acceleration of the frame, valid where both nodes are.
-
-    Gravity is in both sensors alike, for a frame rolls as one piece, and drops out.
-    """
+    """Return ``window`` with the yaw acceleration of the frame, valid where both nodes are."""
+    # gravity is in both sensors alike, for a frame rolls as one piece, and drops out
     if partner.start_ns != window.start_ns or len(partner.valid) != len(window.valid):
         raise ValueError(f"windows from {window.start_ns} and {partner.start_ns} are not of one time")
     valid = window.valid & partner.valid

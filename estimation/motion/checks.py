@@ -17,13 +17,12 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from estimation.motion.hunting import in_place_of_quality
-from estimation.motion.integration import IntegratedWindow, bridged
-from estimation.motion.parameters import Gates, SignalParameters
+from estimation.motion.integration import Gates, IntegratedWindow, SignalParameters, bridged, integrate
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, runs
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import TrackLayout
+from estimation.values.track import Correction, TrackLayout
 from estimation.values.windows import Window, WindowQuality
-from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.vehicle_class import GRAVITY
 
 GRID_STEP = 1.0  # m, to which a layout is refined before it is looked at
 
@@ -46,11 +45,9 @@ MOST_AT_REST = 1.4  # m/s2, of a lateral accelerometer on straight track: its of
 
 
 def check_upright(window: Window, usable: BoolArray) -> Reason | None:
-    """Return that a lateral accelerometer is turned about the longitudinal axis; None where it is not.
-
-    It then measures a part of gravity at rest: of 8 degrees 1.4 m/s2. Vertical motion is in its signal too, and cannot
-    be taken out. Only sensors that measure constant accelerations show it.
-    """
+    """Return that a lateral accelerometer is turned about the longitudinal axis; None where it is not."""
+    # It then measures a part of gravity at rest: of 8 degrees 1.4 m/s2. Vertical motion is in its signal too, and
+    # cannot be taken out. Only sensors that measure constant accelerations show it.
     if not (window.measures_gravity and usable.any()):
         return None
     places = {"axle box": window.lateral_acceleration, "mass or frame": window.mass_lateral_acceleration}
@@ -148,12 +145,7 @@ class Usable(FrozenArrays):
 def usable_samples(
     window: Window, known: BoolArray, layout: TrackLayout | None, parameters: SignalParameters
 ) -> Usable:
-    """Return the samples of ``window`` that can be used.
-
-    Args:
-        known: (n,) samples at places of known alignment.
-        layout: Curves of its section; None where none is on file: then every place counts as straight.
-    """
+    """Return the samples of ``window`` that can be used, of those (n,) of known place; no layout is straight."""
     tests = {
         "missing, clipped or invalid": window.valid,
         "off the known part of the section": known,
@@ -237,10 +229,8 @@ def check_moving(window: Window, signals: SignalParameters) -> Reason | None:
 
 
 def position_jumps(integrated: IntegratedWindow) -> tuple[Jump, ...]:
-    """Return where the position does not go with the speed.
-
-    Over every second the distance must change by what the speed makes of it, within 0.5 m and 5 %.
-    """
+    """Return where the position does not go with the speed."""
+    # over every second the distance must change by what the speed makes of it, within 0.5 m and 5 %
     window, found = integrated.window, list[Jump]()
     for segment in integrated.segments:
         at, run = bridged(window.distance[segment.part], segment.known), segment.run
@@ -281,12 +271,10 @@ def jumps_reason(jumps: Sequence[Jump]) -> Reason | None:
 
 
 def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
-    """Return that the axes contradict the direction of running, or one another; None where they do not.
-
-    An axle that rolls forward with a yaw to the left moves to the left: y' = V psi up to small creep. Backwards, or
-    with one of the two sensors the wrong way round, the sign is the other. Where one of the two is on another axis, or
-    measures something else, they have nothing in common.
-    """
+    """Return that the axes contradict the direction of running, or one another; None where they do not."""
+    # An axle that rolls forward with a yaw to the left moves to the left: y' = V psi up to small creep. Backwards, or
+    # with one of the two sensors the wrong way round, the sign is the other. Where one of the two is on another axis,
+    # or measures something else, they have nothing in common.
     correlation = lateral_yaw_correlation(integrated)
     if correlation is None or correlation >= UNRELATED:
         return None
@@ -346,3 +334,42 @@ def check_running(window: Window, signals: SignalParameters) -> Reason | None:
 def check_integrated(integrated: IntegratedWindow) -> IntegratedWindow | Reason:
     """Return the window, or what of it contradicts the rest."""
     return jumps_reason(position_jumps(integrated)) or check_axis_signs(integrated) or integrated
+
+
+def runs_backwards(window: Window) -> bool | None:
+    """Return whether the axes of a node point against the direction of travel; None where it does not say."""
+    signals = SignalParameters()
+    correlation = lateral_yaw_correlation(integrate(window, moving_samples(window, signals), signals))
+    if correlation is None or abs(correlation) < abs(BACKWARDS):
+        return None
+    return correlation < 0.0
+
+
+MARGIN = 25.0  # m kept from a stretch of low friction: half a place
+MOST_LEFT_OUT = 0.25  # share of the samples from which low friction is why too few are left
+TOO_LITTLE = frozenset({ReasonCode.NO_USABLE_SAMPLE, ReasonCode.INTERRUPTED, ReasonCode.TOO_FEW_USABLE})
+
+
+def away_from_low_adhesion(
+    window: Window, stretches: Sequence[tuple[float, float]], correction: Correction | None = None
+) -> Window | Reason:
+    """Return the window with its samples on low friction not valid, or that none is left."""
+    if not stretches:
+        return window
+    distance = window.distance if correction is None else correction.at(window.distance)
+    low = np.zeros(len(window.valid), np.bool_)
+    for begin, end in stretches:
+        low |= (distance >= begin - MARGIN) & (distance <= end + MARGIN)
+    left = window.valid & ~low
+    if not left.any() and window.valid.any():
+        return Reason(ReasonCode.LOW_ADHESION, "all of the window is on rails of low friction")
+    return replace(window, valid=left)
+
+
+def refused_for_low_adhesion(reason: Reason, window: Window, kept: Window) -> Reason:
+    """Return why a window is refused: low friction, where that took most of its samples and too few are left."""
+    share = 1.0 - float(kept.valid.sum()) / max(int(window.valid.sum()), 1)
+    if share < MOST_LEFT_OUT or reason.code not in TOO_LITTLE:
+        return reason
+    text = f"{share:.0%} of its samples are on rails of low friction; of the rest: {reason.text}"
+    return Reason(ReasonCode.LOW_ADHESION, text)

@@ -77,8 +77,7 @@ class _Line:
 def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_s: float) -> Hunting:
     """Return how much of some running time a wheelset hunts, at which frequency and how far.
 
-    Args:
-        lateral, yaw: (n,) m/s2 and rad/s2, as the sensors gave them, clipped samples too; NaN where nothing is known.
+    ``lateral`` and ``yaw`` (n,) are as the sensors gave them, clipped samples too; NaN where nothing is known.
     """
     size = round(BLOCK_S / interval_s)
     blocks = (len(lateral) // size, size)

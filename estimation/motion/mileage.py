@@ -50,11 +50,9 @@ def implausible_mileages(
 
 
 def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_speed_m_s: float) -> bool:
-    """Whether nothing speaks against any reading.
-
-    Where that holds of all readings of a mounting it also holds of any of them. So it holds of all and new ones as soon
-    as it holds of the new ones with those beside them.
-    """
+    """Whether nothing speaks against any reading."""
+    # Where that holds of all readings of a mounting it also holds of any of them. So it holds of all and new ones as
+    # soon as it holds of the new ones with those beside them.
     km_per_ns = FASTER * max_speed_m_s / 1000.0 / NANOSECONDS
     ordered = sorted(readings, key=lambda one: one.start_ns)
     return all(_follows(*pair, km_per_ns) for pair in pairwise(ordered)) and all(
@@ -74,7 +72,6 @@ def implausible_places(readings: Sequence[MileageReading]) -> Mapping[int, Reaso
 
 
 def _alone(reading: MileageReading, mounting: Mounting, km_per_ns: float) -> Reason | None:
-    """Return what speaks against a reading by itself and beside its mounting."""
     mileage = reading.mileage_km
     text = ""
     run = mileage - mounting.wheelset_mileage_km
@@ -91,7 +88,6 @@ def _alone(reading: MileageReading, mounting: Mounting, km_per_ns: float) -> Rea
 
 
 def _believed(readings: Sequence[MileageReading], km_per_ns: float) -> Sequence[MileageReading]:
-    """Return the readings, in order of time, that are believed of those in order of time."""
     if all(_follows(*pair, km_per_ns) for pair in pairwise(readings)):
         return readings
     chain = _longest_chain(readings, km_per_ns)
@@ -120,17 +116,14 @@ def _led_here(readings: Sequence[MileageReading], km_per_ns: float) -> Sequence[
 
 
 def _follows(first: MileageReading, second: MileageReading, km_per_ns: float) -> bool:
-    """Whether the vehicle can have run from one reading to a later one."""
     run = second.mileage_km - first.mileage_km
     return 0.0 <= run <= km_per_ns * (second.start_ns - first.start_ns)
 
 
 def _longest_chain(readings: Sequence[MileageReading], km_per_ns: float) -> list[MileageReading]:
-    """Return the most readings of which each follows the one before; of several such the one that ends first.
-
-    A follows B where neither the mileage nor what was not run of the possible distance falls: in the order of the one,
-    that is a longest non-decreasing run of the other.
-    """
+    """Return the most readings of which each follows the one before; of several such the one that ends first."""
+    # A follows B where neither the mileage nor what was not run of the possible distance falls: in the order of the
+    # one, that is a longest non-decreasing run of the other
     origin = readings[0].start_ns
     not_run = [km_per_ns * (one.start_ns - origin) - one.mileage_km for one in readings]
     order = sorted(range(len(readings)), key=lambda i: (readings[i].mileage_km, not_run[i]))
@@ -160,13 +153,8 @@ DAY_S = 86_400.0
 
 
 def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
-    """Return the mileage of each window, km; never decreasing.
-
-    Where the odometer made no impossible step it is the mileage as stored, bit for bit.
-
-    Args:
-        windows: Of one wheelset between two reprofilings, oldest first.
-    """
+    """Return the mileage, km, never decreasing, of each window of a wheelset between two reprofilings, oldest first."""
+    # where the odometer made no impossible step it is the mileage as stored, bit for bit
     at, found = first_reading(windows), []
     for window in windows:
         at = read(at, window)
@@ -175,11 +163,7 @@ def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
 
 
 def first_reading(windows: Iterable[WindowRecord]) -> Odometer:
-    """Return where the chain of mileages begins that has no window before these.
-
-    Args:
-        windows: As in :func:`running_mileage`.
-    """
+    """Return where the chain of mileages begins that has no window before these, which are in order."""
     known = (known_mileage(window.mileage_km) for window in windows)
     first = next((value for value in known if math.isfinite(value)), 0.0)
     return Odometer(last=first, last_km=first, last_ns=0)
@@ -191,11 +175,9 @@ def known_mileage(stored_km: float) -> float:
 
 
 def read(at: Odometer, window: WindowRecord) -> Odometer:
-    """Return where the chain of mileages stands after a window; without a reading it says nothing.
-
-    It depends on nothing but the last window with a reading, its mileage as stored and as run: so the chain goes on
-    from any window of which both are kept.
-    """
+    """Return where the chain of mileages stands after a window; without a reading it says nothing."""
+    # it depends on nothing but the last window with a reading, its mileage as stored and as run: so the chain goes on
+    # from any window of which both are kept
     stored = known_mileage(window.mileage_km)
     if math.isnan(stored):
         return at
@@ -207,9 +189,5 @@ def read(at: Odometer, window: WindowRecord) -> Odometer:
 
 
 def most_km(seconds: float) -> float:
-    """Return how far a vehicle can have run in some time, km.
-
-    Args:
-        seconds: From 0.
-    """
+    """Return how far, km, a vehicle can have run in some seconds."""
     return FASTEST_KM_S * min(seconds, HOUR_S) + MOST_KM_DAY * seconds / DAY_S

@@ -22,16 +22,14 @@ from typing import NamedTuple
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.motion.axle_distance import runs_backwards, turned_over
-from estimation.motion.checks import moving_samples
-from estimation.motion.integration import bridged, segments
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.axle_distance import turned_over
+from estimation.motion.checks import moving_samples, runs_backwards
+from estimation.motion.integration import SignalParameters, bridged, segments
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.roll_up import RollingSums
 from estimation.values.windows import ACCELERATIONS, Window
-from estimation.vehicle.equations_of_motion import GRAVITY
 from estimation.vehicle.linear_model import ComplexArray
-from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import GRAVITY, SensorLayout, VehicleClass
 
 ROWS = 5  # spectra: y'', V psi', phi'', ym'' and psi_f'' of the bogie frame
 TERMS = 7  # the lateral acceleration, then the unknowns
@@ -199,11 +197,7 @@ UNKNOWNS = ("scale", "radius", "inertia", "suspension", "gravity", "curve")
 
 
 def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalParameters) -> tuple[RollingSums, ...]:
-    """Return the sums of each part of a window that has pieces without gaps.
-
-    Args:
-        window: Measured accelerations and speed, (n,) each; in a bogie with the yaw of its frame, else it says nothing.
-    """
+    """Return the sums of each part of a window that has pieces without gaps; none in a bogie of unknown frame yaw."""
     if vehicle_class.bogie is not None and window.frame_yaw_acceleration is None:
         return ()
     if runs_backwards(window):
@@ -237,7 +231,6 @@ def _add(
     products: FloatArray,
     noise: FloatArray,
 ) -> None:
-    """Add the pieces of a segment, accelerations and speed (6, m), that begin at ``starts`` to their parts."""
     dt, taper = window.sample_interval_s, _taper(size)
     unit = 0.5 * size / dt * float(np.mean(taper**2))  # of a squared spectrum per squared noise density
     densities = _densities(vehicle_class.sensors), _resolution_noise(window)
@@ -271,7 +264,6 @@ def _equation(vehicle_class: VehicleClass) -> Equation:
 
 
 def _bridged(window: Window, usable: BoolArray, part: slice) -> FloatArray:
-    """Return accelerations, the frame's and speed (6, m) of a part of a window, straight lines where any is missing."""
     frame = window.frame_yaw_acceleration
     accelerations = [getattr(window, name) for name in ACCELERATIONS]
     rows = (*accelerations, np.zeros(len(usable)) if frame is None else frame, window.speed)
@@ -284,7 +276,6 @@ def _resolution_noise(window: Window) -> FloatArray:
 
 
 def _densities(sensors: SensorLayout) -> FloatArray:
-    """Return the squared noise densities (4,) of the sensors: on file, or usual ones where none is."""
     usual = (USUAL_LATERAL, USUAL_ANGULAR, USUAL_ANGULAR, USUAL_LATERAL)
     rates = (False, sensors.yaw_is_gyroscope, sensors.roll_is_gyroscope, False)
     return np.square(

@@ -64,11 +64,7 @@ def vibration(sharp_signals: FloatArray, interval_s: float) -> FloatArray:
 
 
 def struck(lateral: FloatArray, roll: FloatArray, interval_s: float, lost: BoolArray | None = None) -> BoolArray:
-    """Return which samples (n,) a blow has spoilt, from its begin until it has died down.
-
-    Args:
-        lost: (n,) samples that clipped in blows, near which it rings too; None for none.
-    """
+    """Return which samples (n,) a blow has spoilt until it has died down; it rings too near those ``lost`` in blows."""
     both = np.stack([lateral, roll])
     lost = np.zeros(len(lateral), np.bool_) if lost is None else lost
     if not (lost.any() or np.nanmax(np.abs(both), initial=0.0) > LEAST_BLOW):
@@ -119,8 +115,6 @@ class _Comb:
 
 @dataclass(frozen=True, slots=True)
 class _Events:
-    """Blows of a block, of whatever."""
-
     middle: FloatArray  # (k,) samples, as fractions: the centre of what is over the vibration
     lateral: FloatArray  # (k,) m/s2, where it is largest
     roll: FloatArray  # (k,) rad/s2, there
@@ -128,8 +122,6 @@ class _Events:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Some seconds of running."""
-
     start: int  # first sample
     run: FloatArray  # (n,) m
     events: _Events
@@ -163,11 +155,7 @@ def find_turn_blows(lateral: FloatArray, roll: FloatArray, speed: FloatArray, in
 def blow_times(
     lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float, lost: BoolArray
 ) -> FloatArray:
-    """Return where on the samples (k,) a wheel with a flat strikes, as fractions of samples; every turn has its blow.
-
-    Args:
-        lost: (n,) samples that clipped in blows.
-    """
+    """Return where on the samples (k,) a wheel with a flat strikes each turn; ``lost`` (n,) clipped in blows."""
     times = []
     for block in _blocks(lateral, roll, speed, interval_s, lost):
         if block.comb is not None:
@@ -217,7 +205,6 @@ def _events(fast: FloatArray, std: FloatArray, interval_s: float, lost: BoolArra
 
 
 def _comb(events: FloatArray, run: float) -> _Comb | None:
-    """Return the turn at which most events (k,), at m run of ``run``, are on one place of a wheel."""
     fewest = max(LEAST_TURNS * run / LONGEST, FEWEST_TURNS * LEAST_TURNS)
     if not fewest <= len(events) <= MOST_EVENTS * run / SHORTEST:
         return None
@@ -254,10 +241,8 @@ AROUND = 31  # blows, over which sizes and delays are alike but for noise
 
 
 def without_blows(window: Window) -> Window:
-    """Return the window with the blows of a flat taken out; samples that a blow has spoilt are ``bridged``.
-
-    Blows of joints and switches are single: the integrals go through them as they were measured.
-    """
+    """Return the window with the blows of a flat taken out; samples that a blow has spoilt are ``bridged``."""
+    # blows of joints and switches are single: the integrals go through them as they were measured
     dt, n = window.sample_interval_s, len(window.valid)
     lost = np.zeros(n, np.bool_)
     if window.quality.blows.share > 0.0:
@@ -289,7 +274,6 @@ def _short_gaps(window: Window, most: int) -> BoolArray:
 
 
 def _bridge(signals: FloatArray, known: BoolArray, first: int, behind: int, support: int) -> None:
-    """Put the cubic of least squares through what is near in place of a gap of signals (m, n)."""
     low = max(first - support, 0)
     at = low + np.flatnonzero(known[low : behind + support])
     middle, half = 0.5 * (first + behind - 1), 0.5 * (behind - first) + support
@@ -300,11 +284,7 @@ def _bridge(signals: FloatArray, known: BoolArray, first: int, behind: int, supp
 
 
 def turn_blows(signals: FloatArray, at: FloatArray, interval_s: float) -> FloatArray:
-    """Return what the blows of a flat are of signals (m, n).
-
-    Args:
-        signals: (m, n) lateral, yaw and roll acceleration first; NaN where not known.
-    """
+    """Return what the blows of a flat are of signals (m, n), lateral, yaw and roll acceleration first; NaN: unknown."""
     turn = float(np.median(np.diff(at))) * interval_s
     reach = min(BEFORE_S + BEHIND_S, MOST_OF_TURN * turn) / (BEFORE_S + BEHIND_S)
     knots = np.arange(-BEFORE_S * reach, BEHIND_S * reach + KNOT_S, KNOT_S)
@@ -374,7 +354,6 @@ def _fitted(
 
 
 def _shrunk(values: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return what is drawn towards that of the blows around by as much as the noise explains of what differs."""
     usual = uniform_filter1d(values, AROUND, mode="nearest")
     apart = values - usual
     true = max(float(np.median(apart**2)) / SAID_BY_MEDIAN**2 - float(np.median(variance)), 0.0)

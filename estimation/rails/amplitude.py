@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.rails.cell import CellTable
+from estimation.rails.cell import Anchors, CellTable, RailsParameters, ReferenceWheel
 from estimation.rails.component import Component, Runs, component, connected, islands
-from estimation.rails.parameters import Anchors, RailsParameters, ReferenceWheel
 from estimation.rails.published import AtAmplitude, RailAt, TrendAt, WheelAt, parted, refusal
 from estimation.rails.two_way import Parted, part, with_known
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
@@ -56,7 +55,6 @@ def checks(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
 
 
 def _check(component: Component, held: Parted, own: IntArray, shared: float) -> Check:
-    """Return how far the wheels of one wheelset are from what the others say of them."""
     left, covariance = _left_out(component, held, own)
     variance = np.diag(covariance)
     if not ((variance > 0.0) & (variance < LARGEST_VARIANCE)).all():
@@ -93,11 +91,9 @@ MOST = 0.5  # share of the rails
 
 
 def uneven(component: Component, parameters: RailsParameters) -> list[int]:
-    """Return the numbers of the rails that are uneven, where something holds the level and these would move it.
-
-    Uneven are rails on which conicities rise with those of the wheels otherwise than on half of all rails or more,
-    themselves counted. Of two that differ both are; what is known is not.
-    """
+    """Return the numbers of the rails that are uneven, where something holds the level and these would move it."""
+    # Uneven are rails on which conicities rise with those of the wheels otherwise than on half of all rails or more,
+    # themselves counted. Of two that differ both are; what is known is not.
     two_way = component.two_way
     if not two_way.anchored:
         return []
@@ -112,10 +108,8 @@ def uneven(component: Component, parameters: RailsParameters) -> list[int]:
 
 
 def _spread_std(component: Component, alone: Parted, parameters: RailsParameters) -> float:
-    """Return the relative std of how far conicities of wheels are spread, by known rails and nothing else.
-
-    It is that of the mean slope of the other rails, less what is known of it beforehand.
-    """
+    """Return the relative std of how far conicities of wheels are spread, by known rails and nothing else."""
+    # it is that of the mean slope of the other rails, less what is known of it beforehand
     free = ~component.two_way.known_rail
     s, count = len(free), int(free.sum())
     if count == 0:
@@ -170,8 +164,6 @@ def wheel_checks(table: CellTable, k: int, anchors: Anchors, parameters: RailsPa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Level:
-    """The cells that are known at an amplitude, and what holds their level there."""
-
     table: CellTable
     k: int
     anchors: Anchors

@@ -13,9 +13,17 @@ import numpy as np
 
 from estimation.errors import ParameterError
 from estimation.rails.amplitude import NOT_COVERED, NOTHING, Check, at_amplitude, wheel_checks
-from estimation.rails.cell import CellTable, cell_table, extent, grouped, sections_of, wheelsets_of
+from estimation.rails.cell import (
+    Anchors,
+    CellTable,
+    RailsParameters,
+    cell_table,
+    extent,
+    grouped,
+    sections_of,
+    wheelsets_of,
+)
 from estimation.rails.component import Runs, islands
-from estimation.rails.parameters import Anchors, RailsParameters
 from estimation.rails.published import NEXT_TO_JUMP, AtAmplitude, TrendAt, on_rise
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import (
@@ -37,8 +45,6 @@ HELD = (RailsReference.KNOWN_RAILS, RailsReference.MEASURED_WHEELS)
 
 
 class _Witness(NamedTuple):
-    """A section that is named as known, or a measured wheelset."""
-
     is_wheelset: bool
     name: str  # code, or serial
 
@@ -67,11 +73,9 @@ def _all_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) 
 
 
 def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters: RailsParameters) -> Check:
-    """Return the excess of a section over what the others say.
-
-    For the fleet's mean wheel where nothing follows for that as designed. Of several periods the one that is furthest;
-    at the amplitude of the limit, or the largest below that is known.
-    """
+    """Return the excess of a section over what the others say."""
+    # For the fleet's mean wheel where nothing follows for that as designed. Of several periods the one that is
+    # furthest; at the amplitude of the limit, or the largest below that is known.
     others = replace(anchors, known_rails=frozenset(key for key in anchors.known_rails if key.section != section))
     if not others.known_rails and not others.known_wheels:
         return NOTHING
@@ -87,7 +91,6 @@ def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters:
 
 
 def _wheels_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, Check]:
-    """Return how far measured wheelsets are from what the others say, at the amplitude at which that is furthest."""
     found: dict[_Witness, Check] = {}
     for k in range(len(table.amplitude)) if anchors.known_wheels else ():
         for serial, check in wheel_checks(table, k, anchors, parameters).items():
@@ -98,7 +101,6 @@ def _wheels_apart(table: CellTable, anchors: Anchors, parameters: RailsParameter
 
 
 def _connected(worst: _Witness, witnesses: Sequence[_Witness], table: CellTable, anchors: Anchors) -> list[_Witness]:
-    """Return the witnesses that wheelsets connect with one of them, itself included."""
     nothing = np.zeros(len(table.rails), np.bool_)
     labels = islands(Runs(table.wheel, table.rail, table.serial, nothing, np.zeros(len(table.wheels), np.bool_)))
     measured = {one.wheel for one in anchors.known_wheels}
@@ -115,7 +117,6 @@ def _connected(worst: _Witness, witnesses: Sequence[_Witness], table: CellTable,
 def _reasons(
     some: Sequence[_Witness], together: Sequence[_Witness], beyond: Mapping[_Witness, Check]
 ) -> tuple[dict[str, Reason], dict[str, Reason]]:
-    """Return why some sections, and some measured wheelsets, hold no level."""
     most = max(beyond.values(), key=lambda one: one.ratio)
     sections, wheelsets = dict[str, Reason](), dict[str, Reason]()
     for of in some:
@@ -168,10 +169,8 @@ def rails_apart(
 
 
 def _refuse_rises(levels: Sequence[AtAmplitude], amplitude: FloatArray, steepest: float) -> None:
-    """Take back what is said of the wheel as designed where its conicity, as found on some rails, is on a rise.
-
-    The trend of the section goes with it.
-    """
+    """Take back what is said of the wheel as designed where its conicity, as found on some rails, is on a rise."""
+    # the trend of the section goes with it
     keys = sorted({key for level in levels for key in level.rails})
     for key in keys:
         curve = np.array([level.rails[key].solved for level in levels])
@@ -215,11 +214,8 @@ def _strongest(references: Sequence[RailsReference | None]) -> RailsReference | 
 def _trends(
     levels: Sequence[AtAmplitude], amplitudes: FloatArray, most: float, anchors: Anchors
 ) -> tuple[dict[str, RailTrend], dict[str, Reason]]:
-    """Return the trend of each section at the largest amplitude up to ``most``, m, at which it is known.
-
-    Of the others why there is none, at the largest amplitude at which that is said; where the excess is not on a line
-    at one amplitude, that it is at a smaller one says nothing.
-    """
+    # of the others why there is none, at the largest amplitude at which that is said; where the excess is not on a line
+    # at one amplitude, that it is at a smaller one says nothing
     found: dict[str, RailTrend] = {}
     why: dict[str, Reason] = {}
     for amplitude, level in reversed(list(zip(amplitudes, levels, strict=True))):

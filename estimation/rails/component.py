@@ -67,11 +67,7 @@ def component(
     known_rails: frozenset[RailKey],
     level_open: Reason,
 ) -> Component:
-    """Return connected cells with what is known of their wheels and rails.
-
-    Args:
-        known: Conicity (w,) of all wheels of the table, NaN where not known, and its standard deviation (w,).
-    """
+    """Return connected cells with what is known of their rails and of the conicity (w,) of all wheels, or NaN."""
     wheel, of_wheel = np.unique(table.wheel[cells], return_inverse=True)
     rail, of_rail = np.unique(table.rail[cells], return_inverse=True)
     value, std = known
@@ -135,11 +131,9 @@ def islands(runs: Runs) -> IntArray:
 
 
 def connected(runs: Runs, least: int) -> Connected:
-    """Return the groups of rails that enough wheelsets connect; what is refused connects nothing any more.
-
-    Rails that hang on one wheelset are refused where the others are connected with what is known. Where nothing is
-    known, both sides are groups of their own, for differences within each are known.
-    """
+    """Return the groups of rails that enough wheelsets connect; what is refused connects nothing any more."""
+    # Rails that hang on one wheelset are refused where the others are connected with what is known. Where nothing is
+    # known, both sides are groups of their own, for differences within each are known.
     refused: dict[int, Reason] = {}
     while True:
         weak = _weak(runs, least)
@@ -155,7 +149,6 @@ def connected(runs: Runs, least: int) -> Connected:
 
 
 def _weak(runs: Runs, least: int) -> dict[int, Reason]:
-    """Return the rails that fewer wheelsets connect to others: that are on other rails too, or known themselves."""
     wheel, _ = runs.pairs()
     links = np.bincount(wheel, minlength=len(runs.serial)) > 1
     linking = links[runs.wheel]
@@ -173,7 +166,6 @@ def _weak(runs: Runs, least: int) -> dict[int, Reason]:
 
 
 def _groups(runs: Runs) -> tuple[IntArray, list[int]]:
-    """Return the group (s,) of all rails, and the rails that hang on one wheelset."""
     s = len(runs.known_rail)
     wheel, node = runs.pairs()
     whole = _labels(wheel, node, s + 1)
@@ -194,10 +186,8 @@ def _groups(runs: Runs) -> tuple[IntArray, list[int]]:
 
 
 def _needed(wheel: IntArray, node: IntArray, serial: IntArray, nodes: int) -> list[int]:
-    """Return the wheelsets without which some nodes are not connected any more.
-
-    A spanning forest shows few that may be; what the others connect is one node, and the same again with what is left.
-    """
+    """Return the wheelsets without which some nodes are not connected any more."""
+    # a spanning forest shows few that may be; what the others connect is one node, and the same again with what is left
     while len(wheel):
         may_be = _of_forest(wheel, node, serial, nodes)
         others = ~np.isin(serial[wheel], may_be)
@@ -219,7 +209,6 @@ def _needed(wheel: IntArray, node: IntArray, serial: IntArray, nodes: int) -> li
 
 
 def _of_forest(wheel: IntArray, node: IntArray, serial: IntArray, nodes: int) -> IntArray:
-    """Return the wheelsets of a spanning forest, in which those that connect most come first."""
     most = np.bincount(serial[wheel], minlength=int(serial.max()) + 1)
     cost = np.empty(len(most))
     cost[np.argsort(-most, kind="stable")] = np.arange(1, len(most) + 1)
@@ -231,7 +220,6 @@ def _of_forest(wheel: IntArray, node: IntArray, serial: IntArray, nodes: int) ->
 
 
 def _labels(wheel: IntArray, node: IntArray, nodes: int) -> IntArray:
-    """Return by node (nodes,) the number of what is connected with it."""
     size = nodes + (int(wheel.max()) + 1 if len(wheel) else 0)
     graph = coo_array((np.ones(len(wheel)), (nodes + wheel, node)), shape=(size, size))
     return connected_components(graph, directed=False)[1][:nodes].astype(np.int64)

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.special import fdtri
 
 from estimation.geometry.conicity import LARGEST_STD
+from estimation.rails.cell import RailsParameters, ReferenceWheel
 from estimation.rails.component import Component
-from estimation.rails.parameters import RailsParameters, ReferenceWheel
 from estimation.rails.two_way import Parted, part
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.opinions import RailKey, RailsReference, WheelKey
@@ -273,7 +273,6 @@ class _Publisher:
         return RailAt(reference, part, whole, excess, value)
 
     def _of_known(self, key: RailKey, windows: float) -> RailAt:
-        """Return what is said of rails that are as on file, at the gauge on file: nothing has been measured of them."""
         reference, none = RailsReference.KNOWN_RAILS, _exactly(0.0, windows)
         here, on_file = self.design, float(self.wheel.of(key.section)[self.component.k])
         if not np.isfinite(here) or not np.isfinite(on_file):
@@ -282,7 +281,6 @@ class _Publisher:
         return RailAt(reference, none, _exactly(here, windows), _exactly(here - on_file, windows))
 
     def _published(self, value: float, sampled: float, systematic: float, windows: float) -> Estimate:
-        """Return an estimate with its interval; unknown where that says nothing of a wheel or a rail."""
         found = with_interval(value, sampled, systematic, self.groups, windows)
         if found.std is not None and found.std <= LARGEST_STD:
             return found
@@ -290,7 +288,6 @@ class _Publisher:
         return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), windows)
 
     def _no_conclusion(self, place: int, section: str) -> Reason | None:
-        """Return why nothing follows from the wheels on some rails for the wheel as designed; None where it does."""
         if not self.component.two_way.anchored:
             return self.component.level_open
         if not np.isfinite(self.design):
@@ -303,7 +300,6 @@ class _Publisher:
         return Reason(ReasonCode.REFERENCE_WHEEL_APART, f"{text} by {self.apart[place]:.3f}")
 
     def _reference(self, moved: float) -> RailsReference:
-        """Return what holds the level of what moves so far with the conicity of all known wheels."""
         if not self.component.two_way.anchored:
             return RailsReference.MEAN
         by_wheels = abs(moved) > HALF or not self.component.two_way.known_rail.any()
@@ -317,7 +313,6 @@ class _Publisher:
         return float(np.hypot(self.shared * level, np.hypot(self.scale[place], of_reference) * self.mean))
 
     def _systematic_of_wheels(self) -> FloatArray:
-        """Return the systematic std (w,) of conicities on the reference rails."""
         theta, known = self.solution.wheel, np.isfinite(self.component.two_way.known_value)
         wheels = np.clip(np.abs(self.solution.wheel_moved), 0.0, 1.0)
         by_wheels = np.abs(theta - float(theta[known].mean())) if known.any() else np.zeros(len(theta))
@@ -336,7 +331,6 @@ def _scale_of_reference(component: Component, scale: FloatArray) -> float:
 
 
 def _is_steep(component: Component, curve: FloatArray, parameters: RailsParameters) -> bool:
-    """Whether the conicity (k,) of the wheel as designed, on rails as on file, changes steeply about the amplitude."""
     return bool(next_to_jump(curve, component.table.amplitude, parameters.steepest)[component.k])
 
 

@@ -24,7 +24,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
 
-from estimation.rails.parameters import RailsParameters
+from estimation.rails.cell import RailsParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDS = 50
@@ -84,10 +84,8 @@ class Parted:
 
 
 def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
-    """Return wheels and rails apart.
-
-    Where known wheels differ by more than their errors and the interaction explain, their errors count as larger.
-    """
+    """Return wheels and rails apart."""
+    # where known wheels differ by more than their errors and the interaction explain, their errors count as larger
     solved: _Solved | None = None
 
     def surplus(decades: float) -> float:
@@ -109,10 +107,8 @@ def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
 
 
 def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> Parted:
-    """Return the solution with known wheels that is next to the one without them, at the same interaction.
-
-    It is one step from there: slopes of the rails do not follow a wheel that is known wrongly.
-    """
+    """Return the solution with known wheels that is next to the one without them, at the same interaction."""
+    # it is one step from there: slopes of the rails do not follow a wheel that is known wrongly
     point = _Point(without.wheel, np.concatenate([without.rail, without.slope]), without.centre)
     problem = _Problem.of(cells, parameters, without.interaction)
     linear = problem.linearised(point)
@@ -120,7 +116,6 @@ def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> P
 
 
 def _widened(cells: TwoWay, parameters: RailsParameters, found: Parted) -> Parted:
-    """Return the solution with errors of the known wheels that are as large as their residuals say."""
     known = np.isfinite(cells.known_value)
     if not found.converged or not known.any():
         return found
@@ -144,8 +139,6 @@ class _Point:
 
 @dataclass(frozen=True, slots=True)
 class _Linear:
-    """The model about one point: weighted sums, the thetas eliminated."""
-
     residual: FloatArray  # (n,)
     own: FloatArray  # (w,) weight of each theta
     right_wheel: FloatArray  # (w,)
@@ -157,8 +150,6 @@ class _Linear:
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """The regression at one tau; cells in the order of their wheels."""
-
     cells: TwoWay
     parameters: RailsParameters
     tau: float
@@ -233,8 +224,6 @@ class _Problem:
 
 @dataclass(slots=True)
 class _Solved:
-    """A solution at one tau."""
-
     problem: _Problem
     point: _Point
     linear: _Linear  # about it
@@ -255,10 +244,8 @@ class _Solved:
         return float(np.sum(problem.weight * self.linear.residual**2) + np.sum(problem.known * apart**2))
 
     def freedom(self) -> float:
-        """Return how many residuals, of cells and of known wheels, are left over by what is fitted.
-
-        A number that is fitted takes one, less what is known of it beforehand.
-        """
+        """Return how many residuals, of cells and of known wheels, are left over by what is fitted."""
+        # a number that is fitted takes one, less what is known of it beforehand
         cells = self.problem.cells
         residuals = len(cells.value) + int(np.isfinite(cells.known_value).sum())
         fitted = len(cells.known_value) + 2 * int((~cells.known_rail).sum())
@@ -301,7 +288,6 @@ def _solved(cells: TwoWay, parameters: RailsParameters, tau: float, start: _Poin
 
 
 def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Return what solves a symmetric system; NaN where the matrix does not determine it."""
     try:
         return np.asarray(cho_solve(cho_factor(matrix, check_finite=False), right, check_finite=False))
     except np.linalg.LinAlgError:
@@ -309,7 +295,6 @@ def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
-    """Return the inverse of a symmetric matrix; NaN where it has none."""
     factor, bad = dpotrf(matrix, lower=1)
     inverse, worse = dpotri(factor, lower=1)
     if bad or worse:

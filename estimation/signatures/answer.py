@@ -10,7 +10,7 @@ from scipy.special import ndtr
 from estimation.signatures.calibration import NORMAL, Calibration, conicity_grid, outside
 from estimation.signatures.library import Library
 from estimation.signatures.mixed_model import Likelihood, Rows, level_of, likelihood
-from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.arrays import IntArray
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -102,7 +102,6 @@ def _answer(
 
 
 def _outside(found: Likelihood, library: Library, parameters: SignatureParameters) -> Reason | None:
-    """Return that the conicity may be one that the library does not cover."""
     if not outside(found, library.conicity, parameters.margin):
         return None
     low, high = library.conicity[0] - parameters.margin, library.conicity[1] + parameters.margin
@@ -160,7 +159,6 @@ def _rows(signatures: Sequence[Signature]) -> Rows:
 def _used(
     conicity: float, std: float, signatures: Sequence[Signature], library: Library, basis: Basis
 ) -> tuple[UsedEntry, ...]:
-    """Return the entries of the nearest conicities: of the same places where the library has them."""
     places = {one.place for one in signatures}
     weights: dict[tuple[str, str], float] = {}
     about: dict[tuple[str, str], tuple[list[float], ConicitySource]] = {}

@@ -31,7 +31,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from estimation.signatures.mixed_model import Likelihood, MixedModel, Rows, fitted, level_of, levels_between, likelihood
-from estimation.signatures.parameters import FOLDS, SignatureParameters, families
+from estimation.signatures.window_signatures import FOLDS, SignatureParameters, families
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
@@ -60,11 +60,9 @@ class OnFile(FrozenArrays):
         return np.asarray(np.hypot(self.own, np.sqrt(float(self.shares @ SHARES)) * self.claimed))
 
     def shared_std(self, conicity: float) -> FloatArray:
-        """Return the std (k,) of what is off in common about a conicity, by share.
-
-        Errors in common add up as they are, not as squares: it is a mean of standard deviations, of all entries or of
-        those near by, whichever is larger.
-        """
+        """Return the std (k,) of what is off in common about a conicity, by share."""
+        # errors in common add up as they are, not as squares: it is a mean of standard deviations, of all entries or of
+        # those near by, whichever is larger
         each = self.shared[:, None] + np.sqrt(1.0 - SHARES) * self.claimed[:, None]
         near = np.exp(-0.5 * ((self.conicity - conicity) / NEAR) ** 2) + np.finfo(np.float64).tiny
         return np.asarray(np.maximum(each.mean(axis=0), near @ each / near.sum()))
@@ -104,10 +102,8 @@ def judged_by(before: OnFile, seen: Differences) -> OnFile:
 
 
 def _posterior(seen: Differences) -> FloatArray:
-    """Return the probabilities (k,) of the shares; large ones are not likely beforehand.
-
-    A wheelset's answers on several sections have errors of their own, so that their mean is as much better.
-    """
+    """Return the probabilities (k,) of the shares; large ones are not likely beforehand."""
+    # a wheelset's answers on several sections have errors of their own, so that their mean is as much better
     of = seen.claimed > 0.0
     squared, claimed, answers = seen.difference[of] ** 2, seen.claimed[of], seen.answers[of]
     about = np.linspace(-3.0, 3.0, 31)
@@ -161,11 +157,9 @@ class Calibration(FrozenArrays):
         return float(brentq(beyond, 0.9 * NORMAL * each.min(), 1.1 * NORMAL * each.max())) / NORMAL
 
     def novelty(self, found: Likelihood) -> float:
-        """Return how far a signature is, over the largest distance that is answered: of all features, or of roll.
-
-        Roll over R is that of the contact angles, whatever the track: wheels of other profiles that move from side to
-        side like those of the library roll otherwise. Among all features it is lost.
-        """
+        """Return how far a signature is, over the largest distance that is answered: of all features, or of roll."""
+        # Roll over R is that of the contact angles, whatever the track: wheels of other profiles that move from side to
+        # side like those of the library roll otherwise. Among all features it is lost.
         return max(found.whole / self.whole.largest, found.roll / self.roll.largest)
 
 
@@ -184,11 +178,7 @@ class _Judged:
 def calibrated(
     rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], parameters: SignatureParameters
 ) -> Mapping[Basis, Calibration | Reason]:
-    """Return the calibration of a library by basis of its answers, or why it has none.
-
-    Args:
-        groups: Of every entry the wheelsets whose data are in it: what shares one is left out together.
-    """
+    """Return the calibration of a library by basis, or why it has none; entries that share a group go together."""
     apart = _folds(rows, groups)
     judged = partial(_judged, rows, known, apart, margin=parameters.margin)
     shares = known.shares
@@ -223,7 +213,6 @@ def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
 
 
 def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
-    """Return which rows (n,) are left out together; rows that share data are."""
     found = families(groups)
     family = {name: number for number, names in enumerate(found) for name in names}
     of_row = np.array([family[min(group)] for group in groups])
@@ -241,10 +230,8 @@ def outside(found: Likelihood, known: tuple[float, float], margin: float) -> boo
 
 
 def _judged(rows: Rows, on_file: OnFile, apart: Sequence[BoolArray], basis: Basis, margin: float) -> Iterator[_Judged]:
-    """Yield how well wheelsets are judged, section by section, by those that share nothing with them.
-
-    Those of which nothing would be said are left out.
-    """
+    """Yield how well wheelsets are judged, section by section, by those that share nothing with them."""
+    # those of which nothing would be said are left out
     tasks = [task for left_out in apart for task in _tasks(rows, left_out, basis) if task[0].any() and task[1].any()]
     each = -(-MOST_ANSWERS // max(len(tasks), 1))
     for taught, asked in tasks:
@@ -267,14 +254,12 @@ def _judged(rows: Rows, on_file: OnFile, apart: Sequence[BoolArray], basis: Basi
 
 
 def _of_other_track(model: MixedModel, rows: Rows, taught: BoolArray, mine: Rows, found: Likelihood) -> bool:
-    """Return whether the track is rougher or smoother than any that those who teach ran on."""
     section = rows.section[taught][np.unique(rows.place[taught], return_index=True)[1]]
     low, high = levels_between(model, section, len(np.unique(mine.place)))
     return not low <= level_of(model, mine, found.mean) <= high
 
 
 def _spread(rows: Rows, asked: BoolArray, most: int) -> Iterator[tuple[int, IntArray]]:
-    """Yield wheelsets with the rows of one of their sections, at most so many, evenly chosen."""
     at = np.flatnonzero(asked)
     pairs, which = np.unique(np.stack([rows.wheelset[at], rows.section[at]]), axis=1, return_inverse=True)
     for number in np.unique(np.linspace(0, pairs.shape[1] - 1, most).round().astype(np.int64)) if len(at) else ():

@@ -31,7 +31,7 @@ from estimation.signatures.mixed_model import (
     scatter_of,
     track_effects,
 )
-from estimation.signatures.parameters import SignatureParameters, folds, sharers
+from estimation.signatures.window_signatures import SignatureParameters, folds, sharers
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import NO_PAIR, AxlePosition, Basis, DesignPair, LibraryEntry, Place, Retired
@@ -58,10 +58,8 @@ class Library:
         return len({entry.wheelset for entry in self.entries})
 
     def levels(self, places: int) -> tuple[float, float]:
-        """Return between which levels the mean of some places is where their section is like those of the library.
-
-        It may be as far outside as the outermost section is from the next: so far the calibration has gone, too.
-        """
+        """Return between which levels the mean of some places is where their section is like those of the library."""
+        # it may be as far outside as the outermost section is from the next: so far the calibration has gone, too
         section = np.array([self.sections[place.section] for place in sorted(self.places, key=self.places.__getitem__)])
         return levels_between(self.model, section, places)
 
@@ -108,19 +106,19 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
 
 
 def rows_of(entries: Sequence[LibraryEntry], own: FloatArray) -> Rows:
-    """Return entries as arrays, their conicities shrunk by what their own errors add to their spread.
+    """Return entries as arrays, their conicities shrunk by what their errors of std ``own`` (n,) add to their spread.
 
     A regressor with errors flattens a regression; what is expected of the true conicity, given the known one, does not
     (R. J. Carroll and others, "Measurement Error in Nonlinear Models", 2006, chapter 4).
-
-    Args:
-        own: (n,) std of the errors of the known conicities that are of each wheelset alone.
     """
     names = sorted({entry.wheelset for entry in entries})
     places = sorted({_place(entry) for entry in entries})
     sections = sorted({place.section for place in places})
     known = np.array([entry.conicity for entry in entries])
-    expected, variance = _expected(known, own)
+    spread = max(float(np.var(known) - np.mean(own**2)), 1e-6)
+    mean = float(np.mean(known))
+    share = spread / (spread + own**2)
+    expected, variance = np.asarray(mean + (known - mean) * share), np.asarray(share * own**2)
     return Rows(
         powers=np.stack([entry.signature.powers for entry in entries]),
         conicity=expected,
@@ -131,14 +129,6 @@ def rows_of(entries: Sequence[LibraryEntry], own: FloatArray) -> Rows:
         wheelset=_numbers([entry.wheelset for entry in entries], names),
         variance=variance / expected**2,
     )
-
-
-def _expected(known: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and variance (n,) of the true conicities, given the known ones."""
-    spread = max(float(np.var(known) - np.mean(std**2)), 1e-6)
-    mean = float(np.mean(known))
-    share = spread / (spread + std**2)
-    return np.asarray(mean + (known - mean) * share), np.asarray(share * std**2)
 
 
 def _numbers(values: Sequence[Hashable], known: Sequence[Hashable]) -> IntArray:
@@ -211,35 +201,29 @@ def current(entries: Sequence[LibraryEntry]) -> Current:
 
 
 def _change(entries: Sequence[LibraryEntry], tracks: FloatArray, scatter: Scatter) -> Change | None:
-    """Return the largest change of a place, by its passes in order of time; None where there are too few."""
     best: Change | None = None
     for at in range(LEAST_PASSES, len(entries) - LEAST_PASSES + 1):
         before, after = entries[at - 1].signature, entries[at].signature
         if before.start_ns == after.start_ns:
             continue
-        distance = _distance(tracks, entries, at, scatter)
+        shares = []
+        for part in (entries[:at], entries[at:]):
+            counts = np.unique([entry.wheelset for entry in part], return_counts=True)[1] / len(part)
+            shares.append(float(np.sum(counts**2)))
+        covariance = scatter.rest * (1 / at + 1 / (len(entries) - at)) + scatter.of_wheelset * sum(shares)
+        difference = tracks[at:].mean(axis=0) - tracks[:at].mean(axis=0)
+        whitened = np.linalg.solve(np.linalg.cholesky(covariance), difference)
+        distance = float(whitened @ whitened) / len(difference)
         if before.place is not None and (best is None or distance > best.distance):
             best = Change(before.place, before.start_ns, after.start_ns, distance, at)
     return best
 
 
 def _from_sides(tracks: FloatArray, change: Change | None) -> FloatArray:
-    """Return tracks less the mean of their side of a change."""
     if change is None:
         return np.asarray(tracks - tracks.mean(axis=0))
     sides = (tracks[: change.passes], tracks[change.passes :])
     return np.concatenate([side - side.mean(axis=0) for side in sides])
-
-
-def _distance(tracks: FloatArray, entries: Sequence[LibraryEntry], at: int, scatter: Scatter) -> float:
-    shares = []
-    for part in (entries[:at], entries[at:]):
-        counts = np.unique([entry.wheelset for entry in part], return_counts=True)[1] / len(part)
-        shares.append(float(np.sum(counts**2)))
-    covariance = scatter.rest * (1 / at + 1 / (len(entries) - at)) + scatter.of_wheelset * sum(shares)
-    difference = tracks[at:].mean(axis=0) - tracks[:at].mean(axis=0)
-    whitened = np.linalg.solve(np.linalg.cholesky(covariance), difference)
-    return float(whitened @ whitened) / len(difference)
 
 
 _Key = tuple[str, AxlePosition, DesignPair]
@@ -346,7 +330,6 @@ def _alike(entries: Sequence[LibraryEntry], subject: Subject, most: int) -> _Ali
 
 
 def _newest(entries: Sequence[LibraryEntry], most: int) -> Sequence[LibraryEntry]:
-    """Return at most so many entries: of every place the newest, as many of each."""
     if len(entries) <= most:
         return entries
     of_place: dict[object, list[LibraryEntry]] = defaultdict(list)

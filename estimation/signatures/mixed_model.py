@@ -94,12 +94,10 @@ def track_effects(rows: Rows) -> FloatArray:
 
 
 def fitted(rows: Rows) -> MixedModel:
-    """Return the model of a library.
-
-    The response is that within places (their effects are fixed in it), and covariances follow from its residuals,
-    step by step: of wheelsets, of places, of sections. What the errors of the known conicities add to the covariance
-    of wheelsets is taken out again: they are none of the features.
-    """
+    """Return the model of a library."""
+    # The response is that within places (their effects are fixed in it), and covariances follow from its residuals,
+    # step by step: of wheelsets, of places, of sections. What the errors of the known conicities add to the covariance
+    # of wheelsets is taken out again: they are none of the features.
     kept, place = np.unique(rows.place, return_inverse=True)
     response, left = _response(rows, place)
     effects = _means(left, place)
@@ -147,11 +145,7 @@ class Scatter:
 
 
 def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> Scatter:
-    """Return how residuals scatter from wheelset to wheelset, and within these.
-
-    Args:
-        means: How many means, as those of places, have been taken out.
-    """
+    """Return how residuals, less ``means`` means as of places, scatter from wheelset to wheelset, and within these."""
     own = _means(residuals, wheelset)
     freedom = max(len(residuals) - means - len(own), 1)
     rest = _covariance(residuals - own[wheelset], freedom)
@@ -160,7 +154,6 @@ def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> Scatter
 
 
 def _leverage(conicity: FloatArray, wheelset: IntArray) -> FloatArray:
-    """Return the covariance (3, 3) of a fit to one value of each wheelset, over the variance of these."""
     terms_of = _bent(_means(conicity[:, None], wheelset)[:, 0])
     return np.asarray(np.linalg.pinv(terms_of.T @ terms_of))
 
@@ -171,7 +164,6 @@ def _bent(conicity: FloatArray) -> FloatArray:
 
 
 def _response(rows: Rows, place: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return the response (6, f), and what it leaves of the features (n, f)."""
     features, regressors = features_of(rows.powers), terms(rows.conicity, rows.speed)
     first = _within(regressors, features[:, [LEVEL]], place)
     level = _means(features[:, [LEVEL]] - regressors @ first, place)[place]
@@ -207,7 +199,6 @@ def _of_means(group: IntArray) -> float:
 
 
 def _less(whole: FloatArray, part: FloatArray) -> FloatArray:
-    """Return a covariance less that of something else in it; of no direction more than ``LARGEST_SHARE``."""
     root = np.linalg.cholesky(whole)
     half = np.linalg.solve(root, part)
     share, axes = np.linalg.eigh(np.linalg.solve(root, half.T))
@@ -222,10 +213,8 @@ def level_of(model: MixedModel, rows: Rows, conicity: float) -> float:
 
 
 def levels_between(model: MixedModel, section: IntArray, places: int) -> tuple[float, float]:
-    """Return between which levels the mean of some places is where their section is like those of a library.
-
-    It may be as far outside as the outermost section is from the next.
-    """
+    """Return between which levels the mean of some places is where their section is like those of a library."""
+    # it may be as far outside as the outermost section is from the next
     section = np.unique(section, return_inverse=True)[1]
     mean = np.bincount(section, model.levels) / np.bincount(section)
     within = float(np.std(model.levels - mean[section]))
@@ -263,11 +252,7 @@ class Likelihood:
 
 
 def likelihood(model: MixedModel, rows: Rows, known: IntArray | None, conicity: FloatArray) -> Likelihood:
-    """Return how well conicities explain the mean of some signatures of one wheelset.
-
-    Args:
-        known: (n,) numbers of their places in the model; None where the library does not have them.
-    """
+    """Return how well conicities explain the mean of signatures at known places (n,) of the model; None: at others."""
     n = len(rows.powers)
     features = features_of(rows.powers).mean(axis=0)
     base = terms(conicity[:, None], rows.speed[None, :]).mean(axis=1)

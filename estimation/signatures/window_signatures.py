@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -10,8 +10,13 @@ import numpy as np
 
 from estimation.filters import local_cubic_kernel
 from estimation.motion.checks import check_integrated, check_running, direction, gate, moving_samples, straight_part
-from estimation.motion.integration import IntegratedSegment, IntegratedWindow, integrate
-from estimation.motion.parameters import SignalParameters, WindowParameters
+from estimation.motion.integration import (
+    IntegratedSegment,
+    IntegratedWindow,
+    SignalParameters,
+    WindowParameters,
+    integrate,
+)
 from estimation.motion.rolling_radius_difference import (
     OVERSAMPLING,
     SHORTEST,
@@ -20,12 +25,73 @@ from estimation.motion.rolling_radius_difference import (
     motion_signals,
     sample_smoothed,
 )
-from estimation.signatures.parameters import SignatureParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.signatures import POWERS, SIGNALS, AxlePosition, Place, Signature
+from estimation.values.signatures import POWERS, SIGNALS, AxlePosition, LibraryEntry, Place, Signature
 from estimation.values.track import TrackLayout
 from estimation.values.windows import Window
+
+
+@dataclass(frozen=True, slots=True)
+class SignatureParameters:
+    """How windows become signatures, and what a library must hold before it answers; lengths in m."""
+
+    step: float = 0.25
+    cell: float = 256.0  # of a section
+    block: float = 128.0  # of one spectrum; blocks of a cell overlap by half
+    wavelengths: tuple[float, ...] = (45.0, 30.0, 20.0, 15.0, 11.0, 8.0, 6.0, 4.5, 3.3)  # ends of the bands
+    least_wheelsets: int = 8  # of known conicity
+    most_entries: int = 4000  # of one class, axle position and pair of profiles: the newest
+    least_sections: int = 3  # for an answer about places that the library does not have
+    least_spread: float = 0.015  # std of the conicities of the library
+    most_std: float = 0.03  # of a conicity that is learned from
+    most_mileage_km: float = 10_000.0  # between a signature and the conicity that it is learned with
+    margin: float = 0.01  # of conicity, by which an answer may be outside those of the library
+    speed_margin: float = 1.0  # m/s, the same of speed
+    states: tuple[float, ...] = (0.10, 0.15, 0.20, 0.25, 0.30, 0.35)  # conicities between seven states of wear
+
+    @property
+    def bands(self) -> int:
+        """Number of bands of wavelength."""
+        return len(self.wavelengths) - 1
+
+    @property
+    def wavenumbers(self) -> FloatArray:
+        """Ends of the bands (b + 1,), 1/m, increasing."""
+        return 1.0 / np.array(self.wavelengths)
+
+
+FOLDS = 6
+ALONE = 12  # families, up to which each of them is a fold of its own
+
+
+def families(groups: Iterable[frozenset[str]]) -> list[frozenset[str]]:
+    """Return groups of wheelsets that share no data with each other, in the order of their first serials."""
+    member: dict[str, set[str]] = {}
+    for group in set(groups):
+        joined = set(group).union(*(member[name] for name in group if name in member))
+        member.update(dict.fromkeys(joined, joined))
+    return sorted({frozenset(names) for names in member.values()}, key=min)
+
+
+def folds(entries: Sequence[LibraryEntry]) -> list[frozenset[str]]:
+    """Return wheelsets that are left out together, none of whose data are in entries of others."""
+    # In a small library each family is a fold. In a larger one there are six, each with all kinds of conicity.
+    known: dict[str, list[float]] = {}
+    for entry in entries:
+        known.setdefault(entry.wheelset, []).append(entry.conicity)
+    found = families(sharers(entry) for entry in entries)
+    if len(found) <= ALONE:
+        return found
+    mean = {name: sum(values) / len(values) for name, values in known.items()}
+    ordered = sorted(found, key=lambda names: (min(mean[name] for name in names if name in mean), min(names)))
+    return [frozenset().union(*ordered[first::FOLDS]) for first in range(FOLDS)]
+
+
+def sharers(entry: LibraryEntry) -> frozenset[str]:
+    """Return the wheelsets whose samples are in an entry."""
+    return frozenset(entry.shares_data) | {entry.wheelset}
+
 
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
@@ -63,7 +129,6 @@ def _products(block: FloatArray) -> FloatArray:
 
 
 def _peak(power: FloatArray, wavenumber: FloatArray, ends: FloatArray) -> float:
-    """Return the wavelength, m, at which a power is largest, smoothed over three lines."""
     smooth = np.convolve(power, np.ones(3) / 3, mode="same")
     chosen = (wavenumber >= ends[0]) & (wavenumber < ends[-1])
     return float(1.0 / wavenumber[chosen][np.argmax(smooth[chosen])])
@@ -75,8 +140,6 @@ _INCREASE = 1e-9  # m from sample to sample at least
 
 @dataclass(frozen=True, slots=True)
 class _Stretch:
-    """Signals of one segment on the grid of the section, or on one of its own."""
-
     first: int  # number of the first grid point
     signals: FloatArray  # (3, n)
     speed: FloatArray  # (n,) m/s
@@ -85,10 +148,8 @@ class _Stretch:
 def window_signatures(
     window: Window, parameters: WindowParameters, signature: SignatureParameters, layout: TrackLayout | None = None
 ) -> tuple[Signature, ...] | Reason:
-    """Return the signatures of a window, one for each cell of the section that it passed whole.
-
-    Where section or position are not known every stretch of that length has one, without a place.
-    """
+    """Return the signatures of a window, one for each cell of the section that it passed whole."""
+    # where section or position are not known every stretch of that length has one, without a place
     placed = gate(window.quality, window.track_section, parameters.gates)
     if placed is not None:
         if placed.code not in {ReasonCode.SECTION_UNKNOWN, ReasonCode.POSITION_UNKNOWN}:
@@ -125,10 +186,8 @@ def window_signatures(
 
 
 def axle_position(window: Window, parameters: WindowParameters) -> AxlePosition:
-    """Return where the wheelset of a window runs in its bogie.
-
-    The axle of the lower number is in front where the vehicle runs forwards.
-    """
+    """Return where the wheelset of a window runs in its bogie."""
+    # the axle of the lower number is in front where the vehicle runs forwards
     partner = parameters.vehicle_class.partner(window.axle)
     if partner is None:
         return AxlePosition.SINGLE
@@ -161,7 +220,6 @@ def _stretch(segment: IntegratedSegment, window: Window, parameters: WindowParam
 
 
 def _cells(stretch: _Stretch, parameters: SignatureParameters) -> Iterator[tuple[int, slice]]:
-    """Yield the numbers of the cells that a stretch covers whole, and where they are in it."""
     size = round(parameters.cell / parameters.step)
     margin = round(MARGIN / parameters.step)
     first, behind = stretch.first + margin, stretch.first + stretch.signals.shape[1] - margin

@@ -3,6 +3,11 @@
 Samples are assigned to bins of lateral displacement y - d (Eq. 19-21). Inside a bin, with u = (y - d - centre)/width,
 the lateral equation has regressors [x1, x1 u, x2, x2 u], the yaw equation [(l W/2) psi, c, c u, c u^2]: S, D and A
 are constant or linear across the bin, R is quadratic, so that the variation of R inside the bin cannot pose as A.
+
+For ``z = X theta`` the sums ``X'X``, ``X'z``, ``z'z`` and the weight are sufficient for ``theta``. They add: a window
+is reduced in one pass, windows merge in any grouping, older ones with a smaller weight, and the answer equals that of
+the recursion sample by sample (Eq. 10-14 of the paper). A sample has ``p`` regressors and ``t`` targets: the first is
+the measurement, the others are its derivatives by uncertain parameters (``estimation.vehicle.regressors``).
 """
 
 from __future__ import annotations
@@ -12,29 +17,181 @@ import json
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from estimation.compiled import compiled
 from estimation.errors import ParameterError
-from estimation.motion.parameters import WindowParameters
+from estimation.motion.integration import WindowParameters
 from estimation.motion.window_motion import window_motion
-from estimation.tables import least_squares
-from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.geometry import BinTable, FilledCells
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Motion, Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import (
     LATERAL_TARGETS,
     REGRESSORS,
     SHARED_IN_BOGIE,
+    YAW_TARGET_COLUMNS,
     YAW_TARGETS,
+    Coefficients,
+    Signals,
     coefficients,
+    lateral_equation,
+    radius_factor,
     signals_of,
+    yaw_moments,
+    yaw_regressors,
+    yaw_targets,
 )
-from estimation.vehicle.vehicle_class import difference_noise
+from estimation.vehicle.vehicle_class import VehicleParameters, difference_noise
+
+SMALLEST_EIGENVALUE = 1e-10  # of the scaled normal matrix; below it a direction is not in the data
+
+
+def packed_size(regressors: int, targets: int) -> int:
+    """Return the length of the packed moments of one cell.
+
+    They are the upper triangle of ``X'X`` row by row, ``X'Z`` row by row, and ``z'z`` of the first target.
+    """
+    return regressors * (regressors + 1) // 2 + regressors * targets + 1
+
+
+@dataclass(frozen=True, slots=True)
+class Solution(FrozenArrays):
+    """Least-squares solution of each cell; NaN where the normal matrix is singular."""
+
+    theta: Annotated[FloatArray, "c", "p", "t"]  # one column a target
+    residual_variance: FloatArray  # (c,) of the first target
+    inverse: Annotated[FloatArray, "c", "p", "p"]  # inverse of X'X (through the scaled eigenvectors)
+
+
+def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int) -> Solution:
+    """Solve the normal equations of cells, packed (c, packed_size), after scaling each regressor to unit length."""
+    gram, cross, square = unpack(packed, regressors, targets)
+    inverse = inverses(gram)
+    theta = np.einsum("cij,cjt->cit", inverse, cross)
+    explained = np.einsum("ci,ci->c", theta[:, :, 0], cross[:, :, 0])
+    residual_variance = np.maximum(square - explained, 0.0) / np.maximum(weight - regressors, 1.0)
+    return Solution(theta, residual_variance, inverse)
+
+
+def inverses(gram: FloatArray) -> FloatArray:
+    """Return the inverses (c, p, p) of normal matrices, scaled to unit diagonals first; NaN where singular."""
+    scale = np.sqrt(np.einsum("cii->ci", gram))
+    safe = np.where(scale > 0, scale, np.inf)
+    scaled = gram / (safe[:, :, None] * safe[:, None, :])
+    scaled_inverse = np.full_like(scaled, np.nan)
+    filled = np.all(scale > 0, axis=1)  # the others have directions that are not in the data
+    values, vectors = np.linalg.eigh(scaled[filled])
+    ok = values[:, 0] > SMALLEST_EIGENVALUE
+    inverse_values = np.full_like(values, np.nan)
+    inverse_values[ok] = 1.0 / values[ok]
+    scaled_inverse[filled] = np.einsum("cij,cj,ckj->cik", vectors, inverse_values, vectors)
+    return np.asarray(scaled_inverse / (safe[:, :, None] * safe[:, None, :]))
+
+
+def unpack(packed: FloatArray, regressors: int, targets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return X'X (c, p, p), X'Z (c, p, t) and z'z (c,) from packed moments (c, packed_size)."""
+    p, triangle = regressors, regressors * (regressors + 1) // 2
+    rows, columns = np.triu_indices(p)
+    gram = np.empty((len(packed), p, p))
+    gram[:, rows, columns] = packed[:, :triangle]
+    gram[:, columns, rows] = packed[:, :triangle]
+    return gram, packed[:, triangle : triangle + p * targets].reshape(len(packed), p, targets), packed[:, -1]
+
+
+LATERAL_REGRESSORS = 4
+LATERAL_COLUMNS = 11  # with the targets
+NOISE = 6  # of the targets of Eq. 2
+OUTSIDE = -1
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio
+HALF = np.uint64(32)
+
+
+@compiled(nogil=True)
+def group(block: int, groups: int) -> int:
+    """Return the group of a block: in turn, and each round begins at another group."""
+    # were it in turn alone, a vehicle that passes at the same time every day would fill the same few groups for ever
+    turn = np.uint64(block // groups) * GOLDEN >> HALF  # spreads any regular step evenly
+    return int((block + np.int64(turn * np.uint64(groups) >> HALF)) % groups)
+
+
+@compiled(nogil=True)
+def assign(
+    displacement: FloatArray, valid: BoolArray, block: IntArray, groups: int,
+    first_edge: float, width: float, bins: int, cell: IntArray, u: FloatArray,
+) -> int:  # fmt: skip
+    """Write the cell of each sample, or ``OUTSIDE``, and where in its bin it is; return how many have a cell."""
+    inside, last_block, first_cell = 0, -1, 0
+    for i in range(len(displacement)):
+        cell[i] = OUTSIDE
+        position = (displacement[i] - first_edge) / width
+        if valid[i] and block[i] >= 0 and 0.0 <= position < bins:
+            if block[i] != last_block:
+                last_block, first_cell = block[i], group(block[i], groups) * bins
+            index = int(position)
+            cell[i] = first_cell + index
+            u[i] = position - index - 0.5
+            inside += 1
+    return inside
+
+
+@compiled(nogil=True, error_model="numpy")
+def radius_difference(signals: Signals, k: Coefficients, cell: IntArray, difference: FloatArray) -> None:
+    """Write rL - rR by Eq. 2 with the other terms left out; NaN where a sample has no cell."""
+    c = radius_factor(k)
+    for i in range(len(cell)):
+        difference[i] = np.nan
+        if cell[i] != OUTSIDE:
+            difference[i] = yaw_moments(signals, k, i)[0] / c
+
+
+@compiled(nogil=True)
+def add_products(row: FloatArray, regressors: int, sums: FloatArray, at: int) -> None:
+    """Add to ``sums[at]`` (p + 1, m) the products of p regressors with what follows in the row (m,), and z'z."""
+    for a in range(regressors):
+        x = row[a]
+        for j in range(a, len(row)):
+            sums[at, a, j] += x * row[j]
+    sums[at, regressors, 0] += row[regressors] * row[regressors]
+
+
+@compiled(nogil=True, error_model="numpy")
+def add_samples(
+    signals: Signals, k: Coefficients, noise: float, cell: IntArray, u: FloatArray, slot: IntArray,
+    weight: FloatArray, lateral: FloatArray, yaw: FloatArray,
+) -> None:  # fmt: skip
+    """Add every sample to the sums of its cell, which are in slot ``slot[cell]``; ``noise`` is the variance of R."""
+    equation, row, yaw_row = np.empty(9), np.empty(LATERAL_COLUMNS), np.empty(yaw.shape[2])
+    regressors = yaw.shape[2] - YAW_TARGET_COLUMNS
+    for i in range(len(cell)):
+        if cell[i] == OUTSIDE:
+            continue
+        at, v = slot[cell[i]], u[i]
+        weight[at] += 1.0
+        lateral_equation(signals, k, i, equation)
+        row[0], row[1], row[2], row[3] = equation[0], equation[0] * v, equation[1], equation[1] * v
+        for j in range(2, len(equation)):
+            row[j + 2] = equation[j]
+        add_products(row, LATERAL_REGRESSORS, lateral, at)
+        yaw_regressors(signals, k, i, yaw_row)
+        yaw_targets(signals, k, i, yaw_row, regressors - 1)
+        c = yaw_row[regressors - 1]
+        yaw_row[regressors - 3], yaw_row[regressors - 2], yaw_row[regressors - 1] = c, c * v, c * v * v
+        yaw_row[regressors + NOISE] += c * noise
+        add_products(yaw_row, regressors, yaw, at)
+
+
+def pack(sums: FloatArray) -> FloatArray:
+    """Return the packed moments (c, packed_size) of the sums (c, p + 1, m) that samples were added to."""
+    p = sums.shape[1] - 1
+    rows, columns = np.triu_indices(p)
+    cross = sums[:, :p, p:].reshape(len(sums), p * (sums.shape[2] - p))
+    return np.concatenate([sums[:, rows, columns], cross, sums[:, p, :1]], axis=1)
 
 
 class TableSum:
@@ -121,21 +278,18 @@ def init(parameters: BinParameters) -> BinTable:
         parameter_key=parameters.key,
         edges=edges,
         weight=np.zeros(shape),
-        lateral=np.zeros((*shape, least_squares.packed_size(REGRESSORS, len(LATERAL_TARGETS)))),
-        yaw=np.zeros((*shape, least_squares.packed_size(parameters.yaw_regressors, len(YAW_TARGETS)))),
+        lateral=np.zeros((*shape, packed_size(REGRESSORS, len(LATERAL_TARGETS)))),
+        yaw=np.zeros((*shape, packed_size(parameters.yaw_regressors, len(YAW_TARGETS)))),
         samples=0,
         windows=0,
     )
 
 
 def group_of(block: IntArray, groups: int) -> IntArray:
-    """Return the group of each block: in turn, and each round begins at another group.
-
-    Were it in turn alone, a vehicle that passes at the same time every day would fill the same few groups for ever.
-    """
+    """Return the group of each block, as :func:`group` does."""
     block = np.asarray(block, np.int64)
-    turn = (block // groups).astype(np.uint64) * least_squares.GOLDEN >> least_squares.HALF
-    return np.asarray((block + (turn * np.uint64(groups) >> least_squares.HALF).astype(np.int64)) % groups)
+    turn = (block // groups).astype(np.uint64) * GOLDEN >> HALF
+    return np.asarray((block + (turn * np.uint64(groups) >> HALF).astype(np.int64)) % groups)
 
 
 def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
@@ -147,11 +301,11 @@ def fill_cells(motion: Motion, parameters: BinParameters) -> FilledCells:
     """Return what :func:`tabulate` does without the cells that have no sample."""
     edges, cell, u = parameters.edges, np.empty(len(motion), np.int64), np.empty(len(motion))
     place = (parameters.groups, float(edges[0]), parameters.width, len(edges) - 1)
-    samples = least_squares.assign(motion.displacement, motion.valid, motion.block, *place, cell, u)
+    samples = assign(motion.displacement, motion.valid, motion.block, *place, cell, u)
     signals, difference = signals_of(motion), np.empty(len(motion))
     k = coefficients(motion, parameters.vehicle, parameters.difference_noise, parameters.wheelbase or 1.0)
-    least_squares.radius_difference(signals, k, cell, difference)
-    inside = cell != least_squares.OUTSIDE
+    radius_difference(signals, k, cell, difference)
+    inside = cell != OUTSIDE
     noise = fast_noise(difference, inside)
     filled = np.flatnonzero(np.bincount(cell[inside]))
     slot = np.zeros(parameters.groups * (len(edges) - 1), np.int64)
@@ -161,32 +315,23 @@ def fill_cells(motion: Motion, parameters: BinParameters) -> FilledCells:
         np.zeros((len(filled), regressors + 1, regressors + targets))
         for regressors, targets in ((REGRESSORS, len(LATERAL_TARGETS)), (parameters.yaw_regressors, len(YAW_TARGETS)))
     )
-    least_squares.add_samples(signals, k, noise, cell, u, slot, weight, lateral, yaw)
+    add_samples(signals, k, noise, cell, u, slot, weight, lateral, yaw)
     return FilledCells(
         parameter_key=parameters.key,
         edges=edges,
         groups=parameters.groups,
         cells=filled,
         weight=weight,
-        lateral=_packed(lateral),
-        yaw=_packed(yaw),
+        lateral=pack(lateral),
+        yaw=pack(yaw),
         samples=samples,
         windows=1,
     )
 
 
-def _packed(sums: FloatArray) -> FloatArray:
-    regressors = sums.shape[1] - 1
-    packed = np.empty((len(sums), least_squares.packed_size(regressors, sums.shape[2] - regressors)))
-    least_squares.pack(sums, packed)
-    return packed
-
-
 def fast_noise(difference: FloatArray, valid: BoolArray) -> float:
-    """Return the variance, m2, of what varies faster in rL - rR than a wheelset can: vibration and sensor noise.
-
-    The median of what a running mean over some hundredths of a second leaves, so that contact jumps do not count.
-    """
+    """Return the variance, m2, of what varies faster in rL - rR than a wheelset can: vibration and sensor noise."""
+    # the median of what a running mean over some hundredths of a second leaves, so that contact jumps do not count
     known = valid & np.isfinite(difference)
     if not known.any():
         return 0.0

@@ -109,7 +109,6 @@ def with_ratio(item: GriddedPass, ratio: float, grid: SectionGrid) -> GriddedPas
 
 
 def _masked(item: GriddedPass, ratio: float, grid: SectionGrid) -> GriddedPass:
-    """Return a pass with R for ``ratio``, and what can be used of it."""
     R = item.unit_difference + (ratio - 1.0) * item.unit_stiffness_term
     certain = valid_support(np.ones(len(R), dtype=np.bool_), grid.difference_kernel)
     certain &= np.abs(R) <= grid.impact_difference

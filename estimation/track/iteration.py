@@ -175,12 +175,10 @@ def iterate(
 def first_rounds(
     setting: Setting, panel: Panel, corrections: Mapping[Journey, Correction], *, std: bool = True
 ) -> IterationResult:
-    """Return where the rounds without a gauge end; on a survey at positions by the regression of R.
-
-    That search begins where the panel ends, which is within a metre or two; stiffness ratios that go with the panel's
-    positions are another error of R, so both are found in turn. A gauge that varies is noise in that
-    regression, and not in the panel. There the panel's positions are kept, unless the noise of R has moved them all.
-    """
+    """Return where the rounds without a gauge end; on a survey at positions by the regression of R."""
+    # That search begins where the panel ends, which is within a metre or two; stiffness ratios that go with the panel's
+    # positions are another error of R, so both are found in turn. A gauge that varies is noise in that regression, and
+    # not in the panel. There the panel's positions are kept, unless the noise of R has moved them all.
     prior = setting.prior
     if prior is None or not setting.anchored or not prior.surveyed:
         return _rounds(setting, panel, corrections, {}, std=std)
@@ -203,11 +201,9 @@ def first_rounds(
 
 
 def _moved_as_a_whole(fixed: Setting, found: IterationResult, survey: PriorAlignment) -> IterationResult:
-    """Return the rounds with all journeys moved alike, between where R and where y - h(R) puts them on the survey.
-
-    The errors of a survey flatten the regression of R on y - d, and what is left of R moves all journeys alike. Those
-    of R do the same the other way round, and move them the other way: each counts by the share of the other's errors.
-    """
+    """Return the rounds with all journeys moved alike, between where R and where y - h(R) puts them on the survey."""
+    # The errors of a survey flatten the regression of R on y - d, and what is left of R moves all journeys alike. Those
+    # of R do the same the other way round, and move them the other way: each counts by the share of the other's errors.
     step = fleet_step(found.state, found.solution, survey)
     state, d = found.state, np.nan_to_num(found.solution.alignment)
     square = float(state.square.sum() - 2.0 * d @ state.displacement + d**2 @ state.passes)
@@ -242,7 +238,6 @@ def _rounds(
     *,
     std: bool = True,
 ) -> IterationResult:
-    """Refine positions and stiffness ratios until neither moves; ``std`` of what that ends at where it is asked for."""
     p, empty = setting.parameters, init(panel)
     placed = place(setting.grouped, corrections, ratio_values(ratios), panel.grid)
     nothing = result(empty, std=False)
@@ -316,7 +311,6 @@ def _with_searched_gauge(setting: Setting, first: IterationResult, searches: int
 
 
 def _with_wheels(found: IterationResult, *, sized: bool = False) -> Panel:
-    """Return the panel with what the gauge does by the wheels that fit best, and a gauge ``sized`` by them."""
     assert found.panel.gauge is not None
     samples = contact_samples(found.passes, found.solution, found.panel)
     factor = gauge_factor(samples) if sized else 1.0
@@ -332,7 +326,6 @@ def _solved(setting: Setting, found: IterationResult, panel: Panel, *, std: bool
 
 
 def _repositioned(setting: Setting, found: IterationResult) -> IterationResult:
-    """Return ``found`` with better positions and stiffness ratios, and the passes moved by them."""
     ratios = refine_ratios(found.ratios, found.passes, found.solution, found.panel, _explained(setting, found))
     state = replace(found.state, panel=found.panel)
     corrections = _refined_corrections(setting, found.placed, ratios, state, found.solution)
@@ -358,7 +351,6 @@ def _with_ratio_std(setting: Setting, found: IterationResult) -> IterationResult
 def _register_by_gauge(
     setting: Setting, first: IterationResult, gauge: FloatArray, positions: PositionParameters
 ) -> tuple[dict[Journey, Correction], dict[str, Ratio]]:
-    """Return corrections and ratios of the fleet moved to a surveyed gauge, by the gauge that the passes show."""
     trial = _with_searched_gauge(setting, first, 1)
     if trial.panel.gauge is None:
         return trial.corrections, trial.ratios  # the gauge hardly shows: then it hardly matters where it is
@@ -368,7 +360,6 @@ def _register_by_gauge(
 
 
 def _ratio_change(before: Mapping[str, Ratio], after: Mapping[str, Ratio]) -> float:
-    """Return by how much a stiffness ratio has changed at most; a vehicle that is new was as assumed."""
     return max((abs(one.value - before.get(vehicle, Ratio()).value) for vehicle, one in after.items()), default=0.0)
 
 
@@ -381,7 +372,6 @@ def _mean_move(grouped: Grouped, before: Mapping[Journey, Correction], after: Ma
 
 
 def _largest_move(grouped: Grouped, before: Mapping[Journey, Correction], after: Mapping[Journey, Correction]) -> float:
-    """Return by how much corrections differ at the ends of a journey at most, m."""
     largest = 0.0
     for journey, members in grouped.items():
         ends = np.array([min(item.at[0] for item in members), max(item.at[-1] for item in members)])

@@ -26,15 +26,14 @@ from estimation.motion.checks import (
     position_jumps,
     without_jumps,
 )
-from estimation.motion.integration import IntegratedWindow, bridged, integrate
-from estimation.motion.parameters import SignalParameters, WindowParameters
+from estimation.motion.integration import IntegratedWindow, SignalParameters, WindowParameters, bridged, integrate
 from estimation.motion.rolling_radius_difference import fuse, motion_signals
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.registry import WheelsetRecord
 from estimation.values.track import OPEN_NS
 from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality, WindowRecord
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -281,7 +280,6 @@ Lasting = TypeVar("Lasting", Hunting, TurnBlows)
 
 
 def _worst(parts: Sequence[Lasting]) -> Lasting:
-    """Return the part of the largest share, with the mean of the shares."""
     return replace(max(parts, key=lambda part: part.share), share=float(np.mean([part.share for part in parts])))
 
 
@@ -323,12 +321,7 @@ class _Journey:
 def first_epoch(
     entries: Sequence[Entry], most_windows: int, most_wheelsets: int, parameters: PartitionParameters | None = None
 ) -> Group:
-    """Return the windows of the first epoch.
-
-    Args:
-        entries: Windows that no earlier epoch holds, by start and wheelset; at least one.
-        most_windows, most_wheelsets: Of an epoch; one journey may be more, by the windows of a vehicle at one time.
-    """
+    """Return the windows of the first epoch of entries by start and wheelset; one journey may be more than the most."""
     p = parameters or PartitionParameters()
     pause_ns, journey_ns = round(p.pause_h * 3600 * NANOSECONDS), round(p.journey_pause_s * NANOSECONDS)
     chosen: list[_Journey] = []
@@ -354,7 +347,6 @@ def first_epoch(
 
 
 def _journeys(entries: Sequence[Entry], pause_ns: int, most: int) -> list[_Journey]:
-    """Return the windows by vehicle and run, in order of their begin; a run of more than ``most`` windows is cut."""
     found: list[_Journey] = []
     last: dict[str, _Journey] = {}
     for record, life in entries:

@@ -32,10 +32,8 @@ from estimation.values.track import Correction
 
 
 def peak_position(score: FloatArray, k: int) -> float:
-    """Return the position, in samples, of the vertex of the parabola through a peak of a score and its neighbours.
-
-    The largest one itself is returned at an end, and where the three do not bend downwards.
-    """
+    """Return the position, in samples, of the vertex of the parabola through a peak of a score and its neighbours."""
+    # the largest one itself is returned at an end, and where the three do not bend downwards
     if not 0 < k < len(score) - 1:
         return float(k)
     before, at, after = score[k - 1 : k + 2]
@@ -137,7 +135,6 @@ def _shared(one: _Extent, other: _Extent) -> IntArray:
 
 
 def _pairs(extents: Sequence[_Extent], least: int) -> list[tuple[int, int]]:
-    """Return the pairs of journeys to compare: of each those evenly spread over all that share ``least`` points."""
     pairs = set()
     order = sorted(range(len(extents)), key=lambda i: (0.5 * (extents[i][0] + extents[i][1]), i))
     for i, own in enumerate(extents):
@@ -150,12 +147,7 @@ def _pairs(extents: Sequence[_Extent], least: int) -> list[tuple[int, int]]:
 def _adjusted(
     shifts: Sequence[tuple[int, int, Peak]], reported: FloatArray, middle: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return offset (n,), m, and scale error (n,) of every journey: a fixed number of reweightings.
-
-    Args:
-        shifts: Journey, another one, and where a piece of the first agrees with the second.
-        reported: Distance (n,) of the middle of each journey from the middle of the section, m.
-    """
+    """Return offset (n,), m, and scale error (n,) of journeys ``reported`` (n,) m from the middle, by shifts."""
     n = len(reported)
     first, second = (np.array([one[number] for one in shifts], np.int64) for number in (0, 1))
     u, lag = (np.array([getattr(peak, name) for _, _, peak in shifts]) for name in ("middle", "shift"))
@@ -256,7 +248,6 @@ def compose(first: Correction, second: Correction) -> Correction:
 
 
 def _fitted(correction: Correction, peaks: Sequence[Peak]) -> Correction:
-    """Return the correction with a robust straight line through the shifts added: a fixed number of reweightings."""
     if not peaks:
         return correction
     s, lag = np.array([(one.middle, one.shift) for one in peaks]).T

@@ -223,7 +223,6 @@ def _scale_std(shown: FloatArray | None, p: SectionParameters) -> float:
 
 
 def _profile_uncertainty(iterated: IterationResult) -> tuple[float, float]:
-    """Return the std, m, and the relative one of y - d that measured profiles leave where they alone fix curves."""
     if not iterated.solution.report.curves_fixed:
         return 0.0, 0.0
     squares = np.array([(one.std, one.std / one.spread) for one in iterated.measured_curves]) ** 2

@@ -98,8 +98,6 @@ class SectionEstimate:
 
 @dataclass(frozen=True, slots=True)
 class _Accepted:
-    """Where the iteration ended without outliers, and how far every journey was off."""
-
     iterated: IterationResult
     outliers: Mapping[Journey, Reason]  # with the reason
     rms: Mapping[Journey, float]  # m, of all journeys
@@ -140,7 +138,6 @@ def estimate_section(
 
 
 def _too_few_passes(grouped: Grouped, panel: Panel) -> Reason | None:
-    """Return why the passes alone cannot be enough, before anything is solved; None where they may."""
     grid, least = panel.grid, panel.parameters.least_passes
     passed = np.zeros(grid.points, dtype=np.int64)
     lives = set()
@@ -155,10 +152,9 @@ def _too_few_passes(grouped: Grouped, panel: Panel) -> Reason | None:
 
 
 def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Panel, p: SectionParameters) -> _Accepted:
-    """Iterate, leave out what agrees with nothing, and iterate again until all that is left agrees.
-
-    A journey is judged by its usual wheelset. Wheelsets that are further off than others have less weight from then on.
-    """
+    """Iterate, leave out what agrees with nothing, and iterate again until all that is left agrees."""
+    # A journey is judged by its usual wheelset. Wheelsets that are further off than others have less weight from then
+    # on.
     kept = dict(grouped)
     outliers: dict[Journey, Reason] = {}
     rms: dict[Journey, float] = {}
@@ -182,7 +178,6 @@ def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Pane
 def _find_outliers(
     residuals: Mapping[Journey, float], corrections: Mapping[Journey, Correction], p: SectionParameters
 ) -> dict[Journey, Reason]:
-    """Return the journeys that are not at their reported positions, or not on this section, with the reason."""
     found = {}
     for journey, value in residuals.items():
         others = [rest for other, rest in residuals.items() if other != journey and np.isfinite(rest)]
@@ -266,7 +261,6 @@ def _slope_open(iterated: IterationResult) -> Reason | None:
 
 
 def _low_weight_reason(iterated: IterationResult) -> Reason | None:
-    """Return which wheelsets count for little, being further off than the others; None where none is."""
     weights = iterated.panel.weights
     used = sorted(weights.keys() & set(iterated.solution.lives))
     listed = [f"{life.wheelset} ({weights[life]:.2f} of a pass)" for life in used]
@@ -276,7 +270,6 @@ def _low_weight_reason(iterated: IterationResult) -> Reason | None:
 
 
 def _not_converged_reason(iterated: IterationResult, p: SectionParameters) -> Reason | None:
-    """Return what has not converged; None where all has."""
     tolerance = {
         Iterated.POSITIONS: f"{p.iteration.position_tolerance:g} m",
         Iterated.STIFFNESS_RATIOS: f"{p.iteration.ratio_tolerance:g}",

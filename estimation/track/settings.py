@@ -88,7 +88,6 @@ def requires_reestimation(old: TrackAlignment, new: TrackAlignment, settings: Al
 
 
 def _moved(old: FloatArray, new: FloatArray, std: float, settings: AlignmentSettings) -> bool:
-    """Whether two alignments differ by more than averages out."""
     difference = new - old
     stretch = abs(float(difference @ old)) / max(float(old @ old), SMALLEST)
     far = float(np.sqrt(np.mean(difference**2))) > max(settings.same_share * std, settings.same_least)
@@ -138,17 +137,14 @@ def gauge_shift_changed(old: TrackAlignment, new: TrackAlignment, settings: Alig
 
 
 def _apart(first: GaugeShift, second: GaugeShift, size: float) -> float:
-    """Return the rms, m, by which two shifts differ at gauge deviations of -size and size, m, where passes are."""
     R, e = OFTEN * np.linspace(-1.0, 1.0, 41), np.array([-size, size])
     return float(np.sqrt(np.mean((first.over(R, e) - second.over(R, e)) ** 2)))
 
 
 def carry_over_findings(found: TrackAlignment, before: TrackAlignment | None) -> TrackAlignment:
-    """Return an alignment that also holds what was found of vehicles and wheelsets that this epoch has not met.
-
-    Their windows are estimated again with it as those of the others. Shifts belong to the gauge that
-    makes them: it stays where the epoch has found that gauge again.
-    """
+    """Return an alignment that also holds what was found of vehicles and wheelsets that this epoch has not met."""
+    # Their windows are estimated again with it as those of the others. Shifts belong to the gauge that makes them: it
+    # stays where the epoch has found that gauge again.
     if before is None or before.findings is None or found.findings is None:
         return found
     old, new = before.findings, found.findings

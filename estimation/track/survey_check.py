@@ -19,7 +19,7 @@ from estimation.track.gauge.wheel_functions import LEAST_GAUGE, contact_samples,
 from estimation.track.iteration import IterationResult
 from estimation.track.positions import peak_position
 from estimation.track.results import GAUGE_EFFECT
-from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.arrays import FloatArray
 from estimation.values.quantities import log10_chance
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import TrackAlignment
@@ -70,11 +70,9 @@ class SurveyCheck:
 
 
 def check_survey(recorded: TrackAlignment, fleet: TrackAlignment, *, place_std: float = 0.0) -> SurveyCheck:
-    """Return whether a recorded alignment may be used, by an alignment that was found without it.
+    """Return whether a recorded alignment may be used, by that of the fleet alone, high-passed, NaN where not known.
 
-    Args:
-        fleet: Found by the fleet alone, high-passed at its ``cutoff_wavelength``; NaN where not known.
-        place_std: Of the position of the fleet as a whole, m: a shift within it is not held against the survey.
+    A shift within ``place_std``, m, of the position of the fleet as a whole is not held against the survey.
     """
     p = SurveyCheckParameters()
     nan = float("nan")
@@ -143,9 +141,9 @@ def _unit(scale: float) -> str:
 def _on_one_grid(
     recorded: TrackAlignment, fleet: TrackAlignment
 ) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
-    """Return surveyed and measured alignment, high-passed, zero where unknown, their joint variance, the step."""
     step = float(fleet.s[1] - fleet.s[0])
-    inside = _known(recorded, fleet.s)
+    known = np.isfinite(recorded.alignment) & np.isfinite(recorded.alignment_std)
+    inside = np.asarray(np.interp(fleet.s, recorded.s, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9)
     surveyed = np.isfinite(recorded.alignment)
     if not inside.any():
         return None
@@ -161,11 +159,6 @@ def _on_one_grid(
     variance = std**2 + np.where(seen, np.nan_to_num(fleet.alignment_std), 0.0) ** 2
     variance = np.maximum(variance, (1e-6) ** 2)
     return np.where(inside, r, 0.0), np.where(seen, fleet.alignment, 0.0), variance, step
-
-
-def _known(track: TrackAlignment, s: FloatArray) -> BoolArray:
-    known = np.isfinite(track.alignment) & np.isfinite(track.alignment_std)
-    return np.asarray(np.interp(s, track.s, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9)
 
 
 def _by_lag(r: FloatArray, f: FloatArray, weight: FloatArray, reach: int) -> tuple[FloatArray, FloatArray]:

@@ -68,8 +68,6 @@ def positions_on_survey(
 
 @dataclass(frozen=True, slots=True)
 class _PassOnSurvey:
-    """What of a pass is compared: (m,) each."""
-
     journey: int
     life: int
     at: FloatArray  # m, along the section
@@ -80,8 +78,6 @@ class _PassOnSurvey:
 
 @dataclass(frozen=True, slots=True)
 class _Vehicle:
-    """Passes of one vehicle, and the survey that they are on."""
-
     passes: Sequence[_PassOnSurvey]
     journeys: int
     lives: int
@@ -146,7 +142,6 @@ class _Vehicle:
         return None
 
     def _steps(self, moves: FloatArray) -> FloatArray:
-        """Return by how much better moves differ (j, 2): one Gauss-Newton step, with curves free."""
         p = self.parameters
         k, curves = len(p.knots), len(p.knots) * self.lives
         moved = [_displaced(one, moves[one.journey], self.survey, self.grid) for one in self.passes]
@@ -194,7 +189,6 @@ class _Vehicle:
 def _displaced(
     one: _PassOnSurvey, move: FloatArray, survey: PriorAlignment, grid: SectionGrid
 ) -> tuple[FloatArray, FloatArray]:
-    """Return y - d (m,) of a pass that has been moved, and the slope of d there (m,)."""
     at = one.at + move[0] + move[1] * (one.at - 0.5 * grid.length)
     slope = np.gradient(survey.alignment, grid.step)
     return one.displacement - np.interp(at, grid.s, survey.alignment), np.interp(at, grid.s, slope)

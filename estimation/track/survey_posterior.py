@@ -136,8 +136,6 @@ def survey_on_grid(survey: TrackAlignment, grid: SectionGrid) -> tuple[FloatArra
 
 @dataclass(frozen=True, slots=True)
 class _Passes:
-    """What the passes show by band (b, n)."""
-
     mean: FloatArray  # y - h(R), m
     displacement: FloatArray  # y, m
     curves: FloatArray  # h(R), m
@@ -147,7 +145,6 @@ class _Passes:
 
 
 def _bands_of(signals: FloatArray, kernels: Sequence[FloatArray]) -> FloatArray:
-    """Return the bands (b, ..., n) of signals (..., n)."""
     passed = [high_pass(signals, kernel) for kernel in kernels]
     return np.stack([*(longer - shorter for longer, shorter in pairwise(passed)), passed[-1]])
 
@@ -207,10 +204,8 @@ def _band(
 
 
 def _learnt(square: float, of_passes: float, systematic: float, of_file: float, independent: float) -> float:
-    """Return the variance, m2, of a survey in a band: what passes leave of their difference, and what is on file.
-
-    Where errors that all passes may have in common explain the difference, the passes say nothing but that it is all.
-    """
+    """Return the variance, m2, of a survey in a band: what passes leave of their difference, and what is on file."""
+    # where errors that all passes may have in common explain the difference, the passes say nothing but that it is all
     known = square - of_passes
     trust = (known / (known + systematic**2)) ** 2 if known > 0.0 else 0.0
     samples = trust * independent
@@ -221,11 +216,9 @@ def _learnt(square: float, of_passes: float, systematic: float, of_file: float, 
 def _coherent(
     rest: FloatArray, passes: _Passes, number: int, compared: BoolArray, independent: float
 ) -> tuple[FloatArray, float, float]:
-    """Return what of a difference (n,), m, follows the motion, its rms, m, and the variance, m2, that is left of it.
-
-    It is regressed on displacement and curves and on what both are a quarter of a wave later; as far as that explains
-    more than chance, it is the passes' error.
-    """
+    """Return what of a difference (n,), m, follows the motion, its rms, m, and the variance, m2, that is left of it."""
+    # it is regressed on displacement and curves and on what both are a quarter of a wave later; as far as that explains
+    # more than chance, it is the passes' error
     signals = [passes.displacement[number], passes.curves[number]]
     design = np.stack([part for one in signals for part in (one, np.gradient(one))])
     inside = design[:, compared]
@@ -325,10 +318,8 @@ def survey_posterior(
 
 
 def _scale_std(bands: SurveyBands, iterated: IterationResult, survey: TrackAlignment, p: SectionParameters) -> float:
-    """Return the relative std of a common scale of y - d: of the curves, as far as the alignment is the passes'.
-
-    The survey, an alignment without their errors, fixes that scale as well as its own errors average out.
-    """
+    """Return the relative std of a common scale of y - d: of the curves, as far as the alignment is the passes'."""
+    # the survey, an alignment without their errors, fixes that scale as well as its own errors average out
     slope_std = 0.0 if iterated.slope is None else iterated.slope.std
     of_passes = float(np.hypot(p.scale_error, slope_std))
     independent = max(np.count_nonzero(bands.compared) * iterated.panel.grid.step / INDEPENDENT, 1.0)

@@ -81,8 +81,6 @@ def fit_survey(iterated: IterationResult, survey: PriorAlignment) -> SurveyFit |
 
 @dataclass(frozen=True, slots=True)
 class _Sums:
-    """Sums of y, the survey d and the basis functions, by group of blocks."""
-
     state: PanelState
     basis: FloatArray  # (g, w, k) sum of phi d
     displacement: FloatArray  # (g,) sum of y d
@@ -218,7 +216,6 @@ def is_mirrored(
 
 
 def _judged(fit: SurveyFit, witnesses: Witnesses, filed_std: float, p: VerdictLimits) -> SurveyVerdict:
-    """Return the verdict on a survey of this section: refused, doubted, or confirmed."""
     open_scale = p.stds * witnesses.slope_std + (1.0 - fit.followed)
     scaled = _scaled(fit, open_scale, p)
     displaced = _displaced(witnesses, p)
@@ -237,7 +234,6 @@ def _judged(fit: SurveyFit, witnesses: Witnesses, filed_std: float, p: VerdictLi
 
 
 def _unrelated(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:
-    """Whether a survey follows the passes by less than one of this section would, be its std understated or not."""
     below = min(p.related * fit.factor_std, p.least_factor - p.stds * fit.factor_std)
     if fit.factor < below and fit.error > fit.size:  # a straight line would be nearer to it
         return True
@@ -247,12 +243,10 @@ def _unrelated(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:
 
 
 def _explains_little(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:
-    """Whether a survey is unlike what the passes show, by more than errors that its std admits."""
     return fit.explained < p.least_explained and fit.error > max(p.most_error * fit.size, p.understated * filed_std)
 
 
 def _at_fault(fit: SurveyFit, witnesses: Witnesses, p: VerdictLimits) -> str:
-    """Return in words which of the passes may be wrong in its place."""
     found = []
     if witnesses.vehicles == 1:
         found.append("the only vehicle that has passed")

@@ -166,7 +166,6 @@ class _Epoch:
         return SurveyVerdict(refused=True, reason=MIRRORED) if exchanged else judged[0]
 
     def _judged(self, weighed: Weighed, survey: TrackAlignment) -> tuple[SurveyVerdict, SurveyFit | None] | None:
-        """Return what the passes say of a survey as it is, and how well it fits them; None where there are none."""
         iterated = weighed.estimate.iterated
         if iterated is None:
             return None
@@ -198,7 +197,6 @@ class _Epoch:
 def _without_surveyed_alignment(
     epoch: _Epoch, in_force: TrackAlignment | None, *, survey_checked: bool = False
 ) -> AlignmentUpdate:
-    """Return the next version of the fleet; a survey of the gauge alone is a prior until it has been refused."""
     surveyed = in_force is not None and in_force.source == AlignmentSource.RECORDED
     cutoff = epoch.parameters.cutoff_wavelength
     known = in_force is not None and (surveyed or in_force.cutoff_wavelength == cutoff)
@@ -215,7 +213,6 @@ def _without_surveyed_alignment(
 
 
 def _with_survey(epoch: _Epoch, survey: TrackAlignment, *, survey_checked: bool) -> AlignmentUpdate:
-    """Return the survey with what the passes add to it, or the fleet's alignment where the survey is wrong."""
     weighed = epoch.weigh(survey)
     verdict = epoch.judge(weighed, survey)
     if verdict is None:
@@ -223,7 +220,12 @@ def _with_survey(epoch: _Epoch, survey: TrackAlignment, *, survey_checked: bool)
     if verdict.refused and not survey_checked:
         return _refused(epoch, weighed, survey, verdict)
     if verdict.contradicted:
-        return _contradicted(epoch, weighed.estimate, survey, verdict.reason)
+        outcomes = tuple(
+            replace(one, status=PassStatus.REFUSED, reason=verdict.reason) for one in epoch.screened.outcomes
+        )
+        report = replace(weighed.estimate.report, status=Status.UNESTIMATED, reason=verdict.reason)
+        nowhere = replace(weighed.estimate, report=report, grouped={}, corrections={})
+        return AlignmentUpdate(UpdateOutcome.SURVEY_KEPT, nowhere, survey, outcomes, verdict.reason)
     reason = None if survey_checked else verdict.reason
     gauge = epoch.judge_gauge(weighed.estimate, survey)
     if gauge is not None and _confirmed(verdict):
@@ -241,10 +243,8 @@ def _extended(
     *,
     decided: bool = False,
 ) -> AlignmentUpdate:
-    """Return the survey kept; as a version of its own where the passes know it better, or what its gauge does.
-
-    Until it is decided on, it is kept as it is, but for a scale that is in doubt: then that of both is.
-    """
+    """Return the survey kept; as a version of its own where the passes know it better, or what its gauge does."""
+    # until it is decided on, it is kept as it is, but for a scale that is in doubt: then that of both is
     kept = epoch.update(UpdateOutcome.SURVEY_KEPT, _placed_on_survey(weighed.estimate), survey, survey=reason)
     posterior, doubted, settings = weighed.posterior, verdict.doubted_scale, epoch.settings
     if (decided or doubted > 0.0) and posterior is not None and weighed.estimate.report.converged:
@@ -263,27 +263,14 @@ def _extended(
 
 
 def _placed_on_survey(estimate: SectionEstimate) -> SectionEstimate:
-    """Return an estimate with the positions of its journeys as far as they are better known than as reported."""
     if estimate.iterated is None or not estimate.corrections:
         return estimate
     return replace(estimate, corrections=shrunk(estimate.iterated))
 
 
-def _contradicted(
-    epoch: _Epoch, estimate: SectionEstimate, survey: TrackAlignment, reason: Reason | None
-) -> AlignmentUpdate:
-    """Return the survey kept, and every pass refused: they do not follow the equations of their vehicles on it."""
-    outcomes = tuple(replace(one, status=PassStatus.REFUSED, reason=reason) for one in epoch.screened.outcomes)
-    report = replace(estimate.report, status=Status.UNESTIMATED, reason=reason)
-    nowhere = replace(estimate, report=report, grouped={}, corrections={})
-    return AlignmentUpdate(UpdateOutcome.SURVEY_KEPT, nowhere, survey, outcomes, reason)
-
-
 def _without_gauge(epoch: _Epoch, survey: TrackAlignment, reason: Reason | None) -> AlignmentUpdate:
-    """Return the survey without its gauge, which is wrong: as one of the alignment alone.
-
-    What the passes disagree by says how much the true gauge varies; nothing that was found on the wrong one stays.
-    """
+    """Return the survey without its gauge, which is wrong: as one of the alignment alone."""
+    # what the passes disagree by says how much the true gauge varies; nothing that was found on the wrong one stays
     of_gauge = np.full(len(survey.s), float(np.std(survey.gauge_deviation)))
     alone = replace(
         survey,
@@ -301,15 +288,12 @@ def _without_gauge(epoch: _Epoch, survey: TrackAlignment, reason: Reason | None)
 
 
 def _confirmed(verdict: SurveyVerdict) -> bool:
-    """Whether the passes agree with the alignment: where they do not, the gauge need not be what is wrong."""
     return code_of(verdict.reason) is ReasonCode.SURVEY_CONFIRMED
 
 
 def _refused(epoch: _Epoch, weighed: Weighed, survey: TrackAlignment, verdict: SurveyVerdict) -> AlignmentUpdate:
-    """Return the fleet's own alignment in place of a survey that is wrong; where it finds none, none is known.
-
-    A survey whose zero point alone is wrong is then kept: all journeys are placed on it alike.
-    """
+    """Return the fleet's own alignment in place of a survey that is wrong; where it finds none, none is known."""
+    # a survey whose zero point alone is wrong is then kept: all journeys are placed on it alike
     without = epoch.estimate(None)
     reason = _mistake(epoch, survey, without) or verdict.reason
     assert reason is not None
@@ -352,7 +336,6 @@ def _mistake(epoch: _Epoch, survey: TrackAlignment, without: SectionEstimate) ->
 def _with_gauge_shifts(
     kept: AlignmentUpdate, survey: TrackAlignment, vehicles: Mapping[str, str], settings: AlignmentSettings
 ) -> AlignmentUpdate:
-    """Return the survey with what its gauge does to wheelsets, as a version of its own where that is new."""
     found = kept.estimate.alignment
     varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= LEAST_GAUGE
     if not varies or not kept.estimate.report.converged:

@@ -106,7 +106,6 @@ def newest_change(series: Series, model: StepModel | None = None) -> ChangePoint
 
 
 def _places(series: Series, model: StepModel) -> list[int]:
-    """Return where medians of the points on either side differ most, but for the wear about there."""
     k, least = len(series.value), model.least_points
     if k < 2 * least:
         return []
@@ -120,7 +119,6 @@ def _places(series: Series, model: StepModel) -> list[int]:
 
 
 def _median_change(series: Series, at: int, model: StepModel) -> float:
-    """Return the smaller change of the medians, of as few points as there must be and of some more, less the wear."""
     about = series.part(max(0, at - BEHIND), at + BEHIND)
     run = np.maximum(np.diff(about.x_km), SMALLEST_RUN_KM)
     usual, least = MOST_WEAR * model.slope_std, model.least_points
@@ -138,7 +136,6 @@ def _median(values: list[float]) -> float:
 
 
 def _judged(series: Series, place: int, model: StepModel) -> ChangePoint | None:
-    """Return the step about a place, if it is as probable and as large as is wanted."""
     k, least = len(series.value), model.least_points
     first = max(0, place - BEFORE)
     window = series.part(first, min(k, place + BEHIND))
@@ -164,8 +161,6 @@ def _judged(series: Series, place: int, model: StepModel) -> ChangePoint | None:
 
 
 class _Place(NamedTuple):
-    """Of a step: the last point before it and the first behind; one between them is of both sides."""
-
     last: int
     first: int
 
@@ -193,8 +188,6 @@ class _Evidence:
 
 @dataclass(frozen=True, slots=True)
 class _Points:
-    """Points about a place, with what their values have in common but for noise and steps."""
-
     value: FloatArray  # (n,) less their median
     covariance: FloatArray  # (n, n)
     noise: FloatArray  # (f, n) variances
@@ -253,7 +246,6 @@ class _Points:
         return min(int((one | left).sum()) for one, left in zip(good, apart, strict=True)) >= self.model.least_points
 
     def _begin(self, at: int) -> BoolArray:
-        """Return which points are surely outliers of the points about them on their side of the step."""
         apart = np.concatenate([side - _running_median(side) for side in (self.value[:at], self.value[at:])])
         scale = MAD_STD * np.median(np.abs(apart)) + self.model.noise_floor
         return np.asarray(np.abs(apart) > SURELY_OUT * scale)
@@ -262,7 +254,6 @@ class _Points:
         return self.noise + self.model.outlier_std**2 * out
 
     def _inverse(self, covariance: FloatArray, out: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Return the inverse covariances (f, n, n), and the log evidence of each share of noise with its prior."""
         n = len(self.value)
         full = covariance + self._variance(out)[:, :, None] * np.eye(n)
         factor = np.linalg.cholesky(full)
@@ -275,7 +266,6 @@ class _Points:
         return inverse, prior + self._log_prior(out) - log_size - 0.5 * (left**2).sum(axis=1)
 
     def _log_prior(self, out: BoolArray) -> float:
-        """Return the log probability of the outliers: the second on end is more often one than any other point."""
         m = self.model
         before = np.concatenate([[False, False], out[:-1]])
         chance = np.where(before[1:] & ~before[:-1], m.outlier_lasts, m.outlier_chance)

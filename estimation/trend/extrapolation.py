@@ -16,17 +16,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
+from importlib.resources import as_file, files
+from typing import Annotated
 
 import numpy as np
 
-from estimation.contact.wear import WornFamily, worn_family
-from estimation.trend.trend import TrendPoint
 from estimation.trend.wear_curve import NormalMixture
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.geometry import IntervalConicities, KnownConicity, WheelsetGeometry, known_conicities
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, combined
+from estimation.values.trend import TrendPoint
 
 LIMIT_AMPLITUDE = 3e-3  # m, of every conicity limit (EN 15302, TSI)
 SAME_AMPLITUDE = 1e-6  # m
@@ -72,12 +73,7 @@ class Extrapolation:
 
 
 def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
-    """Return the conicity that a limit is compared with: that at 3 mm.
-
-    Returns:
-        Estimate: As the geometry has it; where the motion does not cover 3 mm extrapolated, with the reason
-            ``amplitude_extrapolated``; unknown where neither is possible.
-    """
+    """Return the conicity at 3 mm, which a limit is compared with: as the geometry has it, or extrapolated."""
     pairs = list(zip(geometry.amplitude.tolist(), geometry.conicity, strict=True))
     if np.isfinite(geometry.reported_amplitude):
         pairs.append((geometry.reported_amplitude, geometry.equivalent_conicity))
@@ -153,7 +149,6 @@ def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extra
 
 
 def _below(known: Sequence[KnownConicity], least: float) -> list[KnownConicity]:
-    """Return the conicities that are nearest to those wanted below the largest amplitude, falling, none twice."""
     lower = [one for one in known[:-1] if one.amplitude >= least - SAME_AMPLITUDE]
     wanted = [known[-1].amplitude - below for below in BELOW] if lower else []
     nearest = {min(lower, key=lambda one: abs(one.amplitude - amplitude)) for amplitude in wanted}
@@ -161,7 +156,6 @@ def _below(known: Sequence[KnownConicity], least: float) -> list[KnownConicity]:
 
 
 def _at(family: WornFamily, amplitude: float) -> FloatArray:
-    """Return the conicity (m,) of the members at an amplitude, straight between those that are kept."""
     upper = min(max(int(np.searchsorted(family.amplitude, amplitude)), 1), len(family.amplitude) - 1)
     low, high = family.amplitude[upper - 1], family.amplitude[upper]
     share = (amplitude - low) / (high - low)
@@ -201,10 +195,8 @@ def _alike(
 def _local_fit(
     error: FloatArray, covariance: FloatArray, width: FloatArray, weight: FloatArray, change: FloatArray
 ) -> tuple[float, float, FloatArray]:
-    """Return the change up to the limit's amplitude, its std from the estimate's error, and what is left (m,).
-
-    The changes (m,) are fitted as linear in level and slopes (m, n), by the weights (m,).
-    """
+    """Return the change up to the limit's amplitude, its std from the estimate's error, and what is left (m,)."""
+    # the changes (m,) are fitted as linear in level and slopes (m, n), by the weights (m,)
     design = np.column_stack([np.ones(len(error)), error / width])
     normal = (design * weight[:, np.newaxis]).T @ design + RIDGE * np.diag([0.0] + [1.0] * len(width))
     level, *slopes = np.linalg.solve(normal, design.T @ (weight * change))
@@ -215,7 +207,6 @@ def _local_fit(
 
 
 def _quantiles(left: FloatArray, weight: FloatArray) -> tuple[float, ...]:
-    """Return ``SHOWN`` values of equal weight in place of those of the members (m,), about 0."""
     order = np.argsort(left)
     counted = np.cumsum(weight[order]) - 0.5 * weight[order]
     shares = (np.arange(SHOWN) + 0.5) / SHOWN
@@ -248,13 +239,11 @@ class TrendPoints:
 
 
 def conicity_points(records: Sequence[IntervalConicities]) -> TrendPoints:
-    """Return the equivalent conicity of each interval, at one amplitude.
-
-    The amplitude is 3 mm where three quarters of the latest eight intervals cover it. Else every interval is
-    extrapolated to 3 mm from the largest amplitude that as many cover (else the one that most of them cover). Where
-    that is not possible the points are at that amplitude, and no limit is compared with them. Conicity depends on
-    amplitude, so values at different amplitudes are never mixed in one trend.
-    """
+    """Return the equivalent conicity of each interval, at one amplitude."""
+    # The amplitude is 3 mm where three quarters of the latest eight intervals cover it. Else every interval is
+    # extrapolated to 3 mm from the largest amplitude that as many cover (else the one that most of them cover). Where
+    # that is not possible the points are at that amplitude, and no limit is compared with them. Conicity depends on
+    # amplitude, so values at different amplitudes are never mixed in one trend.
     covered = [by_amplitude(record) for record in records]
     if not any(covered):
         given = ", ".join(sorted(map(str, {r.reason for r in records} - {None}))[:3])
@@ -283,7 +272,6 @@ def conicity_points(records: Sequence[IntervalConicities]) -> TrendPoints:
 
 
 def _extrapolated_points(having: Sequence[_Covered], chosen: int, notes: Sequence[Reason]) -> TrendPoints | None:
-    """Return the points at 3 mm, extrapolated from the chosen amplitude; None where that is not possible for most."""
     found = []
     for record, covered in having if chosen < _PREFERRED else ():
         smaller = [covered[key]._replace(amplitude=key * SAME_AMPLITUDE) for key in sorted(covered) if key <= chosen]
@@ -313,3 +301,25 @@ def by_amplitude(record: IntervalConicities) -> dict[int, KnownConicity]:
 
 def _point(record: IntervalConicities, conicity: KnownConicity | Extrapolation) -> TrendPoint:
     return TrendPoint(record.mileage_km, (record.from_ns + record.to_ns) // 2, conicity.value, conicity.std)
+
+
+TABLE = "worn_family.npy"  # written by ``python -m bench.worn_family``
+UNIT = 1e-4  # of a stored conicity
+AMPLITUDES: FloatArray = np.arange(2, 13, dtype=np.float64) * 0.25e-3  # m
+
+
+@dataclass(frozen=True, slots=True)
+class WornFamily(FrozenArrays):
+    """Conicities by amplitude of many wheelsets, new and worn: how conicity goes on with amplitude."""
+
+    amplitude: Annotated[FloatArray, "a"]  # m
+    conicity: Annotated[FloatArray, "m", "a"]
+    pair: Annotated[IntArray, "m"]  # number of the pair of design wheel and rail
+
+
+@cache
+def worn_family() -> WornFamily:
+    """Return all pairs, as they are kept beside this module."""
+    with as_file(files("estimation.contact") / TABLE) as path:
+        stored = np.load(path, allow_pickle=False)
+    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * UNIT), stored[:, 0].astype(np.int64))

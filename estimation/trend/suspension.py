@@ -54,8 +54,6 @@ class SuspensionParameters:
 
 @dataclass(frozen=True, slots=True)
 class _Series:
-    """Findings of one vehicle in order of time, as logarithms of the ratio."""
-
     findings: Sequence[SuspensionFinding]
     level: FloatArray  # (k,) log of the absolute ratio
     variance: FloatArray  # (k,)
@@ -79,10 +77,8 @@ def suspension_changes(
 def suspension_histories(
     findings: Sequence[SuspensionFinding], parameters: SuspensionParameters | None = None
 ) -> dict[str, Iterator[SuspensionChange]]:
-    """Return by vehicle how its ratio had changed after each of its findings, newest first.
-
-    Computed as far as read. The other vehicles are as they are known now: late data of theirs count, too.
-    """
+    """Return by vehicle how its ratio had changed after each of its findings, newest first."""
+    # Computed as far as read. The other vehicles are as they are known now: late data of theirs count, too.
     p = parameters or SuspensionParameters()
     own: dict[str, list[SuspensionFinding]] = {}
     for item in findings:
@@ -109,8 +105,6 @@ def _series(own: Sequence[SuspensionFinding], p: SuspensionParameters) -> _Serie
 
 @dataclass(frozen=True, slots=True)
 class _Section:
-    """By how much vehicles differ from their own past on a section, in order of the begin of the passes."""
-
     from_ns: IntArray  # (k,)
     to_ns: IntArray  # (k,)
     longest_ns: int
@@ -182,11 +176,9 @@ def _change(code: str, series: _Series, sections: Mapping[str, _Section], p: Sus
 
 
 def _common(shifts: Sequence[float], p: SuspensionParameters) -> tuple[float, float]:
-    """Return what a section does to all ratios, as far as the others show it, and the variance that is left of it.
-
-    The median, so that another vehicle whose spring has changed does not pass for friction; it is taken as far as its
-    own variance is less than that of friction.
-    """
+    """Return what a section does to all ratios, as far as the others show it, and the variance that is left of it."""
+    # the median, so that another vehicle whose spring has changed does not pass for friction; it is taken as far as its
+    # own variance is less than that of friction
     prior = p.common_creep_std**2
     if not shifts:
         return 0.0, prior

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import ndtr
 
-from estimation.trend.wear_curve import WearCurve, fit_wear_curve
+from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, by_amplitude
+from estimation.trend.wear_curve import POINTS_FOR_OUTLIERS, WearCurve, fit_wear_curve
 from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.geometry import IntervalConicities, KnownConicity
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
-from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.trend import WearTrend
+from estimation.values.reasons import Reason, ReasonCode, combined
+from estimation.values.trend import TrendPoint, TrendRecord, TrendStep, WearTrend
 
 TOGETHER = (3, 6, 12)  # last points that are judged together
 JUDGED_SHARE = 3  # at most one in so many of the points
@@ -37,7 +41,6 @@ def fit_recent(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCurve:
 
 
 def _agrees(curve: WearCurve, x: FloatArray, value: FloatArray, scatter: FloatArray) -> bool:
-    """Return whether the last points lie about the curve, seen from its level and slope at the last one."""
     level, slope = float(curve.weight @ curve.level), float(curve.weight @ curve.slope)
     off = np.clip((value - level - slope * (x - x[-1])) / scatter, -MOST_OFF, MOST_OFF)
     judged = [count for count in TOGETHER if JUDGED_SHARE * count <= len(x)]
@@ -56,16 +59,6 @@ def _scatter(value: FloatArray, std: FloatArray) -> FloatArray:
 YEAR_NS = 365.25 * 86_400e9
 ONE_DATE = Reason(ReasonCode.SINGLE_DATE, "all points have one date")
 NO_FORECAST = Forecast(None, None, None)
-
-
-@dataclass(frozen=True, slots=True)
-class TrendPoint:
-    """One value of the indicator, from one stretch of running."""
-
-    mileage_km: float  # since the wheelset was new
-    measured_ns: int
-    value: float
-    std: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +145,6 @@ def _lacking(points: _Columns, params: TrendParameters) -> Reason | None:
 
 
 def _unestimated(points: _Columns, limit: float, quantity: str, reason: Reason | None) -> WearTrend:
-    """Return a trend of which nothing is fitted; without a reason it is to be filled in."""
     unknown = Estimate.unknown(reason or ONE_DATE, len(points.value))
     fitted, probability = unknown, None
     if len(points.value):
@@ -209,10 +201,8 @@ def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:
 
 
 def probability_above(estimate: Estimate, limit: float) -> float | None:
-    """Return the probability that the true value is above ``limit``; None where nothing is estimated.
-
-    The value is taken as normal with its standard deviation.
-    """
+    """Return the probability that the true value is above ``limit``; None where nothing is estimated."""
+    # the value is taken as normal with its standard deviation
     if estimate.value is None or estimate.std is None:
         return None
     if estimate.std <= 0.0:
@@ -221,11 +211,9 @@ def probability_above(estimate: Estimate, limit: float) -> float | None:
 
 
 def probability_within(trend: WearTrend, distance_km: float) -> float | None:
-    """Return the probability that the limit is reached within a distance from the last point.
-
-    Interpolated between the published quantiles, so that a reader of the trend can repeat it; beyond the last known
-    quantile it stays at that quantile's probability. None where the trend is not estimated.
-    """
+    """Return the probability that the limit is reached within a distance from the last point; None where not known."""
+    # Interpolated between the published quantiles, so that a reader of the trend can repeat it; beyond the last known
+    # quantile it stays at that quantile's probability.
     if trend.status is not Status.ESTIMATED or trend.probability_over_limit is None:
         return None
     ahead = trend.distance_to_limit_km
@@ -235,3 +223,117 @@ def probability_within(trend: WearTrend, distance_km: float) -> float | None:
             distances.append(distance)
             probabilities.append(max(probability, trend.probability_over_limit))
     return float(np.interp(distance_km, distances, probabilities))
+
+
+COVERING = 0.75  # of the newest intervals, and of those before, that cover the amplitude
+NEWEST, BEFORE = 8, 24  # intervals
+ENOUGH_BEHIND = POINTS_FOR_OUTLIERS  # points among which a trend finds an outlier; with fewer it says so
+LOOKED_BACK = 12  # intervals behind a step of which one showed it first
+SMALLEST_STD = 1e-6  # a std below it is not credible
+
+_Covered = tuple[IntervalConicities, Mapping[int, KnownConicity]]  # with its conicities by amplitude in micrometres
+
+
+def newest_step(records: Sequence[IntervalConicities]) -> TrendStep | None:
+    """Return the newest sudden change of the conicity of a wheelset; None where there is none."""
+    # it is looked for at the largest amplitude up to 3 mm that intervals on both sides cover, never by extrapolation: a
+    # profile that was turned moves further than before
+    model = StepModel()
+    covered = sorted(((r, by_amplitude(r)) for r in records), key=lambda one: (one[0].mileage_km, one[0].from_ns))
+    amplitude = _amplitude([known for _, known in covered if known], 2 * model.least_points)
+    having = [(r, known) for r, known in covered if amplitude in known]
+    if len(having) < 2 * model.least_points:
+        return None
+    series = Series(
+        np.array([r.mileage_km for r, _ in having], dtype=np.float64),
+        np.array([0.5 * (r.from_ns + r.to_ns) for r, _ in having], dtype=np.float64),
+        np.array([known[amplitude].value for _, known in having], dtype=np.float64),
+        np.maximum([known[amplitude].std for _, known in having], SMALLEST_STD),
+    )
+    found = newest_change(series, model)
+    if found is None:
+        return None
+    before, after = having[found.last][0], having[found.first][0]
+    return TrendStep(
+        before_km=before.mileage_km,
+        after_km=after.mileage_km,
+        before_ns=min(before.to_ns, after.from_ns),
+        after_ns=after.from_ns,
+        found_ns=having[_shown_by(series, found, model)][0].to_ns,
+        size=with_interval(found.size, found.std, count=float(len(having) - found.first)),
+        level_before=found.level,
+        amplitude=amplitude * SAME_AMPLITUDE,
+        probability=found.probability,
+        before=found.before,
+        behind=len(having) - found.first,
+    )
+
+
+def behind_step(records: Sequence[IntervalConicities], step: TrendStep | None) -> list[IntervalConicities]:
+    """Return the intervals behind a step; all where there is none."""
+    return [record for record in records if step is None or record.from_ns >= step.after_ns]
+
+
+def with_step(trend: WearTrend, step: TrendStep) -> WearTrend:
+    """Return the trend of the points behind a step; where they are few it says so and forecasts nothing."""
+    if len(trend.value) >= ENOUGH_BEHIND:
+        return replace(trend, step=step)
+    text = f"{len(trend.value)} intervals behind a step at {step.after_km:,.0f} km, {ENOUGH_BEHIND} are enough"
+    few = Reason(ReasonCode.BEHIND_STEP, text)
+
+    def marked(estimate: Estimate) -> Estimate:
+        return replace(estimate, reason=combined([estimate.reason, few]))
+
+    return replace(
+        trend,
+        step=step,
+        few_behind=few,
+        distance_to_limit_km=NO_FORECAST,
+        date_of_limit_ns=NO_FORECAST,
+        fitted=marked(trend.fitted),
+        slope_per_1000_km=marked(trend.slope_per_1000_km),
+        slope_per_year=marked(trend.slope_per_year),
+        reason=combined([trend.reason, few]) if trend.status is Status.ESTIMATED else trend.reason,
+    )
+
+
+def _shown_by(series: Series, found: ChangePoint, model: StepModel) -> int:
+    k = len(series.value)
+    for until in range(found.first + model.least_points, min(k, found.first + LOOKED_BACK)):
+        earlier = newest_change(series.part(0, until), model)
+        if earlier is not None and earlier.first > found.last:
+            return until - 1
+    return min(k, found.first + LOOKED_BACK) - 1
+
+
+def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int) -> int:
+    """Return the key of an amplitude that most intervals cover, the newest and those before alike."""
+    # of several it is the one that most of the very newest cover, then the largest: a worn wheelset moves ever less,
+    # and a step that its newest intervals show must not wait until they cover what it once did
+    limit = round(LIMIT_AMPLITUDE / SAME_AMPLITUDE)
+    sides = [covered[-NEWEST:], covered[-NEWEST - BEFORE : -NEWEST]]
+    keys = {key for one in covered for key in one if key <= limit}
+    enough = [key for key in keys if all(sum(key in one for one in s) >= COVERING * len(s) for s in sides)]
+    return max(enough, key=lambda key: (sum(key in one for one in covered[-newest:]), key), default=0)
+
+
+KEPT_TRENDS = 10_000  # of earlier intervals, which do not change: a fit costs some 10 ms
+
+
+def trend_up_to(record: TrendRecord, mileage_km: float, shared_std: float, parameters: TrendParameters) -> TrendRecord:
+    """Return the trend as it was at a mileage, had all data before been there."""
+    now = record.trend
+    until = int(np.searchsorted(now.mileage_km, mileage_km, side="right"))
+    columns = (now.mileage_km, now.measured_ns, now.value, now.std)
+    points = tuple(column[:until].tobytes() for column in columns)
+    return replace(record, trend=_refitted(points, now.limit, now.quantity, shared_std, parameters))
+
+
+@lru_cache(KEPT_TRENDS)
+def _refitted(
+    points: tuple[bytes, ...], limit: float, quantity: str, shared_std: float, parameters: TrendParameters
+) -> WearTrend:
+    kinds = (np.float64, np.int64, np.float64, np.float64)
+    columns = [np.frombuffer(column, kind).tolist() for column, kind in zip(points, kinds, strict=True)]
+    rows = [TrendPoint(*row) for row in zip(*columns, strict=True)]
+    return refresh(rows, limit, parameters, quantity=quantity, shared_std=shared_std)

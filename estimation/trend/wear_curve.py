@@ -104,12 +104,10 @@ class WearCurve:
         return NormalMixture(self.weight, mean, np.sqrt(variance))
 
     def reaches(self, limit: float, probability: float, horizon: float) -> float | None:
-        """Return the distance after which ``limit`` has been reached with ``probability``; None beyond the horizon.
+        """Return the distance after which ``limit`` has been reached with ``probability``; None beyond the horizon."""
 
-        The probability of having reached the limit at a distance is that of the level being above it there or at
-        any shorter distance looked at (its running maximum), as in Fieller's interval for a ratio.
-        """
-
+        # the probability of having reached the limit at a distance is that of the level being above it there or at any
+        # shorter distance looked at (its running maximum), as in Fieller's interval for a ratio
         def short(distance: float) -> float:
             return self.level_after(distance).above(limit) - probability
 
@@ -123,7 +121,6 @@ class WearCurve:
         return None
 
     def _above_after(self, distances: FloatArray, limit: float) -> FloatArray:
-        """Return the probability of a level above ``limit`` after each of the distances, but for rounding."""
         damped = self.span * _damped(distances / self.span)
         effect = np.column_stack([np.ones(len(distances)), distances, damped])
         mean = effect @ np.stack([self.level, self.slope, self.damped])
@@ -134,8 +131,6 @@ class WearCurve:
 
 @dataclass(frozen=True, slots=True)
 class _Scaled:
-    """The points in units of their span and of their median standard deviation, and the design matrix."""
-
     x: FloatArray  # (k,) from -1 to 0
     z: FloatArray  # (k,)
     variance: FloatArray  # (k,)
@@ -147,15 +142,7 @@ class _Scaled:
 
 
 def fit_wear_curve(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCurve:
-    """Fit the curve.
-
-    Args:
-        x: Distance or time of each point, (k,), not decreasing, the last greater than the first.
-        value, std: Value and standard deviation of each point, (k,); every std greater than 0.
-
-    Returns:
-        WearCurve: Level in units of ``value``, slope in units of ``value`` per unit of ``x``, both at ``x[-1]``.
-    """
+    """Fit the curve to points (k,), x not decreasing, std above 0; its level and slope are those at ``x[-1]``."""
     if len(x) < 2 or not x[-1] > x[0] or not np.all(std > 0.0):  # noqa: PLR2004 - a line needs two points
         raise ValueError("a wear curve needs two points, a span between them and positive standard deviations")
     points = _scale(x, value, std)
@@ -198,7 +185,6 @@ def _damped(u: FloatArray) -> FloatArray:
 
 
 def _pilot(points: _Scaled) -> tuple[float, float, FloatArray]:
-    """Return slope, its standard deviation, and residuals of a line by weighted Theil-Sen."""
     k = len(points.x)
     first, second = np.triu_indices(k, 1) if k <= PAIRS_LIMIT else (np.arange(k // 2), np.arange(k // 2) + k - k // 2)
     run = points.x[second] - points.x[first]
@@ -223,7 +209,6 @@ def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
 
 
 def _shares(residual: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return lambda: the expected precision of each point under the mixture of good and wide noise, good being 1."""
     if len(residual) < POINTS_FOR_OUTLIERS:
         return np.ones(len(residual))
     square = residual**2 / variance
@@ -236,7 +221,6 @@ def _shares(residual: FloatArray, variance: FloatArray) -> FloatArray:
 
 
 def _scatter_grid(residual: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the nodes of tau (in median standard deviations) and their prior weights."""
     largest = max(4.0, 3.0 * float(np.sqrt(np.mean(residual**2))))
     nodes = np.concatenate([[0.0], np.geomspace(0.1, largest, SCATTER_NODES - 1)])
     edges = np.concatenate([[0.0], [0.05], np.sqrt(nodes[1:-1] * nodes[2:]), [largest * 1.2]])

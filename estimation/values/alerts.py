@@ -6,14 +6,15 @@ Identity of an open alert is (fleet, wheelset serial, kind); that of a fleet ale
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from enum import StrEnum
+from dataclasses import dataclass, field, fields, is_dataclass
+from enum import Enum, StrEnum
 from typing import Annotated
 
 from estimation.values.fields import JsonValue, Served
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.reasons import MeaningEnum, Reason
+from estimation.values.reasons import MeaningEnum, Reason, code_of, text_of
 from estimation.values.registry import WheelsetRecord
 
 
@@ -149,7 +150,9 @@ class AlertEvent:
     kind: Annotated[AlertEventKind, Served(name="event")]
     alert: Alert  # as it was right after the event
     recorded_ns: int
-    actor: str = "treadwatch"
+    actor: Annotated[str, Served("Who caused it: a person, a maintenance system, or `treadwatch` itself.")] = (
+        "treadwatch"
+    )
     note: str = ""
 
 
@@ -202,7 +205,7 @@ class OpenAlert:
     severity: Severity
     condition: Condition
     opened_ns: int
-    acknowledged: bool
+    acknowledged: Annotated[bool, Served("Whether somebody has acknowledged it.")]
     shelved_until_ns: Annotated[int | None, Served(name="shelved_until")]
 
 
@@ -245,3 +248,104 @@ class WorklistRow:
     vehicle_class: str | None  # of the vehicle that it runs under
     position: AxlePosition | None  # None where it is not mounted
     state: WorklistState
+
+
+SECOND_NS = 1_000_000_000
+MOST_NS = 2.0**63 - SECOND_NS  # so that the rounded time is within 64 bits
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """What led to a finding; fields are described for the reader of the API."""
+
+    def stored(self) -> dict[str, JsonValue]:
+        """Return the fields as an alert keeps them: JSON under their own names."""
+        kept: dict[str, JsonValue] = {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name == "unknown":
+                kept |= unknown_evidence(value)
+            elif isinstance(value, Forecast) and item.name.endswith("_ns"):
+                kept[item.name] = date_evidence(value)
+            else:
+                kept[item.name] = _stored(value)
+        return kept
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DecidingEvidence(Evidence):
+    """Evidence of a rule that the data may leave undecided."""
+
+    unknown: Annotated[Reason | None, Served("Why the data decide nothing at present; null where they do.")] = None
+
+
+def _stored(value: object) -> JsonValue:
+    if isinstance(value, Estimate | Forecast):
+        return dict(estimate_evidence(value) if isinstance(value, Estimate) else forecast_evidence(value))
+    if isinstance(value, Enum):
+        return str(value.value)
+    if is_dataclass(value):
+        return {item.name: _stored(getattr(value, item.name)) for item in fields(value)}
+    if isinstance(value, tuple | list):
+        return [_stored(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(name): _stored(value[name]) for name in sorted(value)}
+    return value  # type: ignore[return-value]  # a number, a text or None
+
+
+def number_evidence(value: float | None, digits: int = 4) -> float | None:
+    """Return the value with some significant digits; None where unknown or not finite."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(f"{value:.{digits}g}")
+
+
+def estimate_evidence(value: Estimate) -> dict[str, JsonValue]:
+    """Return an estimate with its interval and status, as the API writes it."""
+    return {
+        "value": number_evidence(value.value),
+        "std": number_evidence(value.std, 3),
+        "interval_95": None if value.low is None else [number_evidence(value.low), number_evidence(value.high)],
+        "n_windows": number_evidence(value.count),
+        "status": str(value.status),
+        "reason": text_of(value.reason),
+        "reason_code": code_of(value.reason),
+    }
+
+
+def unknown_evidence(reason: Reason | None) -> dict[str, JsonValue]:
+    """Return why a rule cannot decide, as sentence and code; both None where it can."""
+    return {"unknown_because": text_of(reason), "unknown_because_code": code_of(reason)}
+
+
+def forecast_evidence(value: Forecast, digits: int = 3) -> dict[str, JsonValue]:
+    """Return the quantiles of a forecast."""
+    return {name: number_evidence(getattr(value, name), digits) for name in ("p10", "p50", "p90")}
+
+
+def date_evidence(value: Forecast) -> dict[str, JsonValue]:
+    """Return the quantiles of a date in whole seconds, ns UTC; None beyond what 64 bits hold."""
+    return {name: _whole_second(getattr(value, name)) for name in ("p10", "p50", "p90")}
+
+
+def _whole_second(t_ns: float | None) -> int | None:
+    if t_ns is None or not abs(t_ns) < MOST_NS:
+        return None
+    return round(t_ns / SECOND_NS) * SECOND_NS
+
+
+def restated(alert: Alert, *, breached: bool | None, cleared: bool | None, stands: bool | None = None) -> Finding:
+    """Return a finding that says what an open alert says already."""
+    return Finding(
+        wheelset=alert.wheelset or "",
+        kind=alert.kind,
+        breached=breached,
+        cleared=cleared,
+        severity=alert.severity,
+        evidence={name: value for name, value in alert.evidence.items() if name != "delays"},
+        action=alert.action,
+        raise_limit=alert.raise_limit,
+        clear_limit=alert.clear_limit,
+        measured_ns=alert.last_seen_ns,
+        stands=stands,
+    )

@@ -14,8 +14,7 @@ from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_cen
 from estimation.values.fields import IN_MM, JsonValue, Served, in_mm
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason
-from estimation.values.results import Result, ResultKind
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Result, ResultKind, SubjectKind
 from estimation.values.windows import OfWindow
 
 
@@ -25,7 +24,7 @@ class BinTable(FrozenArrays):
 
     Groups are what standard deviations come from: blocks of running time are assigned to ``g`` groups, and any derived
     number is recomputed with one group left out (delete-a-group jackknife). ``lateral`` and ``yaw`` hold, per group and
-    bin, the packed moments that ``estimation.tables.least_squares`` lays out.
+    bin, the packed moments that ``estimation.tables.bin_table`` lays out.
     """
 
     parameter_key: str  # digest of every parameter that shapes the statistics
@@ -181,10 +180,14 @@ class WheelsetGeometry(FrozenArrays):
     reported_amplitude: Annotated[
         float, in_mm("3 mm, or the largest amplitude covered.", "equivalent_conicity_amplitude_mm")
     ]
-    equivalent_conicity: Annotated[Estimate, Served(name="equivalent_conicity_1")]  # at reported_amplitude
+    equivalent_conicity: Annotated[
+        Estimate, Served("Equivalent conicity at `equivalent_conicity_amplitude_mm`.", "equivalent_conicity_1")
+    ]  # at reported_amplitude
+    # NP, 1/mm: (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2
     nonlinearity: Annotated[
-        Estimate, Served(name="nonlinearity_parameter_per_mm")
-    ]  # NP, 1/mm as in EN 15302: (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2
+        Estimate,
+        Served("Slope of the conicity against the amplitude at 3 mm (EN 15302).", "nonlinearity_parameter_per_mm"),
+    ]
     zero_crossing: Annotated[
         Estimate, Served("Lateral displacement at which both rolling radii are equal.", "zero_crossing_mm", IN_MM)
     ]
@@ -236,7 +239,6 @@ class WheelsetGeometry(FrozenArrays):
 
 
 def _doubted(estimate: Estimate, found: Contradiction) -> Estimate:
-    """Return a number with the std and the reason of a doubt; one that is not known stays as it is."""
     if estimate.value is None or estimate.std is None or estimate.low is None or estimate.high is None:
         return estimate
     more = found.relative * abs(estimate.value)
@@ -275,7 +277,7 @@ class GeometryRecord:
         Mapping[str, Sequence[int]],
         Served("By section, the versions of its alignment that the windows were estimated with, increasing."),
     ]
-    parameters: Mapping[str, JsonValue]
+    parameters: Annotated[Mapping[str, JsonValue], Served("Settings that shaped it, each under its name.")]
     code_version: str
     recorded_ns: int
 

@@ -13,8 +13,7 @@ from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, frozen_
 from estimation.values.fields import IN_MM, Served
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import History, ResultKind
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import History, ResultKind, SubjectKind
 from estimation.values.windows import OfWindow
 
 CREEP: Final = "creep"

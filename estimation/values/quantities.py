@@ -68,11 +68,7 @@ def leave_one_out(groups: FloatArray, present: BoolArray) -> FloatArray:
 
 
 def jackknife_std(replicates: FloatArray) -> FloatArray:
-    """Return the delete-a-group standard deviation along axis 0.
-
-    Args:
-        replicates: (1 + g, ...) the number from all data (row 0, takes no part), then without each of the g groups.
-    """
+    """Return the delete-a-group standard deviation of replicates (1 + g, ...); row 0, of all data, takes no part."""
     g = len(replicates) - 1
     if g < 2:  # noqa: PLR2004 - one group has no spread
         return np.full(replicates.shape[1:], np.nan)

@@ -47,9 +47,12 @@ class VehicleRecord:
         float, Interval(ge=1.0, le=600.0), SPEED_IN_FILES, Key("max_speed_km_h"), Served(example=44.4)
     ]
     axle_offsets_m: Annotated[
-        tuple[Annotated[float, Interval(ge=-FARTHEST_M, le=FARTHEST_M)], ...], Served(example=(2.0, 4.5, 16.0, 18.5))
+        tuple[Annotated[float, Interval(ge=-FARTHEST_M, le=FARTHEST_M)], ...],
+        Served(
+            "Distance of each axle behind the vehicle's reference point, from the first axle on.",
+            example=(2.0, 4.5, 16.0, 18.5),
+        ),
     ]
-    """Distance of each axle behind the position reference, m."""
 
     def of_file(self, _given: Collection[str]) -> Self:
         """Refuse offsets that are not those of the axles."""
@@ -68,10 +71,15 @@ class Mounting:
     wheelset: Annotated[Code, Served(example="WS-0001")]
     vehicle: Annotated[Code, Served(example="V-101")]
     axle: Annotated[Axle, Served(example=1)]
-    from_ns: Annotated[MomentNs, Key("from"), Served(name="mounted_from")]
-    to_ns: Annotated[MomentNs | None, Key("to"), FileDefault(None), Served(name="mounted_to")]
-    vehicle_odometer_km: Kilometres  # at from_ns
-    wheelset_mileage_km: Kilometres  # at from_ns
+    from_ns: Annotated[MomentNs, Key("from"), Served("When the wheelset was mounted.", "mounted_from")]
+    to_ns: Annotated[
+        MomentNs | None,
+        Key("to"),
+        FileDefault(None),
+        Served("When the wheelset was taken off; null means that it still runs there.", "mounted_to"),
+    ]
+    vehicle_odometer_km: Annotated[Kilometres, Served("Odometer of the vehicle at the time of mounting.")]
+    wheelset_mileage_km: Annotated[Kilometres, Served("Mileage of the wheelset at the time of mounting.")]
     reversed: Annotated[bool, Served("The left wheel runs on the right-hand side.")] = False
 
     def of_file(self, _given: Collection[str]) -> Self:
@@ -104,7 +112,7 @@ class SensorChange:
 
     vehicle: Annotated[Code, Served(example="V-101")]
     axle: Annotated[Axle, Served(example=2)]
-    at_ns: Annotated[MomentNs, Key("at"), Served(name="worked_at")]
+    at_ns: Annotated[MomentNs, Key("at"), Served("When it was done.", "worked_at")]
     work: Annotated[SensorWork, FileForm.CHOICE]
     removed: Annotated[FreeText, Served("Serial number of what was taken off.", example="N-0815")] = ""
     fitted: Annotated[FreeText, Served("Serial number of what is there since.", example="N-0816")] = ""

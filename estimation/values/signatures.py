@@ -17,8 +17,7 @@ from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.fields import Served
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import History, ResultKind
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import History, ResultKind, SubjectKind
 
 SIGNALS = 3  # y, R, roll
 POWERS, CROSSES = 3, 6  # columns of ``Signature.spectra``: powers of the signals, then Re and Im of their products

@@ -125,7 +125,7 @@ class TrackSectionRecord:
     """
 
     code: Annotated[str, FileForm.CODE, Served(example="main-1")]
-    number: Annotated[int, Interval(ge=1, le=65534)]
+    number: Annotated[int, Interval(ge=1, le=65534), Served("Number of the section on the vehicle's bus.")]
     name: Annotated[str, FileForm.TEXT]
     rail_profile: Annotated[str, FileForm.TEXT, Served(example="56E1")]
     rail_inclination: Annotated[float, Interval(ge=0.0, le=0.5), Served(name="rail_inclination_1", example=0.05)]
@@ -136,7 +136,7 @@ class TrackSectionRecord:
         Key("nominal_gauge_mm"),
         Served(name="nominal_gauge_mm", scale=IN_MM, example=1435.0),
     ]
-    length_m: Annotated[float, Interval(ge=1.0)]
+    length_m: Annotated[float, Interval(ge=1.0), Served("Length of the section.")]
     line: Annotated[SectionLine | None, Key(None)] = None
     tonnage_mgt_per_year: Annotated[
         Annotated[float, Interval(gt=0.0, le=MOST_TONNAGE_MGT)] | None,
@@ -171,7 +171,7 @@ class AlignmentRecord:
         float | None,
         Served("Median along the section; null of a recording as registered.", "alignment_std_mm", IN_MM),
     ]
-    points: int
+    points: Annotated[int, Served("Number of positions.")]
     recorded_ns: int | None
     superseded_ns: int | None = None
 

@@ -14,10 +14,10 @@ from typing import Annotated, Protocol, TypeVar
 from estimation.values.alerts import Alert
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.fields import JsonValue, Served, in_mm
+from estimation.values.geometry import KnownConicity
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason
-from estimation.values.results import History, ResultKind
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import History, ResultKind, SubjectKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +41,17 @@ class TrendStep:
 class WearTrend(FrozenArrays):
     """An indicator since the last reprofiling or step, its robust slope, and when it reaches its limit."""
 
-    quantity: Annotated[str, Served(example="equivalent_conicity")]  # "equivalent_conicity"
+    quantity: Annotated[str, Served("Which quantity.", example="equivalent_conicity")]
     mileage_km: Annotated[FloatArray, "k"]  # since the wheelset was new
     measured_ns: Annotated[IntArray, "k", Served(name="measured_at")]
     value: Annotated[FloatArray, "k", Served(name="value_1")]
     std: Annotated[FloatArray, "k", Served(name="std_1")]
-    slope_per_1000_km: Annotated[Estimate, Served(name="slope_1_per_1000_km")]
-    slope_per_year: Annotated[Estimate, Served(name="slope_1_per_year")]
+    slope_per_1000_km: Annotated[Estimate, Served("Change per 1,000 km.", "slope_1_per_1000_km")]
+    slope_per_year: Annotated[Estimate, Served("Change per year.", "slope_1_per_year")]
     fitted: Annotated[Estimate, Served("The fitted curve at the last point, at the mileage of that point.", "fitted_1")]
-    limit: Annotated[float, Served(name="limit_1", finite=False)]
+    limit: Annotated[
+        float, Served("The limit that the trend is compared with; null where there is none.", "limit_1", finite=False)
+    ]
     distance_to_limit_km: Forecast  # from the last point; 0 where already reached
     date_of_limit_ns: Forecast
     probability_over_limit: Annotated[
@@ -127,8 +129,8 @@ class SuspensionChange:
     vehicle: str
     change: float  # relative: -0.3 is softer by 30 %, or of 43 % more creep coefficient
     std: float
-    past: Annotated[int, Served("", "past_findings")]  # findings
-    recent: Annotated[int, Served("", "recent_findings")]
+    past: Annotated[int, Served("Findings before the change.", "past_findings")]
+    recent: Annotated[int, Served("Findings since the change.", "recent_findings")]
     others: Annotated[
         int, Served("Vehicles on the same sections at the same time, which show friction.", "other_vehicles")
     ]
@@ -216,3 +218,22 @@ def on_one_side(change: IdentityChange | None, first_ns: int, second_ns: int) ->
         return True
     before = first_ns <= change.before_ns and second_ns <= change.before_ns
     return before or (first_ns >= change.after_ns and second_ns >= change.after_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class TrendPoint:
+    """One value of the indicator, from one stretch of running."""
+
+    mileage_km: float  # since the wheelset was new
+    measured_ns: int
+    value: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class StepSurroundings:
+    """What else is known about the time of a step."""
+
+    behind: tuple[KnownConicity, ...] = ()  # of the newest interval behind it
+    designed: Mapping[float, float] | None = None  # conicity of the wheel as designed by amplitude (m)
+    others: Sequence[TrendStep | None] = ()  # newest of the other wheelsets of the vehicle; None of one without

@@ -54,19 +54,18 @@ NO_BLOWS = TurnBlows(0.0, 0.0, 0.0, 0)
 class WindowQuality:
     """What gates look at before a window is estimated."""
 
-    coverage: Annotated[
-        float, Served(name="coverage_1", finite=False)
-    ]  # share of grid points with a valid sample, 0 to 1
-    longest_gap_s: Annotated[float, Served(finite=False)]
-    gaps: int
-    clipped: Annotated[
-        float, Served(name="clipped_1", finite=False)
-    ]  # share of samples with the clipping bit or a raw value at its limit
-    invalid: Annotated[float, Served(name="invalid_1", finite=False)]  # share of samples marked invalid by the sensor
-    speed_min_m_s: Annotated[float, Served(finite=False)]
-    speed_max_m_s: Annotated[float, Served(finite=False)]
-    position_quality: Annotated[float, Served(name="position_quality_1", finite=False)]  # 0 (unknown) to 1
-    sensor_fault: bool  # self-test failed or an emergency was sent
+    coverage: Annotated[float, Served("Share of the window that has samples.", "coverage_1", finite=False)]
+    longest_gap_s: Annotated[float, Served("Longest gap.", finite=False)]
+    gaps: Annotated[int, Served("Number of gaps.")]
+    # with the clipping bit, or a raw value at its limit
+    clipped: Annotated[float, Served("Share of samples at the end of a sensor's range.", "clipped_1", finite=False)]
+    invalid: Annotated[float, Served("Share of samples that are marked invalid.", "invalid_1", finite=False)]
+    speed_min_m_s: Annotated[float, Served("Lowest speed.", finite=False)]
+    speed_max_m_s: Annotated[float, Served("Highest speed.", finite=False)]
+    position_quality: Annotated[
+        float, Served("Share of the window whose position is known.", "position_quality_1", finite=False)
+    ]
+    sensor_fault: Annotated[bool, Served("Whether a sensor reports a fault.")]  # or an emergency was sent
     hunting: Hunting = NOT_HUNTING  # found from all samples, clipped ones too
     blows: TurnBlows = NO_BLOWS  # likewise
 
@@ -194,7 +193,7 @@ class WindowRecord(OfWindow):
     quality: WindowQuality
     state: WindowState
     reason: Reason | None
-    content_digest: str  # sha256 of the samples; the same content again changes nothing
+    content_digest: Annotated[str, Served("Digest of the samples: the same digest is the same window.")]  # sha256
     recorded_ns: int
     implausible: Reason | None = None  # why its mileage is not believed
     samples_purged: bool = False

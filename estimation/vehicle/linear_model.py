@@ -1,7 +1,7 @@
 """The linear model of a vehicle class: its modes with names, and the speed above which it hunts.
 
 Small motion about the middle of a straight track at one speed. The columns of the matrices are the equations of
-``equations_of_motion`` at unit states, so that they stay one definition. The contact geometry is that of one conicity:
+``regressors`` at unit states, so that they stay one definition. The contact geometry is that of one conicity:
 
     R = rL - rR = 2 gamma x,   S = rL + rR = 2 r0,   D = dL - dR = c R,   A = dL + dR,   phi = gamma x / l
 
@@ -27,10 +27,8 @@ import numpy.typing as npt
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import (
-    GRAVITY,
+from estimation.vehicle.regressors import (
     ContactState,
-    VehicleParameters,
     WheelsetState,
     lateral_acceleration,
     lateral_suspension_force,
@@ -38,7 +36,7 @@ from estimation.vehicle.equations_of_motion import (
     yaw_acceleration,
     yaw_suspension_moment,
 )
-from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, SensorLayout, VehicleClass, VehicleParameters
 
 ComplexArray = npt.NDArray[np.complex128]
 ANGLE_PER_DIFFERENCE = 67.0  # c, rad/m: touching at 1:20 on a tread of 300 mm
@@ -47,11 +45,7 @@ ANGLE_SUM = 0.1  # A, rad: twice 1:20
 
 @dataclass(frozen=True, slots=True)
 class LinearContact:
-    """Contact geometry of one conicity.
-
-    Raises:
-        ParameterError: The conicity is not positive.
-    """
+    """Contact geometry of one conicity."""
 
     conicity: float = 0.2  # gamma
     angle_per_difference: float = ANGLE_PER_DIFFERENCE  # D/R, rad/m
@@ -218,12 +212,10 @@ def linear_model(vehicle_class: VehicleClass, speed: float, contact: LinearConta
 
 
 def modes(model: LinearModel) -> tuple[Mode, ...]:
-    """Return the modes, those that decay slowest first; a pair of conjugate eigenvalues is one mode.
-
-    The name is that of the coordinate with the largest participation (product of left and right eigenvector; I. J.
-    Perez-Arriaga et al., IEEE Trans. Power Apparatus and Systems 101, 1982). A mode of the wheelsets that hardly
-    oscillates is one of creep; one up to twice Klingel's frequency is kinematic.
-    """
+    """Return the modes, those that decay slowest first; a pair of conjugate eigenvalues is one mode."""
+    # The name is that of the coordinate with the largest participation (product of left and right eigenvector; I. J.
+    # Perez-Arriaga et al., IEEE Trans. Power Apparatus and Systems 101, 1982). A mode of the wheelsets that hardly
+    # oscillates is one of creep; one up to twice Klingel's frequency is kinematic.
     values, right = np.linalg.eig(model.matrix)
     left = np.linalg.inv(right).T  # rows of the inverse are the left eigenvectors
     n = len(model.coordinates)
@@ -338,10 +330,8 @@ def true_signals(model: LinearModel, contact: LinearContact, p: VehicleParameter
 
 
 def sensor_filters(layout: SensorLayout, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return what sensors become of signals (f, sensors, signals), and signals of sensors (f, signals, sensors).
-
-    The second integrates, and takes gravity off the lateral signal by the roll.
-    """
+    """Return what sensors become of signals (f, sensors, signals), and signals of sensors (f, signals, sensors)."""
+    # the second integrates, and takes gravity off the lateral signal by the roll
     orders = 2, 1 if layout.yaw_is_gyroscope else 2, 1 if layout.roll_is_gyroscope else 2, 2, 2
     measured = np.zeros((len(s), len(SENSORS), SIGNALS), dtype=np.complex128)
     restored = np.zeros((len(s), SIGNALS, len(SENSORS)), dtype=np.complex128)

@@ -21,7 +21,6 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.linear_model import (
     SENSORS,
     Combinations,
@@ -34,7 +33,7 @@ from estimation.vehicle.linear_model import (
     sensor_filters,
     true_signals,
 )
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
 
 CAUSES = ("noise", "dilution", "track", "creep", "stiffness", "mass", "lengths", "scale")
 LATERAL_WAVE = 3e-3  # m, of which D is reported
@@ -73,10 +72,8 @@ class Running:
 
     @property
     def alignment_density(self) -> FloatArray:
-        """(f,) one-sided spectral density of the alignment, m2/Hz, with the shape of ORE B176.
-
-        1 / ((W^2 + Wr^2) (W^2 + Wc^2)) of the wave number W, Wr = 0.0206 rad/m, Wc = 0.8246 rad/m.
-        """
+        """(f,) one-sided spectral density of the alignment, m2/Hz, with the shape of ORE B176."""
+        # 1 / ((W^2 + Wr^2) (W^2 + Wc^2)) of the wave number W, Wr = 0.0206 rad/m, Wc = 0.8246 rad/m
         f = self.frequencies_hz
         square = (2 * np.pi * f / self.speed) ** 2
         shape = 1.0 / ((square + 0.0206**2) * (square + 0.8246**2))
@@ -105,11 +102,9 @@ class Observed:
 
 
 def observability(vehicle_class: VehicleClass, running: Running) -> tuple[Observed, ...]:
-    """Return what is seen of the front wheelset: the four combinations and the primary yaw stiffness.
-
-    Conicity stands twice: with the yaw stiffness of the class, and where the data alone give the yaw stiffness; there
-    dL + dR, which turns a single wheelset exactly as the yaw spring does, is that of the contact geometry.
-    """
+    """Return what is seen of the front wheelset: the four combinations and the primary yaw stiffness."""
+    # conicity stands twice: with the yaw stiffness of the class, and where the data alone give the yaw stiffness; there
+    # dL + dR, which turns a single wheelset exactly as the yaw spring does, is that of the contact geometry
     sensitivity = _sensitivity(vehicle_class, running)
     bounds = _bounds(sensitivity)
     yaw = _by_cause(sensitivity, 1, ("conicity", "angle_sum"), ())
@@ -253,7 +248,6 @@ def _by_cause(
 def _least_squares(
     sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], learnt: tuple[str, ...]
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Return X (f, k), what it is weighted with (f, k), and the inverse of X'X (k, k)."""
     columns = {**sensitivity.by_combination, **{name: sensitivity.by_error[name] for name in learnt}}
     X = np.stack([columns[name][:, equation] for name in theta], axis=1)
     weighted = X.conj() * sensitivity.density[:, None]
@@ -261,7 +255,6 @@ def _least_squares(
 
 
 def _dilution(sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], information: FloatArray) -> FloatArray:
-    """Return by how much noise in the regressors shifts the estimates."""
     regressors = np.stack([sensitivity.sensed[name][:, equation] for name in theta], axis=1)  # (f, k, sensors)
     weighted = regressors.conj() * sensitivity.noise_density * sensitivity.weights[:, None, None]
     noisy = np.einsum("fjs,fks->jk", weighted, regressors).real
@@ -270,7 +263,6 @@ def _dilution(sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], 
 
 
 def _bounds(sensitivity: _Sensitivity) -> dict[str, float]:
-    """Return the Cramer-Rao bound of combinations and yaw stiffness; of what is reported nothing is known before."""
     changes = {**sensitivity.by_combination, **sensitivity.by_error}
     prior = [ANGLE_SUM_STD if name == "angle_sum" else math.inf for name in sensitivity.by_combination]
     prior += sensitivity.std.values()
@@ -300,7 +292,6 @@ def _cause_of(name: str) -> str:
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
-    """Return the inverse of a positive definite matrix, scaled to a unit diagonal first."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
     return np.asarray(np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale))
 

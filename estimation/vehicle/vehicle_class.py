@@ -1,6 +1,6 @@
 """A vehicle class: what all vehicles of one type have in common, each parameter with what is not known of it.
 
-The equations of motion of ``equations_of_motion`` are those of one wheelset and what its suspension carries. In a
+The equations of motion of ``regressors`` are those of one wheelset and what its suspension carries. In a
 bogie two wheelsets share a frame; its yaw follows from what the nodes measure on it above their axles.
 """
 
@@ -12,14 +12,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import numpy as np
 from annotated_types import Ge, Gt, Interval
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import GRAVITY, RAIL_HEAD_RADIUS, VehicleParameters, check_possible
 
 AXLES_OF_A_BOGIE = 2
 
@@ -33,11 +32,7 @@ class Arrangement(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class BogieParameters:
-    """A bogie frame, what it carries, and its suspension to the body.
-
-    Raises:
-        ParameterError: A parameter is not finite, is negative, or is zero where it must not be.
-    """
+    """A bogie frame, what it carries, and its suspension to the body."""
 
     wheelbase: Annotated[float, Interval(ge=0.5, le=10.0)]  # m, between its two axles
     frame_mass: Annotated[float, Gt(0.0)]  # kg
@@ -181,12 +176,7 @@ def class_document(vehicle_class: VehicleClass) -> dict[str, Any]:
 
 
 def class_of_document(document: Mapping[str, Any]) -> VehicleClass:
-    """Return the class that :func:`class_document` described.
-
-    Raises:
-        ParameterError: A value is impossible.
-        TypeError: A field is unknown, or one without default is missing.
-    """
+    """Return the class that :func:`class_document` described; a TypeError where it has other fields."""
     bogie, sensors = document["bogie"], dict(document["sensors"])
     for name in _CHANNELS:
         limit = sensors[name]["limit"]
@@ -216,13 +206,11 @@ def class_digest(vehicle_class: VehicleClass) -> str:
 
 
 def difference_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> float:
-    """Return the variance of rL - rR by the noise of the sensors, times the cube of the speed, m2 (m/s)3.
-
-    The moment of the yaw spring takes nearly all of it: white noise of an acceleration, of density n, integrated twice
-    and without what is slower than f_c = V / L, L the cut-off, has the variance n^2 / (3 (2 pi)^4 f_c^3); that of a
-    gyroscope, integrated once, n^2 / ((2 pi)^2 f_c), which is taken at 20 m/s. In a bogie the two sensors of the frame
-    add theirs.
-    """
+    """Return the variance of rL - rR by the noise of the sensors, times the cube of the speed, m2 (m/s)3."""
+    # The moment of the yaw spring takes nearly all of it: white noise of an acceleration, of density n, integrated
+    # twice and without what is slower than f_c = V / L, L the cut-off, has the variance n^2 / (3 (2 pi)^4 f_c^3); that
+    # of a gyroscope, integrated once, n^2 / ((2 pi)^2 f_c), which is taken at 20 m/s. In a bogie the two sensors of the
+    # frame add theirs.
     p, sensors = vehicle_class.parameters, vehicle_class.sensors
     per_yaw = p.yaw_stiffness * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
     twice = cutoff_wavelength**3 / (3.0 * (2.0 * math.pi) ** 4)
@@ -254,13 +242,11 @@ USUAL_SPEED = 20.0  # m/s
 
 
 def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, speed: FloatArray) -> FloatArray:
-    """Return the variance (n,) of the lateral displacement by the noise of the sensors, m2, at speeds (n,), m/s.
-
-    Of white noise of an acceleration, integrated twice, and of the roll, which is taken off at the height of the axle.
-    Where gravity is taken out, g times the roll is integrated twice once more, which adds to the same error. A slow
-    vehicle takes longer over a wave: twice integrated, the variance grows with the third power of its period, and that
-    of g times the roll with the seventh.
-    """
+    """Return the variance (n,) of the lateral displacement by the noise of the sensors, m2, at speeds (n,), m/s."""
+    # Of white noise of an acceleration, integrated twice, and of the roll, which is taken off at the height of the
+    # axle. Where gravity is taken out, g times the roll is integrated twice once more, which adds to the same error. A
+    # slow vehicle takes longer over a wave: twice integrated, the variance grows with the third power of its period,
+    # and that of g times the roll with the seventh.
     slowest = speed / cutoff_wavelength
     sensors, height = vehicle_class.sensors, vehicle_class.parameters.nominal_radius
     gravity = GRAVITY if sensors.measures_gravity else 0.0
@@ -276,3 +262,56 @@ def _integrated(times: int, slowest: FloatArray) -> FloatArray:
     """Return the variance (n,) of white noise of density one, integrated so often, of frequencies from ``slowest``."""
     order = 2 * times
     return np.asarray(1.0 / ((order - 1) * (2.0 * math.pi) ** order * slowest ** (order - 1)))
+
+
+GRAVITY = 9.81  # m/s2
+RAIL_HEAD_RADIUS = 0.08  # m, of the arc beside the crown of all usual rail heads, where most wheels touch
+
+
+def check_possible(parameters: object, may_be_zero: tuple[str, ...]) -> None:
+    """Check that parameters are finite and positive; those whose names begin so may be zero."""
+    for item in fields(cast("Any", parameters)):
+        value = getattr(parameters, item.name)
+        if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not item.name.startswith(may_be_zero)):
+            raise ParameterError(f"{value!r} is not a possible value", field=item.name)
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleParameters:
+    """Parameters of the wheelset and its suspended mass; the defaults are Table A.1 of the paper.
+
+    Creep coefficients are Kalker's linear ones for one wheel. In the equations: f11 longitudinal, f22 lateral,
+    f23 lateral/spin, f33 spin creep; fy, ky lateral damper and spring between wheelset and mass; f_psi, k_psi yaw
+    damper and spring; I yaw and Iwy pitch (spin) inertia of the wheelset; l half the distance between the contact
+    points; m wheelset mass, mm suspended mass; W load; r0 nominal rolling radius.
+
+    W acts through the contact angles and the roll. The paper's is the wheelset's own weight, m g. What stands on the
+    rails is the ``axle_load`` of wheelset and suspended mass; with it f23/r0 - W/2, the factor of dL - dR, is negative.
+
+    Raises:
+        ParameterError: A parameter is not finite, or is not positive where it must be.
+    """
+
+    longitudinal_creep_coefficient: Annotated[float, Ge(0.0)] = 7.44e6  # f11, N
+    lateral_creep_coefficient: Annotated[float, Ge(0.0)] = 6.79e6  # f22, N
+    lateral_spin_creep_coefficient: Annotated[float, Ge(0.0)] = 13.7e3  # f23, N m
+    spin_creep_coefficient: Annotated[float, Ge(0.0)] = 0.0  # f33, N m2
+    lateral_damping: Annotated[float, Ge(0.0)] = 50e3  # fy, N s/m
+    yaw_damping: Annotated[float, Ge(0.0)] = 0.0  # f_psi, N m s
+    yaw_inertia: Annotated[float, Ge(0.0)] = 700.0  # I, kg m2
+    pitch_inertia: Annotated[float, Ge(0.0)] = 200.0  # Iwy, kg m2
+    half_contact_distance: Annotated[float, Ge(0.0)] = 0.7452  # l, m
+    wheelset_mass: Annotated[float, Ge(0.0)] = 1250.0  # m, kg
+    suspended_mass: Annotated[float, Ge(0.0)] = 8000.0  # mm, kg
+    lateral_stiffness: Annotated[float, Ge(0.0)] = 0.23e6  # ky, N/m
+    yaw_stiffness: Annotated[float, Ge(0.0)] = 2.5e6  # k_psi, N m
+    load: Annotated[float, Ge(0.0)] = 12263.0  # W, N
+    nominal_radius: Annotated[float, Ge(0.0)] = 0.45  # r0, m
+
+    def __post_init__(self) -> None:
+        check_possible(self, ("spin_creep", "lateral_spin_creep", "yaw_damping", "lateral_damping"))
+
+    @property
+    def axle_load(self) -> float:
+        """Weight of the wheelset and its suspended mass, (m + mm) g, N."""
+        return (self.wheelset_mass + self.suspended_mass) * GRAVITY

@@ -1,6 +1,4 @@
-"""A row of the worklist from what is stored of a wheelset: the numbers as published, nothing is estimated again.
-
-How urgent a wheelset is: in which class of ``Urgency``, where within it, and the reasons in words.
+"""A row of the worklist from what is stored of a wheelset, and what its windows wait for: nothing is estimated again.
 
 What is not known is never taken for good: a wheelset without a number to trust comes before all that are known to last.
 """
@@ -11,10 +9,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from estimation.alerts.rules.book import ALERT_RULES
+from estimation.alerts.rule_book import ALERT_RULES
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.near_limit import LimitForecastRule
 from estimation.alerts.rules.sensor_data import NoDataRule
+from estimation.alerts.rules.trend import LimitForecastRule
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.alerts import (
     AxlePosition,
@@ -31,7 +29,8 @@ from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, utc_text
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.results import Facet
+from estimation.values.runs import Facet, JobOutcome, JobRun, Quarantined
+from estimation.values.track import AlignmentRecord, AlignmentSource
 from estimation.values.trend import TREND, TrendRecord
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
 
@@ -68,6 +67,7 @@ BAND_KM = 1e10  # from one class of urgency to the next
 ADVICE = {rule.kind: rule.advice for rule in ALERT_RULES if rule.advice}
 HIDING = {rule.kind: rule.hides_wear for rule in ALERT_RULES if rule.hides_wear is not None}
 NOWHERE = Forecast(None, None, None)
+URGENCY_OF = {Severity.CRITICAL: Urgency.CRITICAL_ALERT, Severity.WARNING: Urgency.WARNING_ALERT}
 OF_LIMIT = (ConicityLimitRule.kind, LimitForecastRule.kind)
 
 
@@ -107,10 +107,8 @@ def judged(
 
 
 def urgency_key(state: WorklistState) -> float:
-    """Return the number that orders wheelsets by urgency, the most urgent first.
-
-    Within a class the one comes first whose limit may be reached first (p10); over the limit, the most certain one.
-    """
+    """Return the number that orders wheelsets by urgency, the most urgent first."""
+    # within a class the one comes first whose limit may be reached first (p10); over the limit, the most certain one
     within = FAR_KM if state.distance_to_limit_km.p10 is None else state.distance_to_limit_km.p10
     if state.urgency is Urgency.OVER_LIMIT:
         within = 1.0 - (state.probability_over_limit or 0.0)
@@ -164,7 +162,6 @@ def _due(distance: Forecast) -> str:
 
 
 def _km(distance_km: float) -> str:
-    """Return a distance in words, to 100 km from 1,000 km on."""
     return f"{round(distance_km, -2) if distance_km >= 1000.0 else round(distance_km):,.0f} km"  # noqa: PLR2004
 
 
@@ -176,9 +173,7 @@ def _of_alert(alert: OpenAlert, last_ns: int | None, *, refused: bool) -> tuple[
         return Urgency.UNKNOWN, Reason(hides.code, text)
     if hides is not None:
         return Urgency.UNKNOWN, hides
-    urgency = {Severity.CRITICAL: Urgency.CRITICAL_ALERT, Severity.WARNING: Urgency.WARNING_ALERT}.get(
-        alert.severity, Urgency.NOT_DUE
-    )
+    urgency = URGENCY_OF.get(alert.severity, Urgency.NOT_DUE)
     text = ADVICE.get(alert.kind) or f"{alert.severity.value} alert: {alert.kind.replace('_', ' ')}"
     if alert.condition is Condition.UNKNOWN:
         text += ", not assessable any more"
@@ -263,7 +258,6 @@ def _conicity(inputs: WorklistInputs) -> Estimate:
 
 
 def _with_refusals(reason: Reason, inputs: WorklistInputs) -> Reason:
-    """Return why there is no geometry, with what its newest windows are refused for."""
     named = list(inputs.refused.items())[:REFUSALS_NAMED]
     if not named:
         return reason
@@ -276,14 +270,13 @@ def _ahead(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Estimate
     unknown = _why_unknown(inputs, trend, conicity)
     if trend is None or unknown is not None:
         return Ahead(NOWHERE, None, unknown or NO_TREND)
-    found = trend.trend
-    since = None
+    found, since = trend.trend, None
     if inputs.mileage is not None and len(found.mileage_km):
         since = max(0.0, inputs.mileage.mileage_km - float(found.mileage_km[-1]))
     distance = _each(found.distance_to_limit_km, since or 0.0)
     date = _each(found.date_of_limit_ns, 0.0)
-    missing = None in (distance.p10, distance.p50, distance.p90)
-    return Ahead(distance, _finite(found.probability_over_limit), BEYOND if missing else None, date, since)
+    beyond = BEYOND if None in (distance.p10, distance.p50, distance.p90) else None
+    return Ahead(distance, _finite(found.probability_over_limit), beyond, date, since)
 
 
 def _why_unknown(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Estimate) -> Reason | None:
@@ -301,7 +294,6 @@ def _why_unknown(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Es
 
 
 def _each(forecast: Forecast, less: float) -> Forecast:
-    """Return the quantiles less a distance, 0 where that is run already."""
     values = (_finite(value) for value in (forecast.p10, forecast.p50, forecast.p90))
     return Forecast(*(None if value is None else max(0.0, value - less) for value in values))
 
@@ -311,8 +303,89 @@ def _finite(value: float | None) -> float | None:
 
 
 def _published(estimate: Estimate) -> Estimate:
-    """Return an estimate that is unknown where a part of it is no finite number."""
     if None not in [_finite(value) for value in (estimate.value, estimate.std, estimate.low, estimate.high)]:
         return estimate
     status = Status.INVALID if estimate.status is Status.ESTIMATED else estimate.status
     return Estimate.unknown(estimate.reason or NOT_FINITE, _finite(estimate.count) or 0.0, status)
+
+
+ESTIMATION, ALIGNMENT, GEOMETRIES = "estimate_windows", "refresh_alignment", "refresh_geometry"
+"""Jobs that make bin tables of windows, alignments of sections, and geometries of wheelsets."""
+
+
+@dataclass(frozen=True, slots=True)
+class SectionFacts:
+    """What is stored of a section and decides what its windows wait for."""
+
+    code: str  # of the section
+    in_force: AlignmentRecord | None = None  # its alignment; None where there is none
+    looked_at: bool = False  # whether its passes have been looked at
+    found: Reason | None = None  # why the last look found no alignment; None where it did
+    survey: Reason | None = None  # why the survey on file is not used; None where it is, or there is none
+    failed: Quarantined | None = None  # last failure of :data:`ALIGNMENT` at it; None where it succeeded
+
+    @property
+    def aligned(self) -> bool:
+        """Whether windows can be estimated on it."""
+        return self.in_force is not None and self.in_force.status is Status.ESTIMATED
+
+    @property
+    def placed_by_fleet(self) -> bool:
+        """Whether windows are estimated only where their place on it is found: on a survey they are not."""
+        return self.in_force is not None and self.in_force.source is AlignmentSource.FLEET
+
+
+def waits_for(
+    section: SectionFacts | None, no_class: Reason | None, last_run: JobRun | None, *, placed: bool
+) -> Reason:
+    """Return what a window waits for; None is a section not known, a class on file, a job that has never run."""
+    if no_class is not None:
+        return no_class
+    if section is not None and not section.aligned:
+        return no_alignment(section)
+    if section is not None and section.placed_by_fleet and not placed:
+        text = f"its place on section {section.code} is not found yet: {_looked(section)}"
+        return Reason(ReasonCode.WAITS_FOR_POSITION, text)
+    return Reason(ReasonCode.WAITS_FOR_ESTIMATION, f"it waits for {_next_run(ESTIMATION, last_run)}")
+
+
+def no_alignment(section: SectionFacts) -> Reason:
+    """Return that a section has no alignment, and why."""
+    survey = "" if section.survey is None else f"; the survey is {section.survey.text}"
+    text = f"the alignment of section {section.code} is not known yet: {_looked(section)}{survey}"
+    return Reason(ReasonCode.ALIGNMENT_UNKNOWN, text)
+
+
+def tried_again(reason: Reason, failed: Quarantined | None) -> Reason:
+    """Return a reason with when it is tried again, where a failure is kept."""
+    return reason if failed is None else replace(reason, text=f"{reason.text}; {_again(failed)}")
+
+
+def no_geometry_yet(last_run: JobRun | None, failed: Quarantined | None) -> Reason:
+    """Return why estimated windows have given no geometry."""
+    if failed is not None:
+        return Reason(failed.code, f"{GEOMETRIES} failed at it: {failed.error}; {_again(failed)}")
+    return Reason(ReasonCode.NO_GEOMETRY, f"the geometry waits for {_next_run(GEOMETRIES, last_run)}")
+
+
+def _looked(section: SectionFacts) -> str:
+    if section.failed is not None:
+        return f"{ALIGNMENT} failed at it: {section.failed.error}; {_again(section.failed)}"
+    if section.found is not None:
+        return section.found.text
+    return f"{ALIGNMENT} looks at it again with the next passes" if section.looked_at else f"{ALIGNMENT} has yet to run"
+
+
+def _again(failed: Quarantined) -> str:
+    return f"tried again from {utc_text(failed.due_ns)} on ({failed.attempts} failures in a row)"
+
+
+def _next_run(job: str, last: JobRun | None) -> str:
+    if last is None:
+        return f"{job}, which has never run"
+    began = utc_text(last.started_ns)
+    if last.outcome is JobOutcome.RUNNING:
+        return f"{job}, which has been running since {began}"
+    if last.outcome is JobOutcome.SUCCEEDED:
+        return f"the next run of {job}"
+    return f"the next run of {job}; the last, of {began}, {last.outcome.value}: {last.error}"

@@ -24,19 +24,20 @@ class DiameterLimits:
     EN 15313 leaves them to the maintenance plan.
     """
 
-    cut: Annotated[float | None, Served(name="cut_mm", scale=IN_MM)] = (
-        None  # m, radius that a turning takes off at least
-    )
-    minimum_radius: Annotated[float | None, Served(name="minimum_radius_mm", scale=IN_MM)] = None  # m, of a wheel
-    axle_difference: Annotated[float | None, Served(name="axle_difference_mm", scale=IN_MM)] = (
-        None  # m, greatest difference of diameters of the two wheels of an axle
-    )
-    bogie_difference: Annotated[float | None, Served(name="bogie_difference_mm", scale=IN_MM)] = (
-        None  # m, of any two wheels of a bogie
-    )
-    vehicle_difference: Annotated[float | None, Served(name="vehicle_difference_mm", scale=IN_MM)] = (
-        None  # m, of any two wheels of a vehicle
-    )
+    cut: Annotated[float | None, Served("Radius that a turning takes off at least.", "cut_mm", IN_MM)] = None
+    minimum_radius: Annotated[float | None, Served("Least radius of a wheel.", "minimum_radius_mm", IN_MM)] = None
+    axle_difference: Annotated[
+        float | None,
+        Served("Greatest difference of the diameters of the two wheels of an axle.", "axle_difference_mm", IN_MM),
+    ] = None
+    bogie_difference: Annotated[
+        float | None,
+        Served("Greatest difference of the diameters of any two wheels of a bogie.", "bogie_difference_mm", IN_MM),
+    ] = None
+    vehicle_difference: Annotated[
+        float | None,
+        Served("Greatest difference of the diameters of any two wheels of a vehicle.", "vehicle_difference_mm", IN_MM),
+    ] = None  # all in m
 
 
 @dataclass(frozen=True, slots=True)

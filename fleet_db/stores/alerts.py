@@ -12,8 +12,7 @@ from sqlalchemy import ColumnElement, Connection, Select, and_, insert, or_, sel
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.locks import Subject, serialise
 from fleet_db.rows import by_wheelset, table_of

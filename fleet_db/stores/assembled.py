@@ -9,7 +9,7 @@ from itertools import groupby
 from sqlalchemy import Connection, and_, case, delete, exists, func, insert, or_, select, tuple_, union_all, update
 
 from estimation.errors import DamagedError
-from estimation.values.results import Due
+from estimation.values.runs import Due
 from estimation.values.windows import HUNTING_SHARE, DueStage, PassedOver, Window, WindowKey, WindowRecord
 from fleet_db.due import OF_SAMPLES, raise_sections, windows_changed, windows_left
 from fleet_db.records import ChunkState

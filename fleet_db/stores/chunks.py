@@ -24,8 +24,7 @@ from sqlalchemy import (
 
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.windows import WindowState
 from fleet_db.records import ChunkRecord, ChunkState, RecordingChange
 from fleet_db.rows import columns_of, equal, given, insert_new, row_of, table_of, value_of_row

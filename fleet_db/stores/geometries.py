@@ -25,7 +25,7 @@ from estimation.values.geometry import (
 )
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import Result, ResultKind
+from estimation.values.runs import Result, ResultKind
 from estimation.values.trend import TREND, TrendRecord, WearTrend
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultStore

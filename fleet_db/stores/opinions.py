@@ -28,8 +28,7 @@ from estimation.values.opinions import (
     WindowDamper,
 )
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import SuspensionFinding
 from estimation.values.windows import WindowKey
 from fleet_db.due import NOT_LOOKED_AT, list_due

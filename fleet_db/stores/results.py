@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Row, Select, bindparam, case, delete, insert,
 from estimation.errors import DamagedError
 from estimation.values.fields import JsonValue
 from estimation.values.quantities import Status
-from estimation.values.results import AnyResult, History, Result, ResultKind
+from estimation.values.runs import AnyResult, History, Result, ResultKind
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_value, unpack_value
 from fleet_db.rows import reason_columns, stored_reason, table_of

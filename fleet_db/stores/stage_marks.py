@@ -30,8 +30,7 @@ from sqlalchemy import (
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.reasons import ReasonCode
-from estimation.values.results import EVERYTHING, Due, Look, Mark, StageInputs
-from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
+from estimation.values.runs import EVERYTHING, Due, Look, Mark, Quarantined, QuarantineState, StageInputs, SubjectKind
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.rows import columns_of, equal, given, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.assembled import SPANS, StaleSpanStore

@@ -29,8 +29,7 @@ from sqlalchemy import (
 )
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.track import EpochMember, FoldState, FoundOfVehicles, HeldWindow, ListedWindow, TrackEpoch
 from estimation.values.windows import DueStage, WindowKey, WindowRecord, WindowState
 from fleet_db.due import BATCH, DUE, OF_WINDOW, list_due, stale_epochs

@@ -12,8 +12,7 @@ import numpy as np
 from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.track import (
     AlignmentRecord,
     AlignmentSource,

@@ -31,8 +31,7 @@ from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
-from estimation.values.results import EVERYTHING
-from estimation.values.runs import code_of_error, first_line
+from estimation.values.runs import EVERYTHING, code_of_error, first_line
 from estimation.values.trend import TREND
 from estimation.values.windows import WindowState
 from estimation.vehicle.vehicle_class import VehicleClass

@@ -203,11 +203,7 @@ class AlignedFrames:
 
 
 def align_to_clock(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
-    """Decode a batch and put its frames on the vehicle's clock.
-
-    Args:
-        batch: Frames in merged order (:func:`ingest.frames.merge`).
-    """
+    """Decode a batch in merged order (:func:`ingest.frames.merge`) and put its frames on the vehicle's clock."""
     decoded = decode(catalogue, batch)
     clock, counts = sync_clock(decoded, batch, catalogue.sample_interval_ns)
     found = align_decoded(decoded, batch, clock, time_frames(decoded, batch))

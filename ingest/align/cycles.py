@@ -79,7 +79,13 @@ def place_frames(clock: SyncClock, t_ns: IntArray, cycles: int) -> Placement:
 
 def _by_usual_delay(clock: SyncClock, t_ns: IntArray) -> tuple[IntArray, int, int]:
     """Return the SYNC number of frames by their usual delay, how many that moves, and how many it leaves unclear."""
-    before, since, in_time = _since_sync(clock, t_ns)
+    slack = clock.interval_ns // IN_TIME
+    regular = np.abs(np.diff(clock.t_ns) - np.diff(clock.tick) * clock.interval_ns) <= slack
+    regular = np.concatenate([[True], regular, [True]])  # before the first, after the last
+    at = np.searchsorted(clock.t_ns, t_ns, side="right")
+    before = np.maximum(at - 1, 0)  # of frames before the first SYNC the first, a cycle later than one before it
+    since = t_ns - clock.t_ns[before] + np.where(at == 0, clock.interval_ns, 0)
+    in_time = regular[at] & (since >= 0)
     lost = np.append(np.clip(np.diff(clock.tick) - 1, 0, None), SYNC_REACH + 1)[before]
     by_order = np.clip(since // clock.interval_ns, 0, lost)
     elapsed = since + (clock.t_ns - clock.sent_ns)[before]
@@ -111,20 +117,6 @@ def sync_clock_of(t_ns: IntArray, tick: IntArray, interval_ns: int) -> SyncClock
     mean = offset[0] + (running[high + 1] - running[low]) // (high + 1 - low)
     sent_ns = np.where(broken[high] == broken[low], tick * interval_ns + mean, t_ns)
     return SyncClock(t_ns, tick, sent_ns, interval_ns)
-
-
-def _since_sync(clock: SyncClock, t_ns: IntArray) -> tuple[IntArray, IntArray, BoolArray]:
-    """Return the SYNC before each frame, the time since, and whether the SYNCs around it are in time.
-
-    For frames before the first SYNC it is the first, and the time since one a cycle before it.
-    """
-    slack = clock.interval_ns // IN_TIME
-    regular = np.abs(np.diff(clock.t_ns) - np.diff(clock.tick) * clock.interval_ns) <= slack
-    regular = np.concatenate([[True], regular, [True]])  # before the first, after the last
-    at = np.searchsorted(clock.t_ns, t_ns, side="right")
-    before = np.maximum(at - 1, 0)
-    elapsed = t_ns - clock.t_ns[before] + np.where(at == 0, clock.interval_ns, 0)
-    return before, elapsed, regular[at] & (elapsed >= 0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,9 +70,7 @@ def range_of(numbers: IntArray, slot: IntArray, good: BoolArray) -> tuple[int, i
 def on_section(distance: FloatArray, forward: FloatArray, section: IntArray, number: int, offset: float) -> FloatArray:
     """Return the distance (n,) of a wheelset along a section, NaN where it is off it.
 
-    Args:
-        distance, forward, section: (n,) of the vehicle's reference point.
-        offset: Of the wheelset behind the reference point, m.
+    Distance, direction and section (n,) are of the vehicle's reference point, ``offset`` m ahead of the wheelset.
     """
     found = np.full(len(distance), np.nan)
     for i in range(len(distance)):
@@ -84,12 +82,7 @@ def on_section(distance: FloatArray, forward: FloatArray, section: IntArray, num
 
 @compiled(nogil=True)
 def gridded(values: FloatArray, slot: IntArray, good: BoolArray, count: int, signals: int) -> FloatArray:
-    """Return the first signals (signals, count) of good samples on the grid, NaN elsewhere.
-
-    Args:
-        values: (k, m) by sample.
-        count, signals: Length of the grid; how many of the m signals.
-    """
+    """Return the first ``signals`` of values (k, m) of good samples on a grid, (signals, count); NaN elsewhere."""
     found = np.full((signals, count), np.nan)
     for i in range(len(slot)):
         if good[i]:

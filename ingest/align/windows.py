@@ -8,7 +8,7 @@ middle, so that a wheelset that changes vehicles within a window has one window 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -35,7 +35,7 @@ from ingest.align.samples import (
     range_of,
     vehicle_motion,
 )
-from ingest.catalogue import ACCELERATION, Catalogue, resolution
+from ingest.catalogue import ACCELERATION, Catalogue
 from ingest.codec import Counts
 from ingest.plausibility import off_line_m
 
@@ -67,9 +67,7 @@ CLIPPING_GUARD_S = 0.04
 BLOW_GUARD_S = 0.004
 """The same where a wheel strikes once a turn: as soon as a blow has died down the samples are good again."""
 
-OF_WHEELSET = ACCELERATIONS[:3]
-"""Lateral and yaw acceleration show hunting, lateral and roll acceleration show blows."""
-
+OF_WHEELSET = ACCELERATIONS[:3]  # lateral and yaw acceleration show hunting, lateral and roll acceleration show blows
 MOVING_M_S = 0.5  # a window in which the vehicle never ran faster is no running time
 
 
@@ -134,9 +132,10 @@ def vehicle_samples(
         if found is not None:
             nodes[node] = found[0]
             counts += found[1]
-    steps = resolution(catalogue.find(ACCELERATION, catalogue.wheelset_nodes[0])).tolist()
+    signals = catalogue.find(ACCELERATION, catalogue.wheelset_nodes[0]).signals
+    lateral, yaw, roll, mass = (signal.scale for signal in signals)
     motion = vehicle_motion(messages, catalogue.sample_interval_ns)
-    return VehicleSamples(vehicle, catalogue.sample_interval_ns, nodes, motion, tuple(steps)), counts
+    return VehicleSamples(vehicle, catalogue.sample_interval_ns, nodes, motion, (lateral, yaw, roll, mass)), counts
 
 
 def windows_of(
@@ -172,8 +171,9 @@ def _window(
     lookup: RegistryLookup,
 ) -> MountedWindow | WindowCounts:
     t_ns, axle = node.t_ns[span], node.node
-    mounting = _mounted_throughout(axle, (int(t_ns[0]), extent[0] + extent[1] // 2, int(t_ns[-1])), lookup)
-    if mounting is None:
+    times_ns = int(t_ns[0]), extent[0] + extent[1] // 2, int(t_ns[-1])
+    mounting, *others = {lookup.mounting_at(axle, at_ns) for at_ns in times_ns}
+    if mounting is None or others:
         return WindowCounts(windows_unmounted=1)
     if not np.any(motion.speed > MOVING_M_S):
         return WindowCounts(windows_standing=1)
@@ -213,11 +213,6 @@ def _window(
         quality=replace(_quality(node, span, extent, motion, (valid, clipped), slot), hunting=hunting, blows=blows),
     )
     return MountedWindow(window, mounting, motion.odometer_excess_m, _off_line(motion, section, lookup))
-
-
-def _mounted_throughout(axle: int, times_ns: Sequence[int], lookup: RegistryLookup) -> Mounting | None:
-    mounting, *others = {lookup.mounting_at(axle, at_ns) for at_ns in times_ns}
-    return None if others else mounting
 
 
 def _clipped(node: NodeSamples, span: slice, interval_s: float) -> BoolArray:

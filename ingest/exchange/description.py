@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -12,28 +12,18 @@ from pydantic import AfterValidator, Field, model_validator
 from estimation.errors import ExchangeError, ParameterError
 from estimation.values.registry import MAX_AXLES, Kilometres
 from ingest.file_value import FIRST_YEAR, LAST_YEAR
-from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml
-from ingest.units import DERIVATIVES, Quantity, Unit, unit_of
+from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml, refusing
+from ingest.units import SENSOR_QUANTITIES, Quantity, Unit, unit_of
 
 MOTIONS = ("time", "position", "speed")
 SIGNALS = ("lateral", "yaw", "roll", "mass_lateral")
 """Signals of an axle, in the order of the accelerations of a window."""
 
 QUANTITIES: Mapping[str, tuple[Quantity, ...]] = {
+    **SENSOR_QUANTITIES,
     "time": (Quantity.TIME,),
     "position": (Quantity.LENGTH,),
-    "speed": (Quantity.SPEED,),
-    "lateral": (Quantity.ACCELERATION,),
-    "yaw": tuple(DERIVATIVES),
-    "roll": tuple(DERIVATIVES),
-    "mass_lateral": (Quantity.ACCELERATION,),
 }
-
-
-def _one_character(text: str) -> str:
-    if len(text) != 1:
-        raise field_error(f"{text!r} is not one character")
-    return text
 
 
 def _with_zone(moment: datetime) -> datetime:
@@ -44,7 +34,7 @@ def _with_zone(moment: datetime) -> datetime:
     return moment
 
 
-Character = Annotated[str, AfterValidator(_one_character)]
+Character = Annotated[str, refusing(lambda text: len(text) != 1, "{value!r} is not one character")]
 
 
 class Column(InputTable):
@@ -76,7 +66,8 @@ class AxesTable(InputTable):
 
     @model_validator(mode="after")
     def _check_hand(self) -> Self:
-        if self.right_handed or (self.yaw is not None and self.roll is not None):
+        turned = (self.x == "backward") + (self.y == "right") + (self.z == "down")
+        if turned % 2 == 0 or (self.yaw is not None and self.roll is not None):
             return self
         other = "right" if self.y == "left" else "left"
         raise field_error(
@@ -84,12 +75,6 @@ class AxesTable(InputTable):
             " or give the positive sense of yaw and roll",
             "y",
         )
-
-    @property
-    def right_handed(self) -> bool:
-        """Whether x, y and z are."""
-        turned = (self.x == "backward") + (self.y == "right") + (self.z == "down")
-        return turned % 2 == 0
 
     @property
     def signs(self) -> Mapping[str, float]:
@@ -175,7 +160,8 @@ class ExchangeFile(InputTable):
                 raise field_error("only a sensor of an axle can be turned", *location, "turned")
             others = [name for name, other in self.columns[:at] if other.column == column.column]
             if others:
-                raise field_error(f"column {column.column!r} is that of {_text(others[0])} too", *location, "column")
+                other = ".".join(map(str, others[0]))
+                raise field_error(f"column {column.column!r} is that of {other} too", *location, "column")
         numbers = [axle.axle for axle in self.axles]
         for at, number in enumerate(numbers):
             if number in numbers[:at]:
@@ -200,7 +186,3 @@ def read_description(path: Path) -> tuple[ExchangeFile, InputFile]:
     """Return the content of the TOML file, and where in the file each key stands."""
     file = read_toml(path, ExchangeError)
     return file.parse(ExchangeFile), file
-
-
-def _text(location: Iterable[object]) -> str:
-    return ".".join(str(part) for part in location)

@@ -12,13 +12,11 @@ import numpy as np
 
 from estimation.errors import ConflictError, InputError, NotFoundError
 from estimation.motion.checks import BACKWARDS, LOOK_S, high_pass_running_mean, lateral_yaw_correlation
-from estimation.motion.integration import IntegratedSegment, integrate
-from estimation.motion.parameters import SignalParameters
-from estimation.values.arrays import FloatArray
+from estimation.motion.integration import SignalParameters, integrate
 from estimation.values.registry import VehicleRecord
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
-from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.vehicle_class import GRAVITY
 from fleet_db.storage import SqlUnitOfWork
 from ingest.exchange.description import AxesTable, ExchangeFile, read_description
 from ingest.exchange.run import COUNT, INTERVAL_NS, SUFFIX, ExchangeRun, RegistryFacts, read_run
@@ -87,7 +85,13 @@ def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidenc
         above = (segment.rates if in_bogie else segment.accelerations)[3]
         signals = (segment.rates[0], segment.speed * segment.displacements[1], above)
         v, turned, mass = (high_pass_running_mean(signal, seconds) for signal in signals)
-        y, phi, falling = _rolling(segment)
+        y, phi = (
+            high_pass_running_mean(signal, seconds) for signal in (segment.displacements[0], segment.displacements[2])
+        )
+        falling = GRAVITY * phi  # the displacement that gravity along the roll makes
+        for _ in range(2):
+            falling = np.concatenate([[0.0], np.cumsum(0.5 * INTERVAL_S * (falling[1:] + falling[:-1]))])
+            falling = high_pass_running_mean(np.pad(falling - falling.mean(), seconds), seconds)
         products = (v @ v, turned @ turned, mass @ v, mass @ mass, y @ phi, abs(falling @ phi), y @ y, phi @ phi)
         sums += products
     lateral, yaw, with_mass, of_mass, with_roll, gravity, of_y, of_roll = sums.tolist()
@@ -102,11 +106,9 @@ def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidenc
 
 
 def check_signs(run: ExchangeRun, file: ExchangeFile, toml: InputFile, *, in_bogie: bool) -> None:
-    """Raise where the signals of a run contradict its axes.
+    """Raise where the signals of a run contradict its axes, or lateral and yaw of an axle differ in magnitude.
 
-    Raises:
-        ExchangeError: A signal has the wrong sign: on all axles its axis, on some of them its sensor; names what must
-            be turned. Or lateral and yaw of an axle differ in magnitude.
+    Where all axles have the wrong sign the error names the axis that must be turned, else a sensor.
     """
     found = {axle: sign_evidence(run, axle, in_bogie=in_bogie) for axle in run.accelerations}
     for at, axle in enumerate(file.axles):
@@ -120,8 +122,12 @@ def check_signs(run: ExchangeRun, file: ExchangeFile, toml: InputFile, *, in_bog
         return
     if len(kinds) == 1:
         raise _axis_error(next(kind for kind in turned.values() if kind), found, file.axes, toml)
-    at = next(at for at, axle in enumerate(file.axles) if turned[axle.axle])
-    raise _sensor_error(file, at, turned, found, toml)
+    at, axle, kind = next((at, axle, kind) for at, axle in enumerate(file.axles) if (kind := turned[axle.axle]))
+    signal = "lateral" if kind is Turned.LATERAL_OR_YAW else str(kind)
+    good = [str(number) for number, other in turned.items() if other is None]
+    others = f"axles {', '.join(good)} do not" if good else "other signals of other axles do too"
+    reason = f"{_contradiction(kind, [found[axle.axle]])} on axle {axle.axle}, {others}: turn that sensor (turned = "
+    raise toml.error(f"{reason}{str(not getattr(axle, signal).turned).lower()})", ("axles", at, signal))
 
 
 def _axis_error(kind: Turned, found: Mapping[int, SignEvidence], axes: AxesTable, toml: InputFile) -> InputError:
@@ -144,18 +150,6 @@ def _axis_error(kind: Turned, found: Mapping[int, SignEvidence], axes: AxesTable
     return toml.error(f"{_contradiction(kind, found.values())}: {what}", location)
 
 
-def _sensor_error(
-    file: ExchangeFile, at: int, turned: Mapping[int, Turned | None], found: Mapping[int, SignEvidence], toml: InputFile
-) -> InputError:
-    axle = file.axles[at]
-    kind = turned[axle.axle] or Turned.LATERAL
-    signal = "lateral" if kind is Turned.LATERAL_OR_YAW else str(kind)
-    good = [str(number) for number, other in turned.items() if other is None]
-    others = f"axles {', '.join(good)} do not" if good else "other signals of other axles do too"
-    reason = f"{_contradiction(kind, [found[axle.axle]])} on axle {axle.axle}, {others}: turn that sensor (turned = "
-    return toml.error(f"{reason}{str(not getattr(axle, signal).turned).lower()})", ("axles", at, signal))
-
-
 def _contradiction(kind: Turned, items: Collection[SignEvidence]) -> str:
     yaw = float(np.mean([item.lateral_yaw or 0.0 for item in items]))
     roll = float(np.mean([0.5 * (item.roll_low + item.roll_high) for item in items]))
@@ -171,17 +165,6 @@ def _contradiction(kind: Turned, items: Collection[SignEvidence]) -> str:
         f"{sentence} (correlation of lateral velocity with yaw {yaw:.2f}, of displacement with roll {roll:.2f},"
         f" of velocity with the mass {mass:.2f})"
     )
-
-
-def _rolling(segment: IntegratedSegment) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return lateral displacement, roll, and the displacement that gravity along the roll makes, without slow parts."""
-    seconds = round(LOOK_S / INTERVAL_S)
-    phi = high_pass_running_mean(segment.displacements[2], seconds)
-    falling = GRAVITY * phi
-    for _ in range(2):
-        falling = np.concatenate([[0.0], np.cumsum(0.5 * INTERVAL_S * (falling[1:] + falling[:-1]))])
-        falling = high_pass_running_mean(np.pad(falling - falling.mean(), seconds), seconds)
-    return high_pass_running_mean(segment.displacements[0], seconds), phi, falling
 
 
 def _window(run: ExchangeRun, axle: int) -> Window:
@@ -231,12 +214,7 @@ class Exchange:
 
 
 def checked_exchange(description: Path, unit: SqlUnitOfWork) -> Exchange:
-    """Return an exchange that was checked from its units to its mountings.
-
-    Raises:
-        ExchangeError: Something in it is missing, impossible or contradicts itself or the registry; names file, line
-            and field.
-    """
+    """Return an exchange that was checked from its units to its mountings; errors name file, line and field."""
     file, toml = read_description(description)
     vehicle = _vehicle(file, toml, unit)
     try:

@@ -25,16 +25,15 @@ from estimation.errors import ExchangeError
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.registry import MAX_AXLES
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.vehicle_class import GRAVITY
 from ingest.align.clock import AlignCounts, AlignedFrames, TickedValues, TimeFrames
 from ingest.catalogue import ACCELERATION, MOTION, POSITION, SYNC, VEHICLE_NODE, Catalogue, MessagePlan, SignalPlan
 from ingest.codec import FrameCounts
-from ingest.derivative import derivative
 from ingest.exchange.description import SIGNALS, Column, ExchangeFile, read_description, unit
 from ingest.exchange.table import PARQUET, SUFFIXES, ExchangeTable, read_table, read_table_apart
 from ingest.file_value import read_value
 from ingest.input_file import read_json
-from ingest.units import DERIVATIVES, Quantity
+from ingest.units import DERIVATIVES, Quantity, derivative
 
 RATE_TOLERANCE = 1e-3  # how far the rate of the table may be from the declared one
 TIME_TOLERANCE = 0.3
@@ -98,14 +97,10 @@ def ticks_of(time: UniformTime, start_ns: int, interval_ns: int) -> tuple[IntArr
 
 
 def resampled(values: FloatArray, at: FloatArray) -> FloatArray:
-    """Return signals (n, m) of uniform samples at other places (k, m), band-limited to the lower of the two rates.
+    """Return uniform samples (n, m) at other uniform places (k,), in samples, band-limited to the lower of both rates.
 
     A windowed sinc (Kaiser), flat to 0.36 and 80 dB down from 0.64 of the lower rate. Places that are samples, one
     after the other, are these samples. NaN where its reach goes beyond the signals.
-
-    Args:
-        values: (n, m) uniform samples.
-        at: (k,) places, uniform, increasing, in samples.
     """
     step = float(at[1] - at[0]) if len(at) > 1 else 1.0
     if step == 1.0 and float(at[0]).is_integer():

@@ -51,12 +51,7 @@ class ExchangeTable:
 
 
 def read_table(path: Path, layout: CsvTable, names: Sequence[str]) -> ExchangeTable:
-    """Return the columns of a table.
-
-    Raises:
-        ExchangeError: The file is missing, is no such table, lacks a column, or a value is no finite number; names line
-            and column.
-    """
+    """Return the columns of a table, all of finite numbers; errors name line and column."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise ExchangeError(f"is no table: the suffix is none of {', '.join(SUFFIXES)}", file=path)
@@ -205,8 +200,7 @@ COLUMNS = "columns.npy"
 def read_table_apart(path: Path, layout: CsvTable, names: Sequence[str]) -> ExchangeTable:
     """Return the columns of a table, read in a process of its own; as :func:`read_table`.
 
-    Raises:
-        PassingFaultError: There is no process or no space to read it with.
+    Raises PassingFaultError where there is no process or no space to read it with.
     """
     with TemporaryDirectory(prefix="treadwatch-table-") as folder:
         table = [str(path.absolute()), layout.model_dump_json(), json.dumps(list(names)), folder]

@@ -1,20 +1,26 @@
-"""Whether more chunks may come: how many wait to be decoded, how large they are, and how much disk is left."""
+"""What waits to be decoded or assembled: whether more chunks may come, how they are decoded, and the scheduled job.
+
+The job reads raw recordings, so it is defined here and joins the other jobs where all is joined.
+"""
 
 from __future__ import annotations
 
 import shutil
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 
+from estimation.jobs.job import JobContext
+from estimation.jobs.runner import run as run_stage
 from estimation.values.reasons import ReasonCode, code_of
 from fleet_db.atomic_files import passing_faults
 from fleet_db.locks import TryVehicle, decoding_locks
 from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
+from ingest.reassembly import ASSEMBLY, HeldRecordings, missing
 from ingest.receiver import ChunkReceipt, Receiver
 
 LOOK_EVERY_S = 1.0  # how long what the database said counts; what was taken since is added to it
@@ -119,8 +125,7 @@ def decode_received(
 ) -> DecodedChunks:
     """Decode the chunks that wait for a worker when this begins or come meanwhile, but for those of other workers.
 
-    Args:
-        checkpoint: Called between two chunks with (done, of how many as far as known); it may raise to end the work.
+    ``checkpoint`` is called between two chunks with (done, of how many as far as known); it may raise to end the work.
     """
     counts, after = DecodedChunks(), (-1, "")
     with decoding_locks(storage.engine, holder) as try_vehicle:
@@ -151,3 +156,26 @@ def _decode(
             good = isinstance(outcome, ChunkReceipt) and outcome.record.state is ChunkState.DECODED
             counts.decoded += good
             counts.others += not good
+
+
+def assemble_windows(receiver_of: Callable[[JobContext], Receiver], context: JobContext) -> Mapping[str, int]:
+    """Assemble windows of stale spans again; decode recordings whose vehicle has come, or that are due again.
+
+    The receiver is asked for only where there is something to do.
+    """
+    counts = dict.fromkeys(("spans", "decoded", "new", "changed", "removed", "healed", "quarantined"), 0)
+    with context.storage.read() as unit:
+        counts["spans"] = len(unit.stale_spans.all())
+        waiting = list(unit.chunks.of_known_vehicles())
+        looked_for = missing(unit)
+        received = unit.chunks.undecoded_size().count
+        waiting += HeldRecordings(context.storage, context.clock).due(unit)
+    if not counts["spans"] and not waiting and not looked_for and not received:
+        return counts
+    receiver = receiver_of(context)
+    receipts = [one.record for one in receiver.decode(waiting) if isinstance(one, ChunkReceipt)]
+    counts["decoded"] = sum(record.state is ChunkState.DECODED for record in receipts)
+    counts["decoded"] += decode_received(context.storage, receiver, ASSEMBLY, context.checkpoint).decoded
+    receiver.reassembler.lost.look()
+    made = run_stage(receiver.reassembler.stage, replace(context, executor=None))  # workers have no recordings
+    return counts | {name: count for name, count in made.items() if name not in {"vehicles", "results"}}

@@ -18,9 +18,8 @@ from fleet_db.atomic_files import passing_faults, write_atomically
 from fleet_db.locks import locked_file
 from fleet_db.raw import RawStore, pieces_of
 from ingest.intake.backlog import BacklogWatch, Behind
-from ingest.intake.store import Arrival, ChunkStorage, Stored
 from ingest.logs.formats import format_of
-from ingest.receipts import Chunk
+from ingest.receipts import Arrival, Chunk, ChunkStorage, Stored
 
 DONE, REFUSED = "done", "refused"
 REASON_SUFFIX = ".reason.txt"
@@ -31,16 +30,12 @@ LOCK = ".treadwatch-drop-folder"
 
 @dataclass(frozen=True, slots=True)
 class DropSettings:
-    """Of a drop folder.
-
-    Attributes:
-        vehicle_of: Returns the vehicle of a file, by its path; raises InputError where it does not show.
-    """
+    """Of a drop folder."""
 
     folder: Path  # watched; ``done`` and ``refused`` are made in it
     quiet_s: float  # a file that has not changed for so long is complete, s
     most_bytes: int  # size of a file at most
-    vehicle_of: Callable[[Path], str]
+    vehicle_of: Callable[[Path], str]  # by the path of a file; raises InputError where it does not show
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +54,7 @@ class _Seen:
     size: int
     changed_ns: int
     inode: int
-    since_s: float
+    since_s: float = field(compare=False)
 
 
 @dataclass(slots=True)
@@ -76,9 +71,7 @@ class DropFolder:
     def look(self) -> Look:
         """Take in what is complete, and return what was done.
 
-        Raises:
-            PassingFaultError: The folder or the raw store cannot be used now: every file is still there.
-            StorageError: The database cannot be reached: the same.
+        Raises PassingFaultError or StorageError where folder, raw store or database are away: no file is lost.
         """
         complete, incomplete = self._complete()
         stored, known, refused = 0, 0, []
@@ -115,10 +108,9 @@ class DropFolder:
                 status = path.lstat()
                 if not stat.S_ISREG(status.st_mode):
                     continue
-                one = _Seen(status.st_size, status.st_mtime_ns, status.st_ino, now_s)
+                seen = _Seen(status.st_size, status.st_mtime_ns, status.st_ino, now_s)
                 before = self._seen.get(path)
-                same = before is not None and _same(before, one)
-                found[path] = before if before is not None and same else one
+                found[path] = before if before is not None and before == seen else seen
         self._seen = found
         complete = [path for path, one in found.items() if now_s - one.since_s >= self.settings.quiet_s]
         complete.sort(key=lambda path: (found[path].changed_ns, path))
@@ -148,7 +140,7 @@ class DropFolder:
             with suppress(FileNotFoundError):
                 status = path.lstat()
                 now = _Seen(status.st_size, status.st_mtime_ns, status.st_ino, 0.0)
-                if _same(self._seen[path], now) and arrival.file.size_bytes == status.st_size:
+                if self._seen[path] == now and arrival.file.size_bytes == status.st_size:
                     same.append((path, arrival))
         if not same:
             return []
@@ -180,7 +172,3 @@ def held_folder(folder: Path) -> Iterator[None]:
         if not locked:
             raise ConflictError(f"another process watches {folder}")
         yield
-
-
-def _same(one: _Seen, other: _Seen) -> bool:
-    return (one.size, one.changed_ns, one.inode) == (other.size, other.changed_ns, other.inode)

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from estimation.errors import StorageError
 from ingest.live.listening import BusSource, Listening
-from ingest.live.records import FRAME_BYTES, FrameBuffer, Record
-from ingest.live.spool import DropCount, Spool, spool_folder
+from ingest.live.spool import FRAME_BYTES, DropCount, FrameBuffer, Record, Spool, spool_folder
 from ingest.live.status import LiveStatus, Reports
 from ingest.live.storing import Stores, Storing
 
@@ -33,18 +32,12 @@ class Spooling:
         self._status = status
         self._reports = reports
         self._ending = threading.Event()
-        self._ready = threading.Event()
         self._frames, self._dropped = b"", 0  # taken from the buffer and not on the disk yet
         self._piece_begun: float | None = None
         self._piece_bytes = 0
         self._before = 0  # frames dropped before this process that a record mentions
         self._recorded = 0
         self._reported, self._reported_at = 0, -REPORT_EVERY_S
-
-    @property
-    def ready(self) -> bool:
-        """Whether what an earlier process left has been taken over."""
-        return self._ready.is_set()
 
     def end(self) -> None:
         """Make :meth:`run` write the rest and return."""
@@ -55,7 +48,6 @@ class Spooling:
         while not self._take_over():
             if self._ending.wait(EVERY_S):
                 return
-        self._ready.set()
         while not self._ending.wait(EVERY_S):
             self._step()
         self._step()
@@ -203,11 +195,9 @@ def receive_live(bus: ReceivedBus, stop: threading.Event) -> None:
 
 
 def receive_buses(buses: Sequence[ReceivedBus], stop: threading.Event) -> None:
-    """Receive buses until ``stop`` is set, or one of them is refused for good, which ends all of them.
+    """Receive buses until ``stop`` is set, or one of them is refused for good, which ends all of them and is raised.
 
-    Raises:
-        TreadwatchError: A bus or the stores refused for good. What the other buses had received is stored, or in their
-            spools.
+    What the other buses had received is stored then, or in their spools.
     """
     failures: list[Exception] = []
 

@@ -1,6 +1,8 @@
 """The spool of one vehicle: a bounded folder of pieces that grow at their end and are removed after their receipt.
 
-What is in the spool is removed for no other reason. When it is full, what comes is refused.
+What is in the spool is removed for no other reason. When it is full, what comes is refused. Pieces hold records, each
+with its length and checksum, so that every whole one is found whatever was cut off: a head (mark, bytes of the body,
+CRC-32 of length and body) and a body, two counts of dropped frames, then frames of 21 bytes, all little endian.
 """
 
 from __future__ import annotations
@@ -16,14 +18,129 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
+import numpy as np
+
 from estimation.errors import ConflictError, StorageError
 from fleet_db.atomic_files import sync_directory
-from ingest.live.records import Record, decode, encode
+from ingest.frames import DATA_BYTES
+
+MARK = b"TWf1"
+FRAME = np.dtype([("t_ns", "<i8"), ("arbitration_id", "<u4"), ("dlc", "u1"), ("data", "u1", (DATA_BYTES,))])
+FRAME_BYTES = FRAME.itemsize
+
+_HEAD = struct.Struct("<4sII")
+_COUNTS = struct.Struct("<QQ")
+_FRAME = struct.Struct("<qIB8s")
+_LONGEST_BODY = 1 << 21  # a longer one is no record: a damaged length must not hide what follows
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Frames that were written together."""
+
+    frames: bytes
+    dropped: int = 0  # frames that were dropped behind these
+    dropped_total: int = 0  # of this vehicle up to here, by this process and those before it
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What a file of records holds."""
+
+    records: tuple[Record, ...]
+    end: int  # the byte behind the last of them
+    skipped: int  # bytes before that which are damaged
+
+
+def pack_frame(t_ns: int, arbitration_id: int, dlc: int, data: bytes) -> bytes:
+    """Return the bytes of a frame."""
+    return _FRAME.pack(t_ns, arbitration_id, dlc, data)
+
+
+def encode(record: Record) -> bytes:
+    """Return the bytes of a record."""
+    body = _COUNTS.pack(record.dropped, record.dropped_total) + record.frames
+    return _HEAD.pack(MARK, len(body), _checksum(body)) + body
+
+
+def decode(content: bytes) -> Contents:
+    """Return every whole record of a file, in order; what is torn or damaged is skipped."""
+    records: list[Record] = []
+    at = end = skipped = 0
+    while (start := content.find(MARK, at)) >= 0:
+        record, following = _record(content, start)
+        if record is None:
+            at = start + 1
+            continue
+        skipped += start - end
+        records.append(record)
+        at = end = following
+    return Contents(tuple(records), end, skipped)
+
+
+def _record(content: bytes, at: int) -> tuple[Record | None, int]:
+    body_at = at + _HEAD.size
+    if body_at > len(content):
+        return None, at
+    _, length, checksum = _HEAD.unpack_from(content, at)
+    end = body_at + length
+    frames_length = length - _COUNTS.size
+    if end > len(content) or length > _LONGEST_BODY or frames_length < 0 or frames_length % FRAME_BYTES:
+        return None, at
+    body = content[body_at:end]
+    if _checksum(body) != checksum:
+        return None, at
+    dropped, total = _COUNTS.unpack_from(body)
+    return Record(body[_COUNTS.size :], dropped, total), end
+
+
+def _checksum(body: bytes) -> int:
+    return zlib.crc32(body, zlib.crc32(len(body).to_bytes(4, "little")))
+
+
+class FrameBuffer:
+    """Frames in memory, oldest first. When it is full the newest are dropped."""
+
+    def __init__(self, limit_bytes: int) -> None:
+        self._limit = limit_bytes
+        self._lock = threading.Lock()
+        self._frames = bytearray()
+        self.dropped = 0  # frames, since the start
+        self._handed_over = 0
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes that wait."""
+        return len(self._frames)
+
+    def add(self, frame: bytes) -> None:
+        """Keep a packed frame, or count it as dropped; never waits for a disk."""
+        with self._lock:
+            if len(self._frames) + FRAME_BYTES <= self._limit:
+                self._frames += frame
+            else:
+                self.dropped += 1
+
+    def count_dropped(self, frames: int) -> None:
+        """Count frames that were dropped before they came here."""
+        with self._lock:
+            self.dropped += frames
+
+    def take(self, limit_bytes: int) -> tuple[bytes, int]:
+        """Return the oldest frames, of so many bytes at most, and how many were dropped behind them."""
+        with self._lock:
+            frames = bytes(self._frames[:limit_bytes])
+            del self._frames[:limit_bytes]
+            if self._frames or not frames:
+                return frames, 0
+            dropped = self.dropped - self._handed_over
+            self._handed_over = self.dropped
+            return frames, dropped
+
 
 _SLOT = struct.Struct("<QQQ")  # write number, total, recorded
 _CHECKSUM = struct.Struct("<I")
-_SLOT_BYTES = 512
-"""A sector, which a disk writes as a whole. The two are written in turn: one is whole at any time."""
+_SLOT_BYTES = 512  # a sector, which a disk writes as a whole. The two are written in turn: one is whole at any time.
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +170,7 @@ class DropCountFile:
         self.count = DropCount(*counts)
 
     def write(self, count: DropCount) -> None:
-        """Put a count on the disk.
-
-        Raises:
-            OSError: The disk failed; the count before is still there.
-        """
+        """Put a count on the disk; where that fails (OSError) the count before is still there."""
         if count == self.count:
             return
         slot = _SLOT.pack(self._number + 1, count.total, count.recorded)
@@ -100,12 +213,9 @@ def spool_folder(parent: Path, vehicle: str) -> Path:
 
 
 class Spool:
-    """The spool of one vehicle, held by this process alone.
+    """The spool of one vehicle, held by this process alone; raises ConflictError where another one holds it.
 
     One thread appends and closes pieces, another one takes the closed ones; both may ask for sizes.
-
-    Raises:
-        ConflictError: Another process holds it.
     """
 
     def __init__(self, folder: Path, limit_bytes: int) -> None:
@@ -170,9 +280,7 @@ class Spool:
     def append(self, record: Record) -> None:
         """Put a record on the disk; it is there when this returns.
 
-        Raises:
-            StorageError: The spool is full.
-            OSError: The disk is full or failed. Nothing of the record counts.
+        Raises StorageError where the spool is full, OSError where the disk is or fails: nothing of the record counts.
         """
         content = encode(record)
         with self._lock:
@@ -211,11 +319,7 @@ class Spool:
             return self._waiting[0] if self._waiting else None
 
     def remove(self, piece: Piece) -> None:
-        """Remove a piece that has its receipt.
-
-        Raises:
-            OSError: The disk failed; the piece still waits.
-        """
+        """Remove a piece that has its receipt; where the disk fails (OSError) it still waits."""
         piece.path.unlink(missing_ok=True)
         with self._lock:
             self._waiting.remove(piece)

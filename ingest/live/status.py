@@ -1,13 +1,14 @@
-"""What a live receiver is doing, for its health endpoint and its messages."""
+"""What a live receiver is doing, for its health endpoint and its messages, and how long it waits between attempts."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from ingest.receiver import ChunkReceipt
+if TYPE_CHECKING:  # who waits for something else than recordings does not import what receives them
+    from ingest.receiver import ChunkReceipt
 
 REJECTED_IN_A_ROW = 3
 """Recordings that are rejected behind one that was decoded before the receiver is not ready; else the first one is."""
@@ -80,3 +81,22 @@ class Reports:
 
     say: Say  # sentences for people, as things happen
     received: Callable[[str, ChunkReceipt | Exception], None]  # every piece with its receipt, or why it was rejected
+
+
+class Backoff:
+    """Delays that double from attempt to attempt, until one succeeds."""
+
+    def __init__(self, first_s: float, longest_s: float) -> None:
+        self._first_s = first_s
+        self._longest_s = longest_s
+        self._next_s = first_s
+
+    def failed(self) -> float:
+        """Return how long to wait after an attempt that failed, s."""
+        delay_s = self._next_s
+        self._next_s = min(2.0 * delay_s, self._longest_s)
+        return delay_s
+
+    def succeeded(self) -> None:
+        """Begin with the first delay again."""
+        self._next_s = self._first_s

@@ -26,10 +26,8 @@ from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.runs import first_line
 from fleet_db.records import ChunkRecord, ChunkState
 from ingest.frames import DEFAULT_CHANNEL, concatenate, dropped_marker, from_owned_arrays, sort_by_time
-from ingest.live.backoff import Backoff
-from ingest.live.records import FRAME, decode
-from ingest.live.spool import Piece, Spool
-from ingest.live.status import LiveStatus, Reports
+from ingest.live.spool import FRAME, Piece, Spool, decode
+from ingest.live.status import Backoff, LiveStatus, Reports
 from ingest.logs.blf_layout import blf_bytes
 from ingest.receiver import ChunkReceipt, Receiver
 
@@ -90,8 +88,7 @@ class Stores:
 class Storing:
     """Stores pieces until asked to end, then those that can be stored in the time that is left.
 
-    Args:
-        stores: Where they go. An error of :attr:`Stores.connect` that does not pass is kept as ``refused``.
+    An error of :attr:`Stores.connect` that does not pass is kept as ``refused``.
     """
 
     def __init__(self, spool: Spool, vehicle: str, stores: Stores, status: LiveStatus, reports: Reports) -> None:

@@ -140,4 +140,4 @@ def _moment_ns(text: str, path: Path, number: int) -> int:
     return int(moment.timestamp()) * SECOND_NS + int(match["ms"] or 0) * 1_000_000
 
 
-FORMAT = LogFormat(suffix=".asc", name="ASC", is_held=lambda head: head[:5].lower() == b"date ", read=read_asc)
+FORMAT = LogFormat(suffix=".asc", name="ASC", begins=re.compile(b"date ", re.IGNORECASE), read=read_asc)

@@ -167,7 +167,6 @@ def _objects(batch: FrameBatch, start_ns: int) -> memoryview:
 
 
 def _of_kind(batch: FrameBatch, which: npt.NDArray[np.bool_] | slice, start_ns: int, kind: int) -> npt.NDArray[np.void]:
-    """Return frames as objects of one kind."""
     identifier = batch.arbitration_id[which]
     layout = object_layout(CAN_BODY if kind == CAN_MESSAGE else ERROR_BODY, HEADER_SIZE)
     objects = np.zeros(len(identifier), dtype=layout)

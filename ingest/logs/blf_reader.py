@@ -8,6 +8,7 @@ Times are the file's start time (taken as UTC) plus whole nanoseconds; they neve
 
 from __future__ import annotations
 
+import re
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -168,9 +169,7 @@ _STANDARD_BITS = 0x7FF
 def read_blf(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
     """Read all CAN frames of a BLF file.
 
-    Raises:
-        LogFileError: The file is no BLF file, truncated, corrupt, too large when inflated, holds several buses or CAN
-            FD frames of more than eight bytes; names the byte. The file is named by who asked for it.
+    Raises LogFileError, which names the byte; the file is named by who asked for it.
     """
     with path.open("rb") as file:
         header = file_header(file)
@@ -322,4 +321,4 @@ def _run(contents: bytes, at: int, stride: int) -> npt.NDArray[np.uint8]:
         length, looked = looked, looked * 8
 
 
-FORMAT = LogFormat(suffix=".blf", name="BLF", is_held=lambda head: head.startswith(blf.FILE_SIGNATURE), read=read_blf)
+FORMAT = LogFormat(suffix=".blf", name="BLF", begins=re.compile(blf.FILE_SIGNATURE), read=read_blf)

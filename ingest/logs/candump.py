@@ -35,4 +35,4 @@ def _facts(match: re.Match[str]) -> Facts | None:
     return Facts(library_channel_name(match["channel"]), flags, most, length)
 
 
-FORMAT = LogFormat(suffix=".log", name="candump", is_held=lambda head: head.startswith(b"("), read=read_candump)
+FORMAT = LogFormat(suffix=".log", name="candump", begins=re.compile(rb"\("), read=read_candump)

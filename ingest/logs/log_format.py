@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,42 +19,18 @@ from ingest.frames import DATA_BYTES, DEFAULT_CHANNEL, channel_name
 MEBIBYTE = 1 << 20
 DAY_NS = 86_400_000_000_000
 
-BASE_CPU_S = 8.0
-BASE_WALL_S = 9.5
-BASE_FRAMES = 1_000_000
-FRAMES_PER_BYTE = 0.5
-"""A BLF file of a standing vehicle whose sensors send one value takes 4 bytes a frame, a running one 15."""
-
-BASE_INFLATED = 64 * MEBIBYTE
-INFLATED_PER_BYTE = 24
-
 
 @dataclass(frozen=True, slots=True)
 class ReadLimits:
     """Bounds on reading one log file."""
 
     memory_bytes: int = 128 * MEBIBYTE  # that the process may take beyond what it begins with
-    cpu_s: float = BASE_CPU_S
-    wall_s: float = BASE_WALL_S
-    frames: int = BASE_FRAMES
-    inflated_bytes: int = BASE_INFLATED  # of all containers together
+    cpu_s: float = 8.0
+    wall_s: float = 9.5
+    frames: int = 1_000_000
+    inflated_bytes: int = 64 * MEBIBYTE  # of all containers together
     container_bytes: int = 16 * MEBIBYTE  # of one container, inflated, and of one object
     span_ns: int = 31 * DAY_NS  # from the first stamp to the last
-
-
-def limits_of(size_bytes: int, bytes_per_s: int, more_memory: int = 0) -> ReadLimits:
-    """Return the limits for a file: a day of a vehicle passes with room to spare, a bomb does not.
-
-    Memory does not grow with the file, because no reader keeps more of it than a few containers or lines.
-    """
-    seconds = size_bytes / bytes_per_s
-    return ReadLimits(
-        memory_bytes=ReadLimits().memory_bytes + more_memory,
-        cpu_s=BASE_CPU_S + seconds,
-        wall_s=BASE_WALL_S + 2.0 * seconds,
-        frames=BASE_FRAMES + round(FRAMES_PER_BYTE * size_bytes),
-        inflated_bytes=BASE_INFLATED + INFLATED_PER_BYTE * size_bytes,
-    )
 
 
 OWN_BYTES_PER_S = 2 << 20  # what a reader of our own reads at least, of the slowest format on a slow machine
@@ -65,7 +42,7 @@ class LogFormat:
 
     suffix: str  # in lower case, with its dot
     name: str
-    is_held: Callable[[bytes], bool]  # whether a file that begins with these bytes is of the format
+    begins: re.Pattern[bytes]  # how a file of the format does
     read: Callable[[Path, ReadLimits, FrameSink], None]
     modules: tuple[str, ...] = ()  # that are imported before the limits are set
     memory_bytes: int = 0  # that reading needs beyond the limit of every format
@@ -73,11 +50,7 @@ class LogFormat:
 
 
 def library_channel_name(channel: int | str | None) -> str:
-    """Return the name of a bus that python-can numbers or names.
-
-    Args:
-        channel: A number from 0, also as text, a name, or None for the only bus.
-    """
+    """Return the name of a bus that python-can numbers from 0, also as text, or names; None is the only bus."""
     if isinstance(channel, str) and not channel.isdigit():
         return channel
     return channel_name(int(channel or 0) + 1)

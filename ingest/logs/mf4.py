@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -73,8 +74,7 @@ def bus_groups(mdf: Any) -> list[tuple[int, str]]:  # noqa: ANN401 - asammdf's M
 def merged(groups: Sequence[Iterator[MF4Frames]]) -> Iterator[MF4Frames]:
     """Yield the frames of all groups in the order of time; those of one group keep their order among themselves.
 
-    Args:
-        groups: Each yields the frames of a group in its order. Of each only some pieces are in memory.
+    Of each group only some pieces are in memory.
     """
     heads = [_Head(group) for group in groups]
     while True:
@@ -218,7 +218,7 @@ def read_mf4(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
 FORMAT = LogFormat(
     suffix=".mf4",
     name="MF4",
-    is_held=lambda head: head.startswith(b"MDF     "),
+    begins=re.compile(b"MDF     "),
     read=read_mf4,
     modules=("asammdf",),
     memory_bytes=64 * MEBIBYTE,

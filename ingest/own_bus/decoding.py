@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from estimation.errors import LogFileError
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from ingest.align.clock import (
     TIME_REACH_NS,
@@ -26,9 +26,9 @@ from ingest.align.samples import LONGEST_GAP_NS, NodeSamples, Track, VehicleMoti
 from ingest.align.windows import VehicleSamples
 from ingest.catalogue import SYNC_ID, SYNC_PERIOD, TIME_ID, MessagePlan, SignalPlan
 from ingest.codec import Decoded, FrameCounts, MessageValues
-from ingest.derivative import REACH, clipped_reach, derivative_with_gaps
 from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from ingest.own_bus.bus import CanopenClock, OwnBus, OwnNode, SignalBits, SignalReference, StateReference
+from ingest.units import REACH, clipped_reach, derivative_with_gaps
 
 PHASE_REACH_NS = 1_000_000_000
 """Stamps this near give the phase of the reference message; less than the reach of TIME, which joins recordings."""

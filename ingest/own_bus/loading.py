@@ -56,9 +56,7 @@ LARGEST_POSITION_COUNT = 1.0  # m
 def load_own_bus(path: Path) -> OwnBus:
     """Read a mapping file and the DBC file beside it.
 
-    Raises:
-        CatalogueError: A file cannot be read, or a signal is missing, in another unit, too coarse, multiplexed
-            otherwise, or of a form that is not read; names file, line and field.
+    Raises CatalogueError, with file, line and field, where a signal cannot be read or cannot measure what it is to.
     """
     toml = read_toml(path, CatalogueError)
     mapping = toml.parse(MappingFile)
@@ -80,12 +78,18 @@ def load_own_bus(path: Path) -> OwnBus:
         clock = CanopenClock(*(found["clock", name] for name in ("counter", "milliseconds", "days")))
     else:
         clock = StampClock(builder.identifier(str(mapping.clock.reference), ("clock", "reference")))
+    multiplexers = {
+        _identifier(message): tuple(
+            sorted({int(v) for signal in message.signals for v in signal.multiplexer_ids or []})
+        )
+        for message in database.messages
+    }
     return OwnBus(
         messages=MappingProxyType({key: message.plan for key, message in builder.messages.items()}),
         sample_interval_ns=round(1e9 / mapping.clock.rate_hz),
         own=MappingProxyType(builder.messages),
         lengths=MappingProxyType({_identifier(message): message.length for message in database.messages}),
-        multiplexers=MappingProxyType({_identifier(message): _values(message) for message in database.messages}),
+        multiplexers=MappingProxyType(multiplexers),
         clock=clock,
         vehicle=vehicle,
         nodes=nodes,
@@ -235,10 +239,6 @@ class _Builder:
 
 def _identifier(message: Any) -> int:  # noqa: ANN401 - cantools is untyped
     return int(message.frame_id) | (EXTENDED_FLAG if message.is_extended_frame else 0)
-
-
-def _values(message: Any) -> tuple[int, ...]:  # noqa: ANN401 - cantools is untyped
-    return tuple(sorted({int(value) for signal in message.signals for value in signal.multiplexer_ids or []}))
 
 
 def _own_message(message: Any, value: int | None, key: int) -> OwnMessage:  # noqa: ANN401 - cantools is untyped

@@ -70,8 +70,7 @@ def read_measured_profile(path: Path | str, kind: ProfileKind, **options: Unpack
 def measured_profile_of(text: str, file: Path, kind: ProfileKind, **options: Unpack[ProfileOptions]) -> SmoothedProfile:
     """Return the wheel or rail profile that the content of a file describes.
 
-    Args:
-        file: Its name, which decides the format and is in messages; the file need not exist.
+    The name of the file decides the format and is in messages; it need not exist.
     """
     mirror, noise_std = options.get("mirror"), options.get("noise_std")
     if kind == "wheel" and mirror is not None:
@@ -138,11 +137,7 @@ MIN_FLANGE_HEIGHT = 0.015  # m below the tread
 
 
 def read_wheel_profile(path: Path) -> Profile:
-    """Return the wheel profile in a file.
-
-    Args:
-        path: A file in a format of ``read_profile``, two columns in mm; or one of an exported registry.
-    """
+    """Return the wheel profile in a file: in a format of ``read_profile``, or one of an exported registry."""
     if path.suffix.lower() == SUFFIX:
         return _whole(read_stored_profile(path), path)
     return wheel_profile_of(read_text_within(path, PROFILE_BYTES, ProfileError, errors="replace"), path)

@@ -43,8 +43,7 @@ _MEASURED_DEEPER = 3.0  # mm, by which the side is followed deeper that matters 
 def gauge_side_is_positive(y: FloatArray, depth: FloatArray) -> bool | None:
     """Return whether the gauge side of a rail is at positive y; None if its shape does not show it.
 
-    Args:
-        y, depth: (n,) mm, in order of the profile with y increasing on the whole; depth below the crown.
+    The points (n,), mm, are in order of the profile with y increasing on the whole, their depth below the crown.
     """
     crown = int(np.argmin(depth))
     deepest = [float(part.max()) for part in (depth[: crown + 1], depth[crown:])]
@@ -104,6 +103,7 @@ SIGNIFICANT = 6.0  # standard deviations
 _REACH = 2.0  # mm to either side that are extrapolated
 _FEWEST = 4  # points to either side
 _TREAD = (-32.0, 28.0)  # mm from the tread datum: there a wheel has no corner of its own
+_HALF_HEAD, _RUNNING_DEPTH = 25.0, 5.0  # mm from the crown: the running surface of a rail
 _GENTLE = 0.5  # slope up to which a surface is no flank
 
 
@@ -115,7 +115,12 @@ def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind
     their neighbours make no step.
     """
     order = np.argsort(y, kind="stable")
-    order = order[_where(y[order], z[order], kind)]
+    if kind == "wheel":
+        running = (y >= _TREAD[0]) & (y <= _TREAD[1])
+    else:
+        crown = y[order[np.argmin(z[order])]]
+        running = (np.abs(y - crown) < _HALF_HEAD) & (z < _RUNNING_DEPTH)
+    order = order[running[order]]
     if len(order) <= 2 * _FEWEST:
         return
     points = np.column_stack([y[order], z[order]])
@@ -138,13 +143,6 @@ def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind
             line=int(lines[at]),
             field="z",
         )
-
-
-def _where(y: FloatArray, z: FloatArray, kind: ProfileKind) -> IntArray:
-    if kind == "wheel":
-        return np.flatnonzero((y >= _TREAD[0]) & (y <= _TREAD[1]))
-    crown = float(y[np.argmin(z)])
-    return np.flatnonzero((np.abs(y - crown) < 25.0) & (z < 5.0))  # noqa: PLR2004 - mm, the running surface
 
 
 def _continued(y: FloatArray, z: FloatArray, at: float) -> tuple[float, float, float]:

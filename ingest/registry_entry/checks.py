@@ -56,9 +56,7 @@ def unusual_radius(record: RecordName, nominal_radius_m: float) -> list[Contradi
 def unusual_gauge(record: RecordName, nominal_gauge_m: float, contacts_m: Collection[float]) -> list[Contradiction]:
     """Return what is said against a track gauge on which no vehicle that is known runs.
 
-    Args:
-        contacts_m: Distances between the contact points of a wheelset, of the classes of all vehicles, m; none says
-            nothing.
+    ``contacts_m`` are the distances between the contact points of a wheelset of all classes; none says nothing.
     """
     gauge_mm = 1e3 * nominal_gauge_m
     least, most = GAUGE_TO_CONTACTS_MM
@@ -110,10 +108,9 @@ ODOMETER = DistanceRules("the odometer", Rule.ODOMETER_BACKWARDS, Rule.ODOMETER_
 def distance_contradictions(
     entered: DistancePoint, known: Sequence[DistancePoint], rules: DistanceRules
 ) -> list[Contradiction]:
-    """Return where a distance contradicts those that are known: one contradiction a rule, with all others named.
+    """Return where a distance contradicts others of the same wheelset or vehicle.
 
-    Args:
-        known: Of the same wheelset or vehicle, any order; the same record among them is left out.
+    One contradiction a rule, with all others named. The same record among those that are known is left out.
     """
     backwards, jumps = [], []
     for other in known:
@@ -211,8 +208,7 @@ def mileage_point(kind: Kind, wheelset: str, at_ns: int, km: float) -> DistanceP
 def contradictions(unit: SqlUnitOfWork, entered: Entered, now_ns: int | None) -> list[Contradiction]:
     """Return everything that is said against what was entered, which is stored already in this transaction.
 
-    Args:
-        now_ns: Our time; None says nothing about the future.
+    Without our time nothing is said about the future.
     """
     found = [one for name, where in entered.new_codes for one in unusable_code(name, where)]
     found += _sizes(unit, entered)

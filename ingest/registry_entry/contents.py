@@ -89,17 +89,13 @@ class RecordName:
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """What is said against a record.
-
-    Attributes:
-        others: The records and windows that it contradicts; none where it is impossible by itself.
-    """
+    """What is said against a record."""
 
     rule: Rule
     record: RecordName
     field: str
     reason: str
-    others: tuple[RecordName, ...] = ()
+    others: tuple[RecordName, ...] = ()  # that it contradicts; none where it is impossible by itself
 
 
 @dataclass(frozen=True, slots=True)

@@ -146,11 +146,7 @@ _R = TypeVar("_R")
 def enter(
     contents: RegistryContents, unit: SqlUnitOfWork, source: Source, entry: Entry, refusals: Sequence[Refusal] = ()
 ) -> LoadedRegistry:
-    """Store what is entered; return it, and what is estimated again.
-
-    Args:
-        unit: An open transaction; nothing is committed here.
-    """
+    """Store what is entered in an open transaction; return it, and what is estimated again."""
     entering = _Entering(unit, source, entry, list(refusals))
     entering.refusals += [Refusal(error) for error in class_refusals(source, contents, unit.registry)]
     again = entering.store(contents)
@@ -293,13 +289,19 @@ class _Entering:
             was = on_file.get(one.code)
             if was is None or (was.rail_profile, was.nominal_gauge_m) != (one.rail_profile, one.nominal_gauge_m):
                 self.entered.sections.append(one)
-        self._each(Kind.SECTION, contents.alignments, lambda one: _add_alignment(self.unit, one))
+
+        def add_alignment(one: TrackAlignment) -> None:
+            before = tracks.in_force(one.section)
+            if tracks.add_alignment(one) > (0 if before is None else before.version) and before is not None:
+                tracks.forget_positions(one.section)  # found against the replaced one, which may be off by some metres
+                self.unit.windows.estimate_again(one.section)
 
         def add_layout(one: TrackLayout) -> None:
             before = tracks.layout(one.section)
             if tracks.add_layout(one) != (None if before is None else before.version):
                 self.unit.windows.estimate_again(one.section)
 
+        self._each(Kind.SECTION, contents.alignments, add_alignment)
         self._each(Kind.SECTION, contents.layouts, add_layout)
 
 
@@ -309,19 +311,6 @@ def _is_found(look_up: Callable[[str], object], code: str) -> bool:
     except NotFoundError:
         return False
     return True
-
-
-def _add_alignment(unit: SqlUnitOfWork, alignment: TrackAlignment) -> None:
-    """Store an alignment; where it replaces another, queue the windows of the section again.
-
-    Their positions had been found against the replaced one, which may be off by some metres.
-    """
-    tracks = unit.tracks
-    before = tracks.in_force(alignment.section)
-    version = tracks.add_alignment(alignment)
-    if before is not None and version > before.version:
-        tracks.forget_positions(alignment.section)
-        unit.windows.estimate_again(alignment.section)
 
 
 def refuse_contradicted(unit: SqlUnitOfWork, key: RecordKey, now_ns: int) -> None:

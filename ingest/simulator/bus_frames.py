@@ -140,8 +140,7 @@ def vehicle_frames(
 ) -> FrameBatch:
     """Return all frames of the vehicle's bus over a run, in time order.
 
-    Args:
-        records: What the node of each axle measured, by axle; None for a node that has failed.
+    Records are what the node of each axle measured; None of one that has failed.
     """
     interval_ns = catalogue.sample_interval_ns
     if scenario.sensors.rate_hz * interval_ns != 1_000_000_000:  # noqa: PLR2004 - ns in a second
@@ -154,7 +153,11 @@ def vehicle_frames(
     batches = [*_master(catalogue, ticks), *_vehicle_node(catalogue, scenario, run, ticks)]
     connected = list(records)
     if not scenario.sensors.on_mass:
-        connected = [None if record is None else _without_mass(record) for record in connected]
+        others = np.array([name != "mass_lateral_acceleration" for name in ACCELERATIONS])
+        connected = [
+            record and SensorRecord(record.t, np.where(others, record.values, np.nan), record.clipped)
+            for record in connected
+        ]
     if scenario.bus.nodes_swapped:
         for first in range(0, len(connected) - 1, 2):
             connected[first], connected[first + 1] = connected[first + 1], connected[first]
@@ -163,12 +166,6 @@ def vehicle_frames(
     whole = sort_by_time(concatenate(batches))
     keep = _kept(scenario, whole, rng)
     return whole if keep.all() else take(whole, keep)
-
-
-def _without_mass(record: SensorRecord) -> SensorRecord:
-    values, place = record.values.copy(), ACCELERATIONS.index("mass_lateral_acceleration")
-    values[:, place] = np.nan
-    return SensorRecord(record.t, values, record.clipped)
 
 
 def _ticks(catalogue: Catalogue, scenario: Scenario, run: VehicleRun, rng: np.random.Generator) -> _Ticks:

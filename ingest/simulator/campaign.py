@@ -73,8 +73,7 @@ def friction_factor(plan: RunningPlan, seed: int, campaign: int) -> float:
 def with_stretches(track: TrackTruth, plan: RunningPlan, campaign: int, mean_friction: float) -> TrackTruth:
     """Return the track of one campaign: with the stretches of another friction that there are by then.
 
-    Args:
-        mean_friction: What the friction of the track is over, in that campaign.
+    The friction of the track is over ``mean_friction``.
     """
     there = [one for one in plan.stretches if campaign + 1 >= one.from_campaign]
     if not there:

@@ -17,14 +17,21 @@ from scipy.interpolate import CubicSpline
 
 from estimation.errors import ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray
-from ingest.bus import send
 from ingest.catalogue import default_catalogue
 from ingest.frames import FrameBatch
+from ingest.live.listening import send
 from ingest.logs.blf_layout import write_blf
-from ingest.simulator.axle_motion import DerailmentError, axle_motions, contact_of, together, true_geometry
+from ingest.simulator.axle_motion import (
+    DerailmentError,
+    GeometryTruth,
+    axle_motions,
+    contact_of,
+    together,
+    true_geometry,
+    wear_at,
+)
 from ingest.simulator.bus_frames import vehicle_frames
 from ingest.simulator.campaign import (
-    VehicleRun,
     as_measured,
     failed,
     length_ahead,
@@ -36,12 +43,10 @@ from ingest.simulator.campaign import (
     with_margins,
 )
 from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less_wear
-from ingest.simulator.motion import WheelsetMotion
 from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, generator, seed_of
 from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, write_registry, write_truth
 from ingest.simulator.track import TrackTruth, from_zero, make_track, read_track
-from ingest.simulator.wear import GeometryTruth, WornContact, wear_at
 
 LEAST_SHARE = 0.9  # of the section that the survey of another one must cover
 
@@ -144,11 +149,9 @@ def run_fleet(
 ) -> FleetReport:
     """Simulate ``scenario`` into ``out``: recordings per vehicle and campaign, ``registry.json``, ``truth.json``.
 
-    Args:
-        scenario: What to simulate; the same scenario gives the same bytes, however many workers there are.
-        out: Folder, made where missing; recordings are ``<vehicle>/<vehicle>__<start, UTC>.blf``.
-        vehicles: Codes of the vehicles to simulate; all by default. The registry always names all.
-        workers: Processes; by default as many as cores, at most the recordings. With 1 everything runs in this process.
+    Recordings are ``<vehicle>/<vehicle>__<start, UTC>.blf``; the same scenario gives the same bytes, however many
+    workers there are (by default as many as cores, at most the recordings; 1 is this process). The registry names all
+    vehicles, also where only some are simulated.
     """
     chosen = [scenario.vehicle(code) for code in vehicles] if vehicles is not None else list(scenario.vehicles)
     track = scenario_track(scenario)
@@ -177,8 +180,7 @@ def prepare(scenario: Scenario, out: Path) -> Path:
     return write_registry(out, scenario, track, surveyed(scenario, track))
 
 
-Campaigns = tuple[int, ...]
-"""Campaigns (from 0) of one vehicle that are simulated together."""
+Campaigns = tuple[int, ...]  # campaigns (from 0) of one vehicle that are simulated together
 
 
 def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campaigns: Campaigns) -> list[Recording]:
@@ -232,10 +234,10 @@ def _group_on_the_rails(
 
 
 def _group(
-    scenario: Scenario, track: TrackTruth, vehicle: str, group: tuple[int, ...], campaigns: Campaigns
+    scenario: Scenario, track: TrackTruth, code: str, group: tuple[int, ...], campaigns: Campaigns
 ) -> list[_Axle]:
     """Return what the nodes of wheelsets that move together measure in every campaign, and their geometry at first."""
-    plan = scenario.vehicle(vehicle)
+    plan = scenario.vehicle(code)
     wheelsets = [plan.wheelsets[axle] for axle in group]
     contacts = [contact_of(scenario, track, wheelset, scenario.odometer(campaigns[0])) for wheelset in wheelsets]
     records: list[dict[int, SensorRecord | None]] = [{} for _ in group]
@@ -246,26 +248,20 @@ def _group(
         if not any(working):
             continue
         run = vehicle_run(scenario, track, plan, campaign)
-        motions = _motions(scenario, track, run, group, contacts)
+        back = runs_rear_first(scenario, campaign)
+        if back:
+            seen, vehicle = seen_from_ahead(scenario, plan)
+            ahead = replace(run, vehicle=vehicle, distance=run.distance + length_ahead(plan))
+            places = tuple(len(vehicle.wheelsets) - 1 - axle for axle in reversed(group))
+            motions = axle_motions(seen, track, ahead, places, [None] * len(places))[::-1]
+        else:
+            motions = axle_motions(scenario, track, run, group, [contact.table for contact in contacts])
         for found, axle, motion, works in zip(records, group, motions, working, strict=True):
             if works:
                 record = wheelset_record(scenario, run, axle, motion)
-                back = runs_rear_first(scenario, campaign)
                 found[campaign] = replace(record, values=as_measured(record.values)) if back else record
     truths = (true_geometry(scenario, *pair) for pair in zip(wheelsets, contacts, strict=True))
     return [_Axle(*pair) for pair in zip(records, truths, strict=True)]
-
-
-def _motions(
-    scenario: Scenario, track: TrackTruth, run: VehicleRun, group: tuple[int, ...], contacts: Sequence[WornContact]
-) -> Sequence[WheelsetMotion]:
-    if not runs_rear_first(scenario, run.campaign):
-        return axle_motions(scenario, track, run, group, [contact.table for contact in contacts])
-    seen, vehicle = seen_from_ahead(scenario, run.vehicle)
-    ahead = replace(run, vehicle=vehicle, distance=run.distance + length_ahead(run.vehicle))
-    last = len(vehicle.wheelsets) - 1
-    places = tuple(last - axle for axle in reversed(group))
-    return axle_motions(seen, track, ahead, places, [None] * len(places))[::-1]
 
 
 def _campaign(
@@ -345,10 +341,7 @@ def transmit(
 
     The kilometres between campaigns are not waited for: the vehicle's clock and odometer jump. With ``speed_up`` the
     frames come faster than by the vehicle's clock. A receiver refuses that, because its signal catalogue contains the
-    rate of SYNC.
-
-    Args:
-        progress: Called with (campaign from 1, frames sent so far) before each campaign.
+    rate of SYNC. ``progress`` is called with (campaign from 1, frames sent so far) before each campaign.
     """
     if not speed_up > 0.0:
         raise ParameterError(f"{speed_up} is not positive", field="speed_up")
@@ -359,14 +352,10 @@ def transmit(
         if progress is not None:
             progress(campaign + 1, sent)
         batch, _ = simulate_campaign(scenario, track, plan, campaign)
-        sent += send(bus, _scaled_time(batch, speed_up), stop=ended)
+        if speed_up != 1.0 and len(batch):
+            since = (batch.t_ns - batch.t_ns[0]) / speed_up
+            batch = replace(batch, t_ns=batch.t_ns[0] + since.astype(batch.t_ns.dtype))
+        sent += send(bus, batch, stop=ended)
         if ended.is_set():
             break
     return sent
-
-
-def _scaled_time(batch: FrameBatch, speed_up: float) -> FrameBatch:
-    if speed_up == 1.0 or len(batch) == 0:
-        return batch
-    first = batch.t_ns[0]
-    return replace(batch, t_ns=first + ((batch.t_ns - first) / speed_up).astype(batch.t_ns.dtype))

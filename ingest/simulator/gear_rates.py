@@ -1,6 +1,6 @@
 """Motion of a running gear: one or two wheelsets, the frame above them and what that carries, compiled.
 
-The wheelsets obey Eq. 1 and 2 of ``estimation.vehicle.equations_of_motion``, written for each wheel; with i = 1 at
+The wheelsets obey Eq. 1 and 2 of ``estimation.vehicle.regressors``, written for each wheel; with i = 1 at
 x_i = +a and i = 2 at -a (a half the wheelbase), frame (y_f, psi_f), body y_b and the curved path of ``gear_path``
 
     F_i = ky (y_f + x_i psi_f - y_i - o_i) + fy (their rates)             on wheelset i instead of Fsy
@@ -31,9 +31,18 @@ from typing import NamedTuple
 import numpy as np
 
 from estimation.values.arrays import FloatArray, IntArray
-from estimation.vehicle.equations_of_motion import GRAVITY
-from ingest.simulator.creep_laws import CreepConstants, share_of_linear
-from ingest.simulator.rates import OUTPUTS, STANDSTILL, Constants, Grid, advance, look_up, stepped, track_at
+from estimation.vehicle.vehicle_class import GRAVITY
+from ingest.simulator.rates import (
+    OUTPUTS,
+    STANDSTILL,
+    Constants,
+    Grid,
+    look_up,
+    runge_kutta,
+    stepped,
+    track_at,
+)
+from ingest.simulator.running import CreepConstants, share_of_linear
 
 AXLE_STATES = 5  # y, y', psi, psi', u of each wheelset
 FRAME, BODY = 10, 14  # first state of the frame (y, y', psi, psi') and of the body (y, y')
@@ -182,11 +191,7 @@ def gear_rates(
 
 @stepped
 def suspended(c: Constants, x: float, path: FloatArray, axle: FloatArray, state: FloatArray) -> tuple[float, float]:
-    """Return lateral force (N) and yaw moment (N m) of the suspension on a wheelset.
-
-    Args:
-        x: Place of the axle ahead of the middle of the frame, m.
-    """
+    """Return force (N) and yaw moment (N m) of the suspension on a wheelset ``x`` m ahead of the frame's middle."""
     deflection = state[FRAME] + x * state[FRAME + 2] - axle[0] - path[3]
     rate = state[FRAME + 1] + x * state[FRAME + 3] - axle[1] - path[4]
     turned, turning = axle[2] + path[5] - state[FRAME + 2], axle[3] + path[6] - state[FRAME + 3]
@@ -314,39 +319,7 @@ def integrate_gear(
             v, s = speed[i] + slope * t, distance[i] + (speed[i] + 0.5 * slope * t) * t
             if part > 0:
                 gear_rates(gear, known, v, slope, s, forced, state, stages[0])
-            gear_step(gear, known, v, slope, s, h, forced, rise, state, stages)
-
-
-@stepped
-def gear_step(
-    gear: GearOnTrack,
-    known: GearWorkspace,
-    speed: float,
-    slope: float,
-    s: float,
-    h: float,
-    path: FloatArray,
-    rise: FloatArray,
-    state: FloatArray,
-    stages: FloatArray,
-) -> None:
-    """Advance the state by one step of the classical Runge-Kutta method of 4th order.
-
-    ``path`` rises by ``rise`` in half a step. The first row of ``stages`` (5, 16) holds the rates at the beginning.
-    """
-    k1, k2, k3, k4, trial = stages[0], stages[1], stages[2], stages[3], stages[4]
-    middle, after = speed + 0.5 * slope * h, speed + slope * h
-    s_middle, s_after = s + 0.25 * h * (speed + middle), s + 0.5 * h * (speed + after)
-    path += rise
-    advance(state, 0.5 * h, k1, trial)
-    gear_rates(gear, known, middle, slope, s_middle, path, trial, k2)
-    advance(state, 0.5 * h, k2, trial)
-    gear_rates(gear, known, middle, slope, s_middle, path, trial, k3)
-    path += rise
-    advance(state, h, k3, trial)
-    gear_rates(gear, known, after, slope, s_after, path, trial, k4)
-    for k in range(GEAR_STATES):
-        state[k] += h / 6.0 * (k1[k] + 2.0 * k2[k] + 2.0 * k3[k] + k4[k])
+            runge_kutta(gear_rates, gear, known, v, slope, s, h, forced, rise, state, stages)
 
 
 @stepped

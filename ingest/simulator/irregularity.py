@@ -66,10 +66,6 @@ def synthesise(
 
     Every wavenumber line inside the band carries the amplitude of the density and a random phase. The mean is
     removed and the standard deviation set on the stretch that is returned.
-
-    Raises:
-        ParameterError: The band is empty or not resolved by ``interval``, or the stretch is shorter than the longest
-            wavelength.
     """
     _band(wavelengths)
     if wavelengths[0] < 4.0 * interval:
@@ -87,8 +83,7 @@ def synthesise(
 def period_of(count: int, longest: float, interval: float) -> int:
     """Return how many points a periodic irregularity has of which ``count`` points are used.
 
-    Args:
-        longest: Longest wavelength, m: that much is left over, so that begin and end do not follow each other.
+    The longest wavelength, m, is left over, so that begin and end do not follow each other.
     """
     return int(scipy.fft.next_fast_len(count + round(longest / interval), real=True))
 

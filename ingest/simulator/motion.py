@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
+from estimation.contact.geometry import ContactTable
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
-from estimation.vehicle.equations_of_motion import VehicleParameters, creep_rate
+from estimation.vehicle.regressors import creep_rate
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.rates import (
     FORCED,
     LOOKED_UP,
@@ -30,25 +31,6 @@ STEP = 1e-3  # s
 RATE_LIMIT = 1.0  # creep rate x sub-step; Runge-Kutta of 4th order is stable to 2.78
 MINIMUM_SPEED = 0.5  # m/s, of scenarios that do not stop
 _MINIMUM_NODES = 3
-
-
-class ContactGeometryTable(Protocol):
-    """What the simulator needs of a contact table: uniform grids in m, arrays (n, g) in m and rad."""
-
-    @property
-    def lateral_displacement(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - the class docstring says it
-    @property
-    def gauge_deviation(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
-    @property
-    def rolling_radius_left(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
-    @property
-    def rolling_radius_right(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
-    @property
-    def contact_angle_left(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
-    @property
-    def contact_angle_right(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
-    @property
-    def roll(self) -> npt.NDArray[np.float64]: ...  # noqa: D102 - as above
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +90,7 @@ class PreparedTable:
     e_step: float
 
     @staticmethod
-    def of(table: ContactGeometryTable) -> PreparedTable:
+    def of(table: ContactTable) -> PreparedTable:
         """Lay out ``table``, with the slopes of roll at its nodes."""
         x, e = table.lateral_displacement, table.gauge_deviation
         x_step, e_step = uniform_spacing(x), uniform_spacing(e)
@@ -140,7 +122,7 @@ class PreparedTable:
 
 def simulate_wheelset(
     parameters: VehicleParameters,
-    table: ContactGeometryTable | PreparedTable,
+    table: ContactTable | PreparedTable,
     track: TrackTruth,
     speed: FloatArray,
     start: float,
@@ -158,22 +140,21 @@ def simulate_wheelset(
     distance = course(track, speed, start)
     coefficients = track.spline_coefficients()
     state = _start(coefficients, track, start, float(speed[0])) if initial is None else np.array(initial, np.float64)
-    path = None
+    forced, sensed = np.zeros((len(speed), FORCED)), None
     if track.curves is not None:
-        path = path_motion(parameters, track.curves, track.s, distance, speed, STEP)
+        forced, sensed = path_motion(parameters, track.curves, track.s, distance, speed, STEP)
     out = np.empty((len(OUTPUTS), len(speed)))
     outside = integrate(
         WheelsetOnTrack(constants(parameters), prepared.nodes, coefficients, prepared.grid(track)),
         speed,
         distance,
-        path.forced if path is not None else np.zeros((len(speed), FORCED)),
+        forced,
         STEP,
         sub_steps(speed, STEP, creep_rate(parameters, 1.0), RATE_LIMIT),
         state,
         out,
     )
     out.flags.writeable = False
-    sensed = None if path is None else path.accelerations
     return motion_of(out, speed, distance, outside=int(outside), path_accelerations=sensed)
 
 

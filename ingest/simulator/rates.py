@@ -13,8 +13,8 @@ is the distance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -119,12 +119,13 @@ def derivatives(
     w: WheelsetOnTrack,
     known: Workspace,
     speed: float,
+    _slope: float,
     s: float,
-    state: FloatArray,
     forced: FloatArray,
+    state: FloatArray,
     rates: FloatArray,
-) -> bool:
-    """Write the time derivative of ``state`` into ``rates``, and into ``known``; return whether y - d is in the table.
+) -> int:
+    """Write the time derivative of ``state`` into ``rates``; return 1 where y - d is outside the table, else 0.
 
     ``forced`` is added to the accelerations.
     """
@@ -140,7 +141,7 @@ def derivatives(
         rates[1] += forced[0]
         rates[3] += forced[1]
     rates[5] += forced[2]
-    return inside
+    return int(not inside)
 
 
 @stepped
@@ -209,36 +210,43 @@ def advance(state: FloatArray, h: float, rates: FloatArray, out: FloatArray) -> 
         out[k] = state[k] + h * rates[k]
 
 
+System = TypeVar("System", bound=tuple[Any, ...])
+Known = TypeVar("Known", bound=tuple[Any, ...])
+Rates = Callable[[System, Known, float, float, float, FloatArray, FloatArray, FloatArray], int]
+"""Writes the time derivative of a state, given last but one, into the last array; says what left its table."""
+
+
 @stepped
 def runge_kutta(
-    w: WheelsetOnTrack,
-    known: Workspace,
+    rates_of: Rates[System, Known],
+    system: System,
+    known: Known,
     speed: float,
     slope: float,
     s: float,
     h: float,
-    state: FloatArray,
     forced: FloatArray,
-    forced_slope: FloatArray,
+    rise: FloatArray,
+    state: FloatArray,
     stages: FloatArray,
 ) -> None:
     """Advance the state by one step of the classical Runge-Kutta method of 4th order.
 
-    Speed rises by ``slope``, what is ``forced`` by ``forced_slope``; ``forced`` is left as it is at the end. The first
-    row of ``stages`` (5, 6) holds the rates at the beginning.
+    Speed rises by ``slope``, what is ``forced`` by ``rise`` in half a step; ``forced`` is left as it is at the end. The
+    first row of ``stages`` (5, of the state) holds the rates at the beginning.
     """
     k1, k2, k3, k4, trial = stages[0], stages[1], stages[2], stages[3], stages[4]
     middle, after = speed + 0.5 * slope * h, speed + slope * h
     s_middle, s_after = s + 0.25 * h * (speed + middle), s + 0.5 * h * (speed + after)
-    forced += 0.5 * h * forced_slope
+    forced += rise
     advance(state, 0.5 * h, k1, trial)
-    derivatives(w, known, middle, s_middle, trial, forced, k2)
+    rates_of(system, known, middle, slope, s_middle, forced, trial, k2)
     advance(state, 0.5 * h, k2, trial)
-    derivatives(w, known, middle, s_middle, trial, forced, k3)
-    forced += 0.5 * h * forced_slope
+    rates_of(system, known, middle, slope, s_middle, forced, trial, k3)
+    forced += rise
     advance(state, h, k3, trial)
-    derivatives(w, known, after, s_after, trial, forced, k4)
-    for k in range(STATES):
+    rates_of(system, known, after, slope, s_after, forced, trial, k4)
+    for k in range(len(state)):
         state[k] += h / 6.0 * (k1[k] + 2.0 * k2[k] + 2.0 * k3[k] + k4[k])
 
 
@@ -267,19 +275,18 @@ def integrate(
         if speed[i] < STANDSTILL:
             state[1] = state[3] = 0.0
         forced[:] = path[i]
-        if not derivatives(w, known, speed[i], distance[i], state, forced, stages[0]):
-            outside += 1
+        outside += derivatives(w, known, speed[i], 0.0, distance[i], forced, state, stages[0])
         write_sample(state, stages[0], known, out, i)
         if i == len(speed) - 1:
             break
         slope, h = (speed[i + 1] - speed[i]) / step, step / parts[i]
-        rise = (path[i + 1] - path[i]) / step
+        rise = 0.5 * h * ((path[i + 1] - path[i]) / step)
         for part in range(parts[i]):
             t = part * h
             v, s = speed[i] + slope * t, distance[i] + (speed[i] + 0.5 * slope * t) * t
             if part > 0:
-                derivatives(w, known, v, s, state, forced, stages[0])
-            runge_kutta(w, known, v, slope, s, h, state, forced, rise, stages)
+                derivatives(w, known, v, slope, s, forced, state, stages[0])
+            runge_kutta(derivatives, w, known, v, slope, s, h, forced, rise, state, stages)
     return outside
 
 

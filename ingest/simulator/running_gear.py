@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from estimation.contact.geometry import ContactTable
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters, creep_rate
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
-from ingest.simulator.creep_laws import Creep, CreepLaw
+from estimation.vehicle.regressors import creep_rate
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, GRAVITY, BogieParameters, VehicleParameters
 from ingest.simulator.gear_rates import (
     AXLE_PATH,
     AXLE_STATES,
@@ -30,7 +30,6 @@ from ingest.simulator.gear_rates import (
 from ingest.simulator.motion import (
     RATE_LIMIT,
     STEP,
-    ContactGeometryTable,
     PreparedTable,
     WheelsetMotion,
     constants,
@@ -38,6 +37,7 @@ from ingest.simulator.motion import (
     motion_of,
 )
 from ingest.simulator.rates import OUTPUTS, STANDSTILL, sub_steps
+from ingest.simulator.running import Creep, CreepLaw
 from ingest.simulator.track import Curves, TrackTruth
 
 
@@ -193,7 +193,7 @@ def _on_track(gear: RunningGear, tables: Sequence[PreparedTable], track: TrackTr
 
 def simulate_gear(
     gear: RunningGear,
-    tables: Sequence[ContactGeometryTable | PreparedTable],
+    tables: Sequence[ContactTable | PreparedTable],
     track: TrackTruth,
     speed: FloatArray,
     start: float,
@@ -202,12 +202,8 @@ def simulate_gear(
 ) -> tuple[WheelsetMotion, ...]:
     """Run a running gear along ``track``, its first axle from distance ``start`` (m); return the motion of each axle.
 
-    As ``ingest.simulator.motion.simulate_wheelset``. The mass that a node measures is in a bogie the frame above its
-    axle: y_f + x_i psi_f.
-
-    Args:
-        initial: (16,) states at the first sample in the order of ``gear_rates``; None to start at rest relative to the
-            track.
+    As ``ingest.simulator.motion.simulate_wheelset``, with ``initial`` (16,) in the order of ``gear_rates``. The mass
+    that a node measures is in a bogie the frame above its axle: y_f + x_i psi_f.
     """
     if len(tables) != gear.axles:
         raise ParameterError(f"{len(tables)} for {gear.axles} wheelsets", field="tables")

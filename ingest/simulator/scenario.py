@@ -15,8 +15,7 @@ from annotated_types import Interval
 
 from estimation.errors import ScenarioError
 from estimation.values.fields import KM, M_S, M_S2, MINUTES, MS, PERCENT, US, FileUnit, Key, M, S
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass, VehicleParameters
 from ingest.file_value import Counted, between, written
 from ingest.input_file import NotNegative, Positive, field_error
 from ingest.simulator.drawn_plan import DrawnFleet

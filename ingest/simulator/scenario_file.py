@@ -20,12 +20,11 @@ from estimation.errors import ProfileError, ScenarioError
 from estimation.values.fields import MM
 from ingest.file_value import As, FileBeside, between, read_value, taken
 from ingest.input_file import Location, Text, field_error, read_toml
+from ingest.simulator.axle_motion import DAYS_PER_YEAR, rail_in, wheel_in
 from ingest.simulator.campaign import MARGIN
-from ingest.simulator.creep_laws import Creep
-from ingest.simulator.drawn_fleet import drawn_serial, with_seed
+from ingest.simulator.drawn_fleet import DynamicsTable, VehicleTable, drawn_serial, impossible_bogies, with_seed
 from ingest.simulator.drawn_plan import DrawnFleet
-from ingest.simulator.listed_fleet import DynamicsTable, VehicleTable, impossible_bogies
-from ingest.simulator.running import CreepTable, RunningPlan, TractionTable, WheelsTable
+from ingest.simulator.running import Creep, CreepTable, RunningPlan, TractionTable, WheelsTable
 from ingest.simulator.scenario import (
     BusPlan,
     ClassOnFile,
@@ -37,7 +36,6 @@ from ingest.simulator.scenario import (
 )
 from ingest.simulator.section import RailFiles, SectionTable
 from ingest.simulator.sensors import SensorNode, SensorsTable
-from ingest.simulator.wear import DAYS_PER_YEAR, rail_in, wheel_in
 from ingest.vehicle_class_schema import read_vehicle_class, shipped_classes, shipped_path
 
 

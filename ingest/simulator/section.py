@@ -23,8 +23,7 @@ from ingest.simulator.track import TrackRecipe
 MGT_OF_GROWTH = 100.0  # million gross tonnes, by which growth of rail wear is given
 LEAST_RUN = 5.0  # of an inclination 1 in so many
 
-SideFiles = tuple[Path | None, Path | None]
-"""Files of the left and of the right profile; None: the built-in one."""
+SideFiles = tuple[Path | None, Path | None]  # files of the left and of the right profile; None: the built-in one
 
 SideMirrors = tuple[bool | None, bool | None]
 """Of left and right rail: whether the gauge side is at positive y of the file; None: the shape shows it."""

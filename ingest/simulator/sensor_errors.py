@@ -14,7 +14,7 @@ import scipy.signal
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, FrozenArrays
-from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.vehicle_class import GRAVITY
 
 AXES = 3  # x forward, y left, z up; rotations about them: roll, pitch, yaw
 CHANNELS = 4
@@ -86,9 +86,7 @@ def draw_node_errors(plan: SensorErrors, node: np.random.Generator, campaign: np
 def turned_axes(angles: FloatArray) -> FloatArray:
     """Return the matrix (3, 3) that gives a vector of the vehicle in the axes of a sensor.
 
-    Args:
-        angles: (3,) rad by which the sensor is turned about z, then about its own y, then about its own x; given as x,
-            y, z.
+    Angles (3,), rad: it is turned about z, then about its own y, then about its own x; given as x, y, z.
     """
     (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, sx], [0.0, -sx, cx]])
@@ -100,11 +98,8 @@ def turned_axes(angles: FloatArray) -> FloatArray:
 def in_sensor_axes(true: FloatArray, longitudinal: FloatArray, errors: NodeErrors, *, gravity: bool) -> FloatArray:
     """Return the signals (4, n) of transducers that are turned against the axes of the vehicle.
 
-    The spin of the wheels does not reach an axle box: its pitch is zero.
-
-    Args:
-        true: (4, n) in the axes of the vehicle, in the order of ``ACCELERATIONS``.
-        gravity: Whether the transducers measure it: 9.81 m/s^2 upwards at rest.
+    The spin of the wheels does not reach an axle box: its pitch is zero. Transducers may measure gravity: 9.81 m/s^2
+    upwards at rest.
     """
     lateral, yaw, roll, mass = true
     upwards = GRAVITY if gravity else 0.0
@@ -120,10 +115,9 @@ def in_sensor_axes(true: FloatArray, longitudinal: FloatArray, errors: NodeError
 
 
 def sampled_late(signals: FloatArray, skew: float, step: float) -> FloatArray:
-    """Return signals (m, n) as a node sees them that samples ``skew`` s late; linear between samples, ends held.
+    """Return signals (m, n) as a node sees them that samples ``skew`` s late, early where that is negative.
 
-    Args:
-        skew: s; negative for a node that samples early.
+    Linear between samples, ends held.
     """
     at = np.arange(signals.shape[1], dtype=np.float64)
     return np.stack([np.interp(at + skew / step, at, signal) for signal in signals])

@@ -22,9 +22,9 @@ from estimation.errors import ParameterError
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.fields import MS, PERCENT, FileUnit, Key
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.vehicle_class import GRAVITY
 from ingest.file_value import between
-from ingest.input_file import NotNegative, Positive, Text, field_error
+from ingest.input_file import NotNegative, Positive, Text, field_error, refusing
 from ingest.simulator.motion import STEP, WheelsetMotion
 from ingest.simulator.rates import time_derivative
 from ingest.simulator.sensor_errors import (
@@ -224,10 +224,7 @@ Drift = Annotated[NotNegative, FileUnit("_ug_per_root_s", MICRO_G)]
 RAD_S2 = FileUnit("_rad_s2")
 
 
-def _divides_full_rate(rate: int) -> int:
-    if FULL_RATE_HZ % rate:
-        raise field_error(f"{rate} Hz does not divide {FULL_RATE_HZ} Hz")
-    return rate
+_DIVIDES = refusing(lambda rate: FULL_RATE_HZ % rate, f"{{value}} Hz does not divide {FULL_RATE_HZ} Hz")
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,7 +232,7 @@ class SensorsTable:
     """``[sensors]``."""
 
     kind: Text = "mems"
-    rate_hz: Annotated[int, between(1, FULL_RATE_HZ), AfterValidator(_divides_full_rate)] = 250
+    rate_hz: Annotated[int, between(1, FULL_RATE_HZ), _DIVIDES] = 250
     anti_alias: bool = True
     lateral_noise: Noise = MICRO_G * 100.0
     lateral_offset: Annotated[NotNegative, MG] = 1e3 * MICRO_G * 20.0

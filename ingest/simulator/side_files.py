@@ -20,12 +20,12 @@ from estimation.values.fields import JsonValue
 from estimation.values.reasons import utc_text
 from estimation.values.registry import Mounting, Reprofiling
 from ingest.file_value import entry_of
+from ingest.simulator.axle_motion import GeometryTruth, WearState, wear_at, worn_profiles
 from ingest.simulator.campaign import failed
 from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
 from ingest.simulator.section import SectionPlan
 from ingest.simulator.sensors import Channel
 from ingest.simulator.track import TrackTruth, write_track
-from ingest.simulator.wear import GeometryTruth, WearState, wear_at, worn_profiles
 from ingest.vehicle_class_schema import class_tables
 
 

@@ -9,15 +9,14 @@ from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import AfterValidator
 from scipy.interpolate import CubicSpline
 
 from estimation.errors import InputError, ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray, FrozenArrays, freeze
 from estimation.values.fields import MM, Key, M
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
+from estimation.vehicle.vehicle_class import GRAVITY, VehicleParameters
 from ingest.file_value import As, Inline, between
-from ingest.input_file import NotNegative, Positive, field_error
+from ingest.input_file import NotNegative, Positive, field_error, refusing
 from ingest.simulator.irregularity import (
     GAUSSIAN,
     HIGHEST,
@@ -43,12 +42,10 @@ ROUNDING = 6.0  # m over which the ends of transitions are rounded: no track has
 
 
 MIN_CURVE_RADIUS = 150.0  # m
-
-
-def _curve_radius(radius: float) -> float:
-    if abs(radius) < MIN_CURVE_RADIUS:
-        raise field_error(f"{radius:g} m is no radius; at least {MIN_CURVE_RADIUS:g} m, negative to the right")
-    return radius
+_IS_RADIUS = refusing(
+    lambda radius: abs(radius) < MIN_CURVE_RADIUS,
+    f"{{value:g}} m is no radius; at least {MIN_CURVE_RADIUS:g} m, negative to the right",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +54,7 @@ class Curve:
 
     start: Annotated[NotNegative, M]
     length: Annotated[Positive, M]  # with both transitions
-    radius: Annotated[float, between(-1e6, 1e6), AfterValidator(_curve_radius), M]
+    radius: Annotated[float, between(-1e6, 1e6), _IS_RADIUS, M]
     cant: Annotated[float, between(-200.0, 200.0), MM] = 0.0
     transition: Annotated[Positive, M] = 80.0
 
@@ -80,14 +77,6 @@ class Curves(FrozenArrays):
     cant: Annotated[FloatArray, "n"]  # m, right rail above the left one
 
 
-@dataclass(frozen=True, slots=True)
-class PathMotion:
-    """What the path does to a wheelset that follows it."""
-
-    forced: FloatArray  # (n, 3) added to y'', psi'', ym''
-    accelerations: FloatArray  # (4, n) what sensors measure beside the motion, in the order of ACCELERATIONS
-
-
 def laid_out(curves: Sequence[Curve], s: FloatArray) -> Curves:
     """Return the curves on the grid ``s`` (n,), m; linear transitions with rounded ends."""
     shape = np.zeros((2, len(s)))
@@ -103,12 +92,11 @@ def laid_out(curves: Sequence[Curve], s: FloatArray) -> Curves:
 
 def path_motion(
     p: VehicleParameters, curves: Curves, s: FloatArray, distance: FloatArray, speed: FloatArray, step: float
-) -> PathMotion:
+) -> tuple[FloatArray, FloatArray]:
     """Return the accelerations that curved track forces on a wheelset, and those that its sensors measure of the path.
 
-    Args:
-        curves: Curvature (m,), 1/m, and cant (m,), m, on the grid ``s``.
-        s: (m,) m along the section.
+    The former (n, 3) are added to y'', psi'' and ym'', the latter are (4, n) in the order of ``ACCELERATIONS``. Curves
+    are on the grid ``s`` (m,), m along the section.
     """
     curvature = np.interp(distance, s, curves.curvature)
     tilt = np.interp(distance, s, curves.cant) / (2.0 * p.half_contact_distance)
@@ -119,10 +107,8 @@ def path_motion(
     creep = 2.0 * (p.half_contact_distance**2 * p.longitudinal_creep_coefficient + p.spin_creep_coefficient)
     gyroscopic = p.pitch_inertia * speed / p.nominal_radius * tilt_rate
     yaw = -turning - (creep * curvature - gyroscopic) / p.yaw_inertia  # the right rail above: it rolls by -tilt
-    return PathMotion(
-        forced=np.ascontiguousarray(np.column_stack([-uncompensated - spin, yaw, -uncompensated])),
-        accelerations=np.stack([uncompensated, turning, -np.gradient(tilt_rate, step), uncompensated]),
-    )
+    forced = np.ascontiguousarray(np.column_stack([-uncompensated - spin, yaw, -uncompensated]))
+    return forced, np.stack([uncompensated, turning, -np.gradient(tilt_rate, step), uncompensated])
 
 
 LARGEST_GAP = 2.0  # m between two rows of a recorded track
@@ -275,11 +261,7 @@ def read_track(path: Path, interval: float | None = None) -> TrackTruth:
     """Read a recorded track (CSV with header ``s_m, alignment_mm, gauge_deviation_mm``, and curves where it has them).
 
     Distances must increase; uneven spacing is resampled by cubic spline every ``interval`` m (the median spacing
-    by default).
-
-    Raises:
-        ScenarioError: The file cannot be read, a column is missing, a cell is not a finite number, more than 2 m are
-            missing, or values are in another unit; names file, line and column.
+    by default). Gaps of more than 2 m and values in another unit are refused.
     """
     try:
         table = read_track_columns(path)

@@ -20,12 +20,12 @@ from estimation.values.runs import Quarantined, SubjectKind, after_failure, firs
 from fleet_db.raw import LostRecordingError, RawStore, check_raw_store
 from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.held import release
 from ingest.intake.backlog import BacklogWatch, Behind, DecodedChunks, Limit
-from ingest.live.backoff import Backoff
+from ingest.live.status import Backoff
+from ingest.reassembly import release
 from ingest.receipts import Chunk, DeletedRecordings, enter_receipt
-from ingest.topic.reading import Received, TopicReader
-from ingest.topic.reference import ConsumerStatus, Outcome, Reference, Refused, as_text, from_text, read_message
+from ingest.topic.client import ConsumerStatus, Outcome, Received, TopicReader
+from ingest.topic.references import Reference, Refused, as_text, from_text, read_message
 
 STAGE = "consume"
 MOST_ATTEMPTS = 30
@@ -95,10 +95,8 @@ class ReferenceTaking:
     def take(self, reference: Reference) -> Taken | Behind:
         """Make sure that there is a receipt, and return what was found; or the limit that keeps new receipts out.
 
-        Raises:
-            StorageError: The database cannot be reached: nothing has changed.
-            PassingFaultError: The store of raw recordings is away, or not that of the database, such as a folder that
-                is not mounted: the same.
+        Raises StorageError or PassingFaultError where database or raw store are away, such as a folder that is not
+        mounted: nothing has changed.
         """
         with self.storage.read() as unit:
             found = unit.chunks.get(reference.digest)

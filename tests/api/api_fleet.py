@@ -29,8 +29,7 @@ from estimation.values.opinions import (
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
-from estimation.values.results import Result
-from estimation.values.runs import JobOutcome, JobTrigger, Quarantined, QuarantineState, SubjectKind
+from estimation.values.runs import JobOutcome, JobTrigger, Quarantined, QuarantineState, Result, SubjectKind
 from estimation.values.signatures import (
     ANSWERS,
     Basis,

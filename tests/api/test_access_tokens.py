@@ -23,7 +23,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from guarded_service import Guarded, guarded_service, settings_in
 
-from api.access import oidc
+from api.access import key_ring
 from api.access.guard import plan_of
 from estimation.errors import ParameterError
 
@@ -179,7 +179,7 @@ def test_new_keys_are_fetched_at_most_once_a_minute(
     issuer.keys["rsa-2"] = rsa.generate_private_key(65537, 2048)
     assert [ask(guarded, issuer.token("rsa-2")).status_code for _ in range(3)] == [401, 401, 401]
     assert issuer.fetched == before
-    monkeypatch.setattr(oidc, "REFRESH_S", 0.0)  # in place of the minute
+    monkeypatch.setattr(key_ring, "REFRESH_S", 0.0)  # in place of the minute
     assert ask(guarded, issuer.token("rsa-2")).status_code == 200
     assert issuer.fetched == before + 1
 

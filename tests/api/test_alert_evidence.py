@@ -19,19 +19,20 @@ from api.schemas.evidence import evidence_of
 from api.times import to_rfc3339
 from estimation.alerts.identity import IdentityEvent, Mistake
 from estimation.alerts.life_cycle import transition
-from estimation.alerts.rules.book import ALERT_RULES
-from estimation.alerts.rules.conicity_limit import ConicityLimitRule, LimitState, conicity_limit_finding
-from estimation.alerts.rules.contradicted_registry import (
-    UnregisteredChangeRule,
-    identity_finding,
-    unregistered_change_finding,
+from estimation.alerts.rule_book import ALERT_RULES
+from estimation.alerts.rules.conicity_limit import (
+    ConicityLimitRule,
+    LimitState,
+    MeasureRule,
+    conicity_limit_finding,
+    measure_finding,
 )
-from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
-from estimation.alerts.rules.near_limit import LimitForecastRule, MeasureRule, limit_forecast_finding, measure_finding
 from estimation.alerts.rules.running_gear import (
     HuntingRule,
+    LowAdhesionRule,
     SuspensionChangeRule,
     WeakDamperRule,
+    section_finding,
     suspension_change_finding,
     weak_damper_finding,
 )
@@ -39,6 +40,13 @@ from estimation.alerts.rules.sensor_data import (
     DataQualityRule,
     NoDataRule,
     SensorFaultRule,
+    identity_finding,
+)
+from estimation.alerts.rules.trend import (
+    LimitForecastRule,
+    UnregisteredChangeRule,
+    limit_forecast_finding,
+    unregistered_change_finding,
 )
 from estimation.alerts.rules.wheels import (
     Asymmetry,
@@ -46,12 +54,11 @@ from estimation.alerts.rules.wheels import (
     WheelFlatRule,
     wheel_asymmetry_finding,
 )
-from estimation.trend.steps import StepSurroundings
 from estimation.values.alerts import AlertEventKind, Finding
 from estimation.values.opinions import CellFriction, GearDamper, SectionAdhesion
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.registry import Mounting
-from estimation.values.trend import SuspensionChange, TrendStep, WearTrend
+from estimation.values.trend import StepSurroundings, SuspensionChange, TrendStep, WearTrend
 
 AT = 1_767_225_600_123_456_789
 WHOLE = AT - AT % 10**9

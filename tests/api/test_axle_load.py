@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from scenario_text import SMALL
 
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.registry_file import read_registry
 from ingest.simulator.fleet import prepare
 from ingest.simulator.scenario_file import builtin_scenarios, load_scenario, read_scenario

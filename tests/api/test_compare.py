@@ -71,8 +71,6 @@ def truth() -> TrueWheelset:
     zero = np.zeros(401)
     return TrueWheelset(
         serial="W00",
-        vehicle="V0",
-        axle=1,
         displacement=x,
         difference=0.4 * x,
         radius_sum=zero,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from windows_finding import silence_finding
 
-from api.demo.replay import DAY_NS, ending_now
+from api.terminal.demo import DAY_NS, ending_now
 from estimation.alerts.rules.sensor_data import NoDataRule
 from ingest.simulator.scenario_file import load_scenario
 

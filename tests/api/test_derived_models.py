@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from api.schemas.derived import Derived
+from api.schemas.common import Derived
 from estimation.values.arrays import FloatArray
 from estimation.values.fields import IN_MM, Served
 from estimation.values.quantities import Estimate

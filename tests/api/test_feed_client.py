@@ -19,8 +19,7 @@ from running_service import Service
 from service_process import COMMAND, ROOT
 
 from api import cursors
-from api.feed_client import Follower, RefusedError, UnreachableError, blocks
-from api.terminal.feed import Lines, read_state, readable
+from api.feed_client import Follower, Lines, RefusedError, UnreachableError, blocks, read_state, readable
 from estimation.errors import InputError
 
 

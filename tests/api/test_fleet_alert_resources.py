@@ -8,7 +8,7 @@ import api_fleet
 import httpx
 from running_service import Service
 
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.jobs.evaluate_alerts import raise_in_fleet
 from estimation.values.alerts import Alert, AlertEventKind, Transition
 

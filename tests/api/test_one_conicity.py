@@ -14,10 +14,10 @@ from estimation.contact.conicity import MeasuredShapes, equivalent_conicity
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import rail_profile
 from estimation.contact.smoothed_profile import exact
-from estimation.rails.parameters import conicity_on_rails
+from estimation.rails.cell import conicity_on_rails
 from estimation.track.panel.basis import measured_curve
+from ingest.simulator.axle_motion import WearState, truth_of, worn_contact, worn_profiles
 from ingest.simulator.scenario_file import load_scenario
-from ingest.simulator.wear import WearState, truth_of, worn_contact, worn_profiles
 
 SCENARIO = Path(__file__).parents[2] / "ingest" / "simulator" / "scenarios" / "demo.toml"
 PRINTED = 0.5e-3  # half of the last digit of a conicity on the page and in tables

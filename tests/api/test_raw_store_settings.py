@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from api.raw_stores import open_raw_store
+from api.bucket import bucket_store
+from api.factory import raw_store
 from api.settings import Settings, load_settings
 from estimation.errors import ParameterError, PassingFaultError
 from fleet_db.raw import FileRawStore
@@ -22,21 +23,21 @@ BUCKET: dict[str, Any] = {"raw_store": "s3://fleet/raw/north/"}
 def place_of(environment: dict[str, str] | None = None, **changed: object) -> S3Place:
     """Return where a bucket is by settings and environment."""
     settings = Settings(**(BUCKET | changed), _env_file=None)  # type: ignore[call-arg, arg-type]
-    store = open_raw_store(settings, KEYS if environment is None else environment)
+    store = bucket_store(settings, KEYS if environment is None else environment)
     assert isinstance(store, S3RawStore)
     assert store.receiving == settings.data_dir / "receiving"
     return store._bucket.place
 
 
 def test_left_out_it_is_a_folder_beside_the_windows(tmp_path: Path) -> None:
-    store = open_raw_store(Settings(data_dir=tmp_path, _env_file=None), {})
+    store = raw_store(Settings(data_dir=tmp_path, _env_file=None))
     assert isinstance(store, FileRawStore)
     assert store.directory == tmp_path / "raw"
 
 
 def test_a_file_url_is_a_folder_anywhere() -> None:
     settings = Settings(raw_store="file:///srv/raw%20recordings", _env_file=None)
-    store = open_raw_store(settings, {})
+    store = raw_store(settings)
     assert isinstance(store, FileRawStore)
     assert store.directory == Path("/srv/raw recordings")
 

@@ -9,7 +9,7 @@ import pytest
 from in_process_command import Run
 
 from api.rules_file import load_rules
-from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
+from estimation.alerts.rule_book import AlarmFloodRule, RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.alerts.rules.sensor_data import NoDataRule, SensorFaultRule
 from estimation.errors import InputError

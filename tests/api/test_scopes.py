@@ -8,7 +8,7 @@ from fastapi.routing import APIRoute
 
 from api import app
 from api.access.caller import Scope, requires, scope_of
-from api.visible_objects import FINDERS, finder_of
+from api.services import FINDERS, finder_of
 
 
 def routes() -> list[APIRoute]:

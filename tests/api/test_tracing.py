@@ -19,7 +19,7 @@ from in_process_command import Run
 from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
 from service_process import service_process
 
-from api import tracing
+from api import logs
 from estimation.errors import ParameterError
 from fleet_db.migrate import upgrade
 
@@ -130,19 +130,19 @@ def test_a_collector_that_is_away_is_reported_once_and_not_waited_for(
 
 def test_nothing_is_started_where_nobody_asks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(ENDPOINT, raising=False)
-    assert tracing.start_tracing() is False
+    assert logs.start_tracing() is False
     for switch, value in (("OTEL_SDK_DISABLED", "true"), ("OTEL_TRACES_EXPORTER", "none")):
         with monkeypatch.context() as patch:
             patch.setenv(ENDPOINT, "http://127.0.0.1:4318")
             patch.setenv(switch, value)
-            assert tracing.start_tracing() is False
+            assert logs.start_tracing() is False
 
 
 def test_without_the_extra_it_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch, treadwatch: Run) -> None:
     monkeypatch.setenv(ENDPOINT, "http://127.0.0.1:4318")
     monkeypatch.setitem(sys.modules, "opentelemetry.sdk.trace", None)
     with pytest.raises(ParameterError, match=r"treadwatch\[otel\]"):
-        tracing.start_tracing()
+        logs.start_tracing()
     done = treadwatch("serve", "--port", "0")
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1

@@ -14,8 +14,8 @@ import pytest
 from running_service import Service, running
 
 from api.factory import open_store
+from api.schemas.windows import WindowReasons
 from api.settings import Settings
-from api.window_reasons import WindowReasons
 from bench.put_values import put_geometry
 from estimation.errors import NotFoundError
 from estimation.values.quantities import Status

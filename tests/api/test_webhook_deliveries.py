@@ -29,8 +29,7 @@ from api.feed.pages import FeedFilter
 from api.schemas import alerts
 from api.webhooks.cloud_events import new_secret
 from api.webhooks.delivering import Deliveries
-from api.webhooks.sending import MOST_ANSWER_BYTES, Sender
-from api.webhooks.targets import Network, Targets, networks_of
+from api.webhooks.sending import MOST_ANSWER_BYTES, Network, Sender, Targets, networks_of
 from estimation.errors import StorageError
 from estimation.values.registry import FleetRecord, WheelsetRecord
 from fleet_db.locks import sending_alone
@@ -472,9 +471,7 @@ def test_https_goes_to_the_checked_address_under_the_name_of_the_url(
     monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
 
     async def sent(url: str) -> tuple[int | None, Failure | None]:
-        sender = Sender(Targets(LOOPBACK), 5.0)
-        outcome = await sender.send(url, {}, b"{}")
-        sender.close()
+        outcome = await Sender(Targets(LOOPBACK), 5.0).send(url, {}, b"{}")
         return outcome.status_code, outcome.failure
 
     with receiving(context) as right, receiving(of_another) as wrong:

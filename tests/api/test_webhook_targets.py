@@ -6,7 +6,7 @@ import ipaddress
 
 import pytest
 
-from api.webhooks.targets import RefusedTargetError, check, is_public, networks_of, parsed
+from api.webhooks.sending import RefusedTargetError, check, is_public, networks_of, parsed
 from estimation.errors import ParameterError
 
 PRIVATE = [

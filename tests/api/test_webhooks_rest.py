@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import re
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import nullcontext
@@ -22,9 +23,8 @@ from webhook_receiver import Answer, Received, Receiver, receiving
 from api.factory import open_services
 from api.logs import Redactor
 from api.webhooks.cloud_events import signature
-from api.webhooks.delivering import WebhookWorker
-from api.webhooks.sending import Sender
-from api.webhooks.targets import Targets, networks_of
+from api.webhooks.delivering import deliver
+from api.webhooks.sending import Sender, Targets, networks_of
 
 DOC = Path(__file__).parents[2] / "docs" / "webhooks.md"
 LOOPBACK = "127.0.0.0/8"
@@ -67,10 +67,12 @@ def served(
         given = {"database_url": url, "webhook_networks": LOOPBACK, "log_level": "error"}
         with guarded_service(folder, **given) as service, receiving() as receiver:
             beside = open_services(settings_in(folder, **given))
-            second = WebhookWorker(lambda: beside, Sender(Targets(networks_of(LOOPBACK))))
+            stopping = threading.Event()
+            second = threading.Thread(target=deliver, args=(beside, Sender(Targets(networks_of(LOOPBACK))), stopping))
             second.start()
             yield Administered(service, receiver, all_fleets=service.key("the operator"))
-            second.stop()
+            stopping.set()
+            second.join()
             beside.runner.close()
             beside.close()
 

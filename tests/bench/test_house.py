@@ -85,6 +85,9 @@ def test_values_infrastructure_and_the_alignment_job_are_no_part_of_the_path() -
     traced = {
         "ingest": {"ingest/codec.py": ["decode"], "api/cli.py": ["main"], "estimation/values/windows.py": ["mean"]},
         "refresh_alignment": {"estimation/track/section.py": ["estimate_section"]},
-        "estimate_windows": {"ingest/codec.py": ["decode"], "estimation/motion/parameters.py": ["Gates.__post_init__"]},
+        "estimate_windows": {
+            "ingest/codec.py": ["decode"],
+            "estimation/motion/mileage.py": ["Gates.__post_init__"],
+        },
     }
     assert entered_files(traced) == {"ingest/codec.py": "ingest, estimate_windows"}

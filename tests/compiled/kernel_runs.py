@@ -19,7 +19,7 @@ import numpy as np
 from numba import types
 from numba.core.registry import CPUDispatcher
 
-from api.compiled_code import SIGNATURES
+from api.commands.deployment import SIGNATURES
 from estimation.adhesion.creep_forces import filter_forward, smooth_back
 from estimation.adhesion.window_adhesion import add_saturated, excess_table
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel
@@ -33,20 +33,19 @@ from estimation.filters import local_cubic_kernel, remove_wander
 from estimation.motion.integration import integrate_once, integrate_twice, take_out_mean
 from estimation.motion.rolling_radius_difference import sample_smoothed
 from estimation.motion.rolling_sums import ROWS, Equation, add_spectra, write_pieces
-from estimation.motion.track_lookup import evaluate
+from estimation.motion.window_motion import evaluate
 from estimation.tables.bin_table import BinParameters, fill_cells, group_of
 from estimation.track.panel.basis import add_filtered_hats
 from estimation.track.screening.agreement import cross_products, own_products
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import Signals, regression
-from estimation.vehicle.vehicle_class import BogieParameters
+from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
 from ingest.catalogue import default_catalogue
 from ingest.codec import decode, encode
 from ingest.frames import batch_of, concatenate
-from ingest.simulator.creep_laws import Creep, CreepLaw
 from ingest.simulator.motion import simulate_wheelset
+from ingest.simulator.running import Creep, CreepLaw
 from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
 from ingest.simulator.track import Curves, Surface, TrackTruth
 
@@ -345,7 +344,7 @@ def recorded(kernels: Mapping[str, CPUDispatcher]) -> str:
 
 
 def _described(kind: types.Type) -> object:
-    """Return a type as ``api.compiled_code`` reads it."""
+    """Return a type as ``api.commands.deployment`` reads it."""
     if isinstance(kind, types.Array):
         assert kind.layout == "C"
         return f"{kind.dtype} {kind.ndim}" + ("" if kind.mutable else " readonly")

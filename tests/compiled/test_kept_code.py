@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from api.compiled_code import LEVEL_3, choose_compiled_code, portable_cpu
+from api.cli import LEVEL_3, choose_compiled_code, portable_cpu
 
 ROOT = Path(__file__).parents[2]
 WITHOUT_PRIVILEGE = ("setpriv", "--bounding-set=-dac_override") if os.geteuid() == 0 else ()
 """Permissions hold for root too."""
 PROGRAM = """
 import json, os
-from api.compiled_code import choose_compiled_code
+from api.cli import choose_compiled_code
 choose_compiled_code(os.environ)
 from estimation.compiled import COUNTS
 from estimation.motion.integration import integrate_once
@@ -153,8 +153,8 @@ def test_a_change_of_a_called_function_in_another_file_is_noticed(tmp_path: Path
 @pytest.mark.slow
 def test_the_command_compiles_what_is_loaded_after_it(installed: Path, writable: Path) -> None:
     command = "import sys\nfrom api.cli import main\nsys.argv = {}\nmain()"
-    first = "import os\nfrom api.compiled_code import choose_compiled_code\nchoose_compiled_code(os.environ)\n"
-    some = "import json\nimport api.compiled_code as code\nall = json.loads(code.SIGNATURES.read_text())\n"
+    first = "import os\nfrom api.cli import choose_compiled_code\nchoose_compiled_code(os.environ)\n"
+    some = "import json\nimport api.commands.deployment as code\nall = json.loads(code.SIGNATURES.read_text())\n"
     some += "kept = {name: all[name] for name in all if name.startswith('estimation.contact')}\n"
     some += f"code.SIGNATURES = code.Path({str(writable.parent / 'contact.json')!r})\n"
     some += "code.SIGNATURES.write_text(json.dumps(kept))\n"  # the others take a minute

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from kernel_runs import product_kernels, results
 
-from api.compiled_code import SIGNATURES
+from api.commands.deployment import SIGNATURES
 
 RUNS = Path(interpreted_runs.__file__)
 

@@ -16,7 +16,7 @@ from sqlalchemy import make_url
 from api.cli import COMMANDS
 from api.rules_file import load_rules
 from api.settings import PREFIX, Settings
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 
 PASSWORD = {"POSTGRES_PASSWORD": "only-for-this-test"}
 OURS = ["migrate", "registry", "api", "scheduler", "receiver", "simulated-fleet"]

@@ -10,10 +10,16 @@ from paper_class import PAPER_CLASS
 from smooth_wheelset import SmoothTable, ideal, mems_windows, track
 
 from estimation.motion.axle_distance import with_frame_yaw
-from estimation.motion.parameters import WindowParameters
+from estimation.motion.integration import WindowParameters
 from estimation.values.windows import Motion, Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, SensorChannel, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import (
+    Arrangement,
+    BogieParameters,
+    SensorChannel,
+    SensorLayout,
+    VehicleClass,
+    VehicleParameters,
+)
 from ingest.simulator.motion import WheelsetMotion
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 

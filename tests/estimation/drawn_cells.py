@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.rails.parameters import Anchors, ReferenceWheel
+from estimation.rails.cell import Anchors, ReferenceWheel
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import RailKey, SectionConicity, WheelKey
 

@@ -23,10 +23,11 @@ from estimation.tables.bin_table import cells_of_window
 from estimation.track.panel.basis import PanelParameters
 from estimation.track.section import estimate_section
 from estimation.track.settings import SectionParameters
-from estimation.trend.trend import TrendPoint, refresh
+from estimation.trend.trend import refresh
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import FilledCells
 from estimation.values.quantities import Estimate
+from estimation.values.trend import TrendPoint
 
 RECORDED = Path(__file__).with_name("numerics_results.json")
 DAY_NS = 86_400 * 10**9

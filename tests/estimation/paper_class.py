@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from estimation.motion.parameters import WindowParameters
+from estimation.motion.integration import WindowParameters
 from estimation.tables.bin_table import bin_parameters
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import Arrangement, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import Arrangement, SensorLayout, VehicleClass, VehicleParameters
 
 PAPER_CLASS = VehicleClass(
     code="paper",

@@ -10,10 +10,10 @@ import numpy as np
 from smooth_wheelset import SmoothTable, mems_windows, run, track
 
 from estimation.jobs.settings import EstimationSettings
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.track.passes import Pass, passes
 from estimation.values.windows import Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
 from ingest.simulator.track import TrackTruth
 

@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 
-from estimation.motion.rolling_radius_difference import standard_displacement
+from estimation.motion.integration import standard_displacement
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Motion, Window, WindowQuality
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 

@@ -22,7 +22,7 @@ from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
 
 LEVER, NOISE = 2 * 0.7452 * 0.45, 4e-5

@@ -21,7 +21,7 @@ from estimation.values.geometry import WheelsetGeometry
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
 from estimation.values.windows import Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset

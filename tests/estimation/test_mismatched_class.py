@@ -14,12 +14,12 @@ from alignment_job import LENGTH, surveyed
 from bogie_run import SOFT, WHEELBASE, of_bogie, windows
 from smooth_wheelset import SmoothTable
 
-from api.comparison.current_geometry import geometry_by
+from api.comparison.trial import geometry_by
 from api.factory import create_app
 from api.settings import Settings
 from bench.put_values import put_geometry
 from bench.standing_clock import StandingClock
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.contact.conicity import equivalent_conicity
 from estimation.jobs.catalogue import job_named

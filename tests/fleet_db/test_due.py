@@ -6,8 +6,7 @@ import sqlalchemy
 import stored_values as make
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import Due, StageInputs
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Due, StageInputs, SubjectKind
 from estimation.values.windows import DueStage, WindowState
 from fleet_db.due import WINDOWS, is_due, list_due
 from fleet_db.storage import SqlStorage

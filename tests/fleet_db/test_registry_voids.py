@@ -20,7 +20,7 @@ from estimation.values.registry import (
     VehicleRecord,
     WheelsetRecord,
 )
-from estimation.values.results import Facet
+from estimation.values.runs import Facet
 from estimation.values.track import TrackSectionRecord
 from estimation.vehicle.vehicle_class import class_digest
 from fleet_db.records import Decision, RecordKind

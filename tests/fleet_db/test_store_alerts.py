@@ -12,7 +12,7 @@ import sqlalchemy
 import stored_values as make
 from sqlalchemy.exc import IntegrityError
 
-from estimation.alerts.rules.book import ALERT_RULES
+from estimation.alerts.rule_book import ALERT_RULES
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Severity
 from fleet_db.storage import SqlStorage

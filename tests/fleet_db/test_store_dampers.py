@@ -14,7 +14,7 @@ from estimation.jobs.stage import made_from
 from estimation.values.opinions import GEAR_DAMPERS, SHARES, DamperSums, GearDamper, WindowDamper, part_of_gear
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import Result
+from estimation.values.runs import Result
 from fleet_db.packed_values import pack_value, unpack_window_damper
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 

@@ -23,7 +23,7 @@ from estimation.values.opinions import (
 )
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import Result
+from estimation.values.runs import Result
 from fleet_db.storage import SqlStorage
 
 WHEEL, RAIL = WheelKey("WS-1", 0, 3), RailKey("S-7", 110)

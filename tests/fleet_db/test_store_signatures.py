@@ -12,8 +12,7 @@ from sqlalchemy import update
 
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import Mark, Result, StageInputs
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Mark, Result, StageInputs, SubjectKind
 from estimation.values.signatures import (
     ANSWERS,
     SIGNATURES,

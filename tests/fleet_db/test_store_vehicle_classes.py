@@ -16,7 +16,6 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import WindowPosition, WindowState
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import (
     SHIPPED_VERSION,
     Arrangement,
@@ -24,6 +23,7 @@ from estimation.vehicle.vehicle_class import (
     SensorChannel,
     SensorLayout,
     VehicleClass,
+    VehicleParameters,
     class_document,
     class_of_document,
 )

@@ -14,8 +14,7 @@ from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
 from ingest.intake.backlog import DecodedChunks, decode_received
-from ingest.intake.store import Arrival, ChunkStorage, Stored
-from ingest.receipts import Chunk
+from ingest.receipts import Arrival, Chunk, ChunkStorage, Stored
 from ingest.receiver import Receiver
 
 RUN = Run(seconds=24.0)

@@ -13,7 +13,7 @@ import numpy as np
 
 from ingest.frames import FrameBatch, from_owned_arrays, sort_by_time
 from ingest.live.listening import BusSource, Listening
-from ingest.live.records import FRAME, FRAME_BYTES, FrameBuffer
+from ingest.live.spool import FRAME, FRAME_BYTES, FrameBuffer
 from ingest.live.status import LiveStatus, Reports
 
 PATIENCE_S = 60.0

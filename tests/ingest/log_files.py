@@ -8,8 +8,8 @@ from pathlib import Path
 import can
 import pytest
 
-from ingest.bus import messages_of
 from ingest.frames import FrameBatch, channel_number
+from ingest.live.listening import messages_of
 from ingest.logs import write_blf
 
 

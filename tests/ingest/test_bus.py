@@ -19,12 +19,11 @@ from multicast import GROUP, multicast_problem
 from vehicle_bus import SECOND_NS, Run
 
 from estimation.errors import ParameterError
-from ingest.bus import open_bus, send
 from ingest.catalogue import SYNC_ID
 from ingest.live import listening
-from ingest.live.backoff import Backoff
-from ingest.live.records import FRAME_BYTES, FrameBuffer, pack_frame
-from ingest.live.status import LiveStatus, Reports
+from ingest.live.listening import open_bus, send
+from ingest.live.spool import FRAME_BYTES, FrameBuffer, pack_frame
+from ingest.live.status import Backoff, LiveStatus, Reports
 
 PORT = 43_117
 

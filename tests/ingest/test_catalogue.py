@@ -10,7 +10,7 @@ import pytest
 from estimation.errors import CatalogueError
 from ingest.catalogue import default_catalogue, load_catalogue
 
-TEXT = (files("ingest.dbc") / "treadwatch.dbc").read_text()
+TEXT = (files("ingest") / "dbc" / "treadwatch.dbc").read_text()
 
 
 def test_shipped_catalogue_is_the_predefined_connection_set() -> None:

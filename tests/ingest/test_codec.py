@@ -17,7 +17,7 @@ from ingest.codec import decode, encode
 from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, batch_of, concatenate, take
 
 CATALOGUE = default_catalogue()
-DATABASE = cantools.database.load_file(str(files("ingest.dbc") / "treadwatch.dbc"))
+DATABASE = cantools.database.load_file(str(files("ingest") / "dbc" / "treadwatch.dbc"))
 PLANS = sorted(CATALOGUE.messages.values(), key=lambda plan: plan.arbitration_id)
 
 

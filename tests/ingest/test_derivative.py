@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ingest.derivative import REACH, clipped_reach, derivative, derivative_with_gaps
+from ingest.units import REACH, clipped_reach, derivative, derivative_with_gaps
 
 DT = 0.004
 

@@ -19,7 +19,7 @@ from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import BacklogLimits, BacklogWatch, Limit
 from ingest.intake.drop_folder import DropFolder, DropSettings, held_folder
-from ingest.intake.store import ChunkStorage
+from ingest.receipts import ChunkStorage
 
 ROOM = BacklogLimits(chunks=100, size_bytes=10_000_000, free_bytes=0)
 ROOT = Path(__file__).parents[2]

@@ -20,7 +20,7 @@ from fleet_db.migrate import upgrade
 from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
-from ingest.bus import open_bus, send
+from ingest.live.listening import open_bus, send
 from ingest.logs import write_blf
 
 STORED_WITHIN_S = 60.0

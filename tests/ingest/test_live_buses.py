@@ -25,10 +25,9 @@ from estimation.errors import ConflictError, ParameterError, StorageError
 from fleet_db.raw import FileRawStore
 from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.bus import open_bus, send
 from ingest.catalogue import default_catalogue
 from ingest.frames import OVERFLOW_ID, FrameBatch, concatenate
-from ingest.live.listening import BusSource
+from ingest.live.listening import BusSource, open_bus, send
 from ingest.live.receiver import LiveSettings, ReceivedBus, receive_buses
 from ingest.live.spool import Spool, spool_folder
 from ingest.live.status import LiveStatus, Reports

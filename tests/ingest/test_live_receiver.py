@@ -36,14 +36,12 @@ from fleet_db.raw import FileRawStore
 from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
-from ingest.bus import open_bus, send
 from ingest.catalogue import default_catalogue
 from ingest.frames import OVERFLOW_ID, FrameBatch, concatenate, count_dropped, merge
 from ingest.live import storing
-from ingest.live.listening import BusSource
+from ingest.live.listening import BusSource, open_bus, send
 from ingest.live.receiver import LiveSettings, ReceivedBus, receive_live
-from ingest.live.records import Record
-from ingest.live.spool import Spool, spool_folder
+from ingest.live.spool import Record, Spool, spool_folder
 from ingest.live.status import LiveStatus, Reports
 from ingest.live.storing import Stores
 from ingest.logs import read_log

@@ -18,8 +18,19 @@ from vehicle_bus import Run
 from estimation.errors import ConflictError, StorageError
 from ingest.frames import OVERFLOW_ID, FrameBatch, batch_of, count_dropped, dropped_marker
 from ingest.live.receiver import Spooling
-from ingest.live.records import FRAME_BYTES, FrameBuffer, Record, decode, encode, pack_frame
-from ingest.live.spool import DropCount, DropCountFile, Spool, TakenOver, spool_folder
+from ingest.live.spool import (
+    FRAME_BYTES,
+    DropCount,
+    DropCountFile,
+    FrameBuffer,
+    Record,
+    Spool,
+    TakenOver,
+    decode,
+    encode,
+    pack_frame,
+    spool_folder,
+)
 from ingest.live.status import LiveStatus, Reports
 from ingest.live.storing import read_piece
 from ingest.logs import read_log

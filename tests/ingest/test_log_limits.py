@@ -18,9 +18,8 @@ from log_files import write_recording
 
 from estimation.errors import LogFileError, PassingFaultError
 from ingest.frames import FrameBatch
-from ingest.logs.formats import read_content, read_log
-from ingest.logs.log_format import DAY_NS, ReadLimits, limits_of
-from ingest.logs.processes import ReadCost, stop_server
+from ingest.logs.formats import ReadCost, limits_of, read_content, read_log, stop_server
+from ingest.logs.log_format import DAY_NS, ReadLimits
 
 GENEROUS = ReadLimits(cpu_s=60.0, wall_s=60.0, frames=10**7, inflated_bytes=1 << 30)
 
@@ -264,7 +263,7 @@ def test_nothing_is_left_after_many_files(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_no_space_for_the_frames_is_a_passing_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = written(tmp_path / "good.blf", frames(500))
-    monkeypatch.setattr("ingest.logs.processes.TemporaryFile", lambda **_: Path("/dev/full").open("wb"))  # noqa: SIM115 - closed by what is tested
+    monkeypatch.setattr("ingest.logs.formats.TemporaryFile", lambda **_: Path("/dev/full").open("wb"))  # noqa: SIM115 - closed by what is tested
     with pytest.raises(PassingFaultError, match="No space left"):
         read_log(path)
 
@@ -274,7 +273,7 @@ def test_a_server_that_is_stuck_is_replaced(tmp_path: Path, monkeypatch: pytest.
     read_log(path)
     os.kill(servers()[0], signal.SIGSTOP)
     with monkeypatch.context() as patch:
-        patch.setattr("ingest.logs.processes.PATIENCE_S", 0.0)
+        patch.setattr("ingest.logs.formats.PATIENCE_S", 0.0)
         with pytest.raises(PassingFaultError, match="no answer"):
             read_log(path, ReadLimits(wall_s=0.3))
     assert len(read_log(path)) == 500
@@ -287,6 +286,6 @@ def test_no_process_to_be_had_is_a_passing_fault(tmp_path: Path, monkeypatch: py
     def refuse(*_: object, **__: object) -> None:
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
-    monkeypatch.setattr("ingest.logs.processes.subprocess.Popen", refuse)
+    monkeypatch.setattr("ingest.logs.formats.subprocess.Popen", refuse)
     with pytest.raises(PassingFaultError, match="Resource temporarily unavailable"):
         read_log(path)

@@ -16,13 +16,12 @@ from log_files import write_recording
 from same_values import same_values
 
 from estimation.errors import LogFileError, PassingFaultError
-from ingest.bus import messages_of
 from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, empty_batch, take
+from ingest.live.listening import messages_of
 from ingest.logs import SUFFIXES, read_log, write_blf
 from ingest.logs.blf_reader import read_blf
-from ingest.logs.formats import read_content
-from ingest.logs.log_format import COLUMNS, FrameSink, limits_of
-from ingest.logs.processes import stop_server
+from ingest.logs.formats import limits_of, read_content, stop_server
+from ingest.logs.log_format import COLUMNS, FrameSink
 
 TEXT_FORMATS = [".asc", ".log"]
 FORMATS = [".blf", *TEXT_FORMATS, ".mf4"]

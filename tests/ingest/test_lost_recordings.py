@@ -15,7 +15,7 @@ from estimation.values.runs import SubjectKind
 from fleet_db.raw import FileRawStore
 from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.held import ASSEMBLY
+from ingest.reassembly import ASSEMBLY
 from ingest.receiver import Receiver
 
 

@@ -17,10 +17,9 @@ from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest import recordings
 from ingest.catalogue import default_catalogue
-from ingest.held import HeldRecordings
-from ingest.own_bus.bus import BusChoice
+from ingest.reassembly import HeldRecordings
 from ingest.receiver import Receiver
-from ingest.stored_settings import claim
+from ingest.stored_settings import BusChoice, claim
 
 
 def decoded(storage: SqlStorage, folder: Path) -> tuple[ChunkRecord, Windows]:

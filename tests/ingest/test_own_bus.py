@@ -23,13 +23,14 @@ from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window
 from fleet_db.raw import FileRawStore
 from fleet_db.storage import SqlStorage
-from ingest.bus import open_bus, send
 from ingest.catalogue import default_catalogue
 from ingest.frames import EXTENDED_FLAG, FrameBatch, between, concatenate, from_owned_arrays, sort_by_time, take
+from ingest.live.listening import open_bus, send
 from ingest.logs import write_blf
-from ingest.own_bus.bus import OwnBus, bus_choice
+from ingest.own_bus.bus import OwnBus
 from ingest.own_bus.loading import load_own_bus
 from ingest.receiver import Receiver
+from ingest.stored_settings import bus_choice
 
 ROOT = Path(__file__).parents[2]
 DBC = Path(__file__).with_name("own_vehicle.dbc")

@@ -6,6 +6,7 @@ import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from sqlalchemy import delete, event, select, update
 from vehicle_bus import OFFSETS_M, SECOND_NS, START_NS, VEHICLE, Run, register
 
 from estimation.errors import PassingFaultError, StorageError
-from estimation.jobs.job import JobContext, run_job
+from estimation.jobs.job import Job, JobContext, run_job
 from estimation.jobs.settings import JobSettings
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
@@ -27,11 +28,11 @@ from fleet_db.storage import SqlStorage
 from fleet_db.stores.chunks import ChosenChunks
 from fleet_db.tables.recordings import ChunkRow
 from fleet_db.tables.windows import WindowRow
-from ingest.assemble_windows import assemble_windows
 from ingest.catalogue import TIME_ID, default_catalogue
 from ingest.frames import from_owned_arrays, take
+from ingest.intake.backlog import assemble_windows
 from ingest.logs import write_blf
-from ingest.logs.processes import stop_server
+from ingest.logs.formats import stop_server
 from ingest.receiver import ChunkReceipt, Receiver
 from ingest.span_commit import SpanChanges
 
@@ -321,7 +322,8 @@ def test_the_scheduled_job_decodes_what_is_due(registered: SqlStorage, tmp_path:
     receiver.receive_file(recording(tmp_path), VEHICLE)
     receiver.reassembler.work_off()
     (tmp_path / "data" / "windows").unlink()
-    job = assemble_windows(lambda _: registered, lambda _: receiver_on(registered, tmp_path, clock))
+    assembly = partial(assemble_windows, lambda _: receiver_on(registered, tmp_path, clock))
+    job = Job("assemble_windows", "", 60.0, assembly)
     run = run_job(job, JobContext(registered, clock, "test", JobSettings()), JobTrigger.SCHEDULE)
     assert (run.outcome, run.counts["decoded"]) == ("succeeded", 1)
     assert states(registered) == [(ChunkState.DECODED, None)]

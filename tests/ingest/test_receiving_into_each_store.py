@@ -16,7 +16,7 @@ from estimation.values.runs import SubjectKind
 from fleet_db.keeping.checks import check_deep
 from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.held import ASSEMBLY
+from ingest.reassembly import ASSEMBLY
 
 
 @pytest.fixture

@@ -48,6 +48,7 @@ def emptied(storage: SqlStorage) -> None:
         for table in reversed(Base.metadata.sorted_tables):
             if table.name != "feed_branches":
                 connection.execute(delete(table))
+    storage.kept.of(None)  # behind its back: it counts the versions of the registry from the first one again
 
 
 def round_trip(storage: SqlStorage, folder: Path) -> None:

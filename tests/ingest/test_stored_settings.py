@@ -18,10 +18,10 @@ from estimation.values.registry import VehicleRecord
 from fleet_db.raw import FileRawStore
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import Catalogue, default_catalogue
-from ingest.own_bus.bus import BusChoice, OwnBus, bus_choice
+from ingest.own_bus.bus import OwnBus
 from ingest.own_bus.loading import load_own_bus
 from ingest.receiver import Receiver
-from ingest.stored_settings import claim
+from ingest.stored_settings import BusChoice, bus_choice, claim
 
 LENGTH_NS = 10_000_000_000
 SHIPPED = bus_choice(default_catalogue(), [])

@@ -24,10 +24,9 @@ from fleet_db.locks import decoding_locks
 from fleet_db.raw import check_raw_store
 from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from ingest.topic import consuming, publishing, reading
-from ingest.topic.client import Topic
+from ingest.topic import client, consuming, references
+from ingest.topic.client import Outcome, Topic
 from ingest.topic.consuming import MOST_ATTEMPTS, NEVER_NS, ReferenceTaking
-from ingest.topic.reference import Outcome
 
 
 @pytest.fixture
@@ -431,7 +430,7 @@ def test_a_cluster_that_has_lost_everything_gives_messages_again_and_nothing_cha
 
 def test_the_bounds_are_as_documented() -> None:
     assert (consuming.MOST_ATTEMPTS, consuming.HELD_AT_ONCE, consuming.ATTEMPTS) == (30, 100, 3)
-    assert (reading.STAY_EVERY_S, publishing.CLOSE_S, consuming.LOOK_EVERY_S) == (10.0, 5.0, 5.0)
+    assert (client.STAY_EVERY_S, references.CLOSE_S, consuming.LOOK_EVERY_S) == (10.0, 5.0, 5.0)
     waited_s = sum(delay_s(ReasonCode.WAITS_FOR_STORAGE, attempts) for attempts in range(1, MOST_ATTEMPTS))
     assert round(waited_s / 3600) == 23
     topic = Topic("kafka-1:9092", "t", {"session.timeout.ms": "6000"})

@@ -22,11 +22,10 @@ from fleet_db.raw import FileRawStore
 from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
-from ingest.intake.store import Arrival, ChunkStorage
-from ingest.receipts import Chunk
+from ingest.receipts import Arrival, Chunk, ChunkStorage
 from ingest.receiver import Receiver
 from ingest.topic.client import OURS, Topic, load_properties
-from ingest.topic.publishing import Publisher, Sent
+from ingest.topic.references import Publisher, Sent
 
 NOBODY = Topic("127.0.0.1:1", NAME)
 """Brokers at a port where nobody listens."""

@@ -11,10 +11,8 @@ import pytest
 from kafka_cluster import MockCluster, mock_cluster
 from live_listening import PATIENCE_S, eventually
 
-from ingest.topic import reading
-from ingest.topic.client import Topic
-from ingest.topic.reading import Received, TopicReader
-from ingest.topic.reference import ConsumerStatus
+from ingest.topic import client
+from ingest.topic.client import ConsumerStatus, Received, Topic, TopicReader
 
 MESSAGES = [(b"north:L-1", str(number).encode()) for number in range(8)]
 
@@ -62,7 +60,7 @@ def first(reader: TopicReader) -> Received:
 def test_a_member_that_works_at_a_message_takes_part_and_what_it_loses_it_does_not_commit(
     cluster: MockCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reading, "STAY_EVERY_S", 0.0)
+    monkeypatch.setattr(client, "STAY_EVERY_S", 0.0)
     cluster.spread(*MESSAGES)
     with reader_of(cluster.topic()) as (reader, status), ExitStack() as others:
         working = {message.partition: message for message in (first(reader) for _ in range(8))}

@@ -9,10 +9,10 @@ import pytest
 
 from fleet_db.records import ChunkRecord
 from ingest.receipts import Chunk
-from ingest.topic.reference import (
+from ingest.topic.client import Outcome
+from ingest.topic.references import (
     MOST_BYTES,
     VERSION,
-    Outcome,
     Reference,
     Refused,
     as_text,

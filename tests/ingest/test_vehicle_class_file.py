@@ -9,8 +9,7 @@ import pytest
 from in_process_command import Run
 
 from estimation.errors import InputError, NotFoundError
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import Arrangement
+from estimation.vehicle.vehicle_class import Arrangement, VehicleParameters
 from ingest.vehicle_class_schema import read_vehicle_class, shipped_class, shipped_classes, shipped_path
 
 UNIT_ERRORS = [  # class, key, factor by which its unit is wrong

@@ -8,7 +8,7 @@ from vehicle_bus import CATALOGUE, INTERVAL_NS, OFFSETS_M, SECOND_NS, SECTION, S
 
 from estimation.errors import ParameterError
 from estimation.motion.checks import gate
-from estimation.motion.parameters import Gates
+from estimation.motion.integration import Gates
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.windows import Window

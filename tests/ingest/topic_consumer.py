@@ -21,9 +21,9 @@ from fleet_db.records import ChunkRecord
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import BacklogLimits, BacklogWatch, decode_received
 from ingest.receiver import Receiver
+from ingest.topic.client import ConsumerStatus, Outcome, TopicReader
 from ingest.topic.consuming import STAGE, Consuming, ReferenceTaking
-from ingest.topic.reading import TopicReader
-from ingest.topic.reference import ConsumerStatus, Outcome, Reference, message_of
+from ingest.topic.references import Reference, message_of
 
 ROOM = BacklogLimits(chunks=1000, size_bytes=1 << 30, free_bytes=0)
 LENGTH_S = 5.0

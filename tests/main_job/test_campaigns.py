@@ -22,9 +22,9 @@ from api.terminal.demo import free_port, serving_api
 from api.times import from_rfc3339, to_rfc3339
 from estimation.contact.profiles import MeasuredProfiles
 from fleet_db.migrate import upgrade
+from ingest.simulator.axle_motion import wear_at, worn_profiles
 from ingest.simulator.fleet import FleetReport
 from ingest.simulator.scenario_file import load_scenario
-from ingest.simulator.wear import wear_at, worn_profiles
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from one_database import url_on_sqlite
 from tiny_fleet import WORN, Deployment
 
-from api.comparison.current_geometry import geometry_by
+from api.comparison.trial import geometry_by
 from api.factory import job_context
 from estimation.values.geometry import BinStatus, GeometryRecord
 from estimation.values.quantities import Status

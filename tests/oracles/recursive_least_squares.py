@@ -1,6 +1,6 @@
 """Grey-box weighted recursive least squares, sample by sample, as the paper prints it (Eq. 8-14).
 
-Slow and plain on purpose: ``estimation.tables.least_squares`` must equal it on any split of the data.
+Slow and plain on purpose: ``estimation.tables.bin_table`` must equal it on any split of the data.
 """
 
 from __future__ import annotations

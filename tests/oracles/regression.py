@@ -8,8 +8,8 @@ import numpy as np
 
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import Regression, angle_difference_factor
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 
 def regression(

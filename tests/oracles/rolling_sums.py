@@ -6,10 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.motion.axle_distance import runs_backwards
-from estimation.motion.checks import moving_samples
-from estimation.motion.integration import segments
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.checks import moving_samples, runs_backwards
+from estimation.motion.integration import SignalParameters, segments
 from estimation.motion.rolling_sums import (
     BANDS,
     PART_S,
@@ -23,9 +21,8 @@ from estimation.motion.rolling_sums import (
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.roll_up import RollingSums
 from estimation.values.windows import ACCELERATIONS, Window
-from estimation.vehicle.equations_of_motion import GRAVITY
 from estimation.vehicle.linear_model import ComplexArray
-from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import GRAVITY, SensorLayout, VehicleClass
 
 
 def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalParameters) -> tuple[RollingSums, ...]:

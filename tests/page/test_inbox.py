@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 from service_process import ServiceProcess
 
-from estimation.alerts.rules.book import ALERT_RULES
+from estimation.alerts.rule_book import ALERT_RULES
 from estimation.values.alerts import Alert
 from fleet_db.storage import SqlStorage
 

@@ -10,7 +10,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.file_value import table_of
 from ingest.registry_file import RegistryObject
 from ingest.simulator.scenario_file import ScenarioTable

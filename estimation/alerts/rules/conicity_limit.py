@@ -14,14 +14,13 @@ from typing import Annotated
 from annotated_types import Interval
 
 from estimation.alerts.rules.rule import (
-    DecidingEvidence,
+    IntervalsRule,
+    Kilometres,
     Probability,
     WheelsetFacts,
     WindowCount,
-    number_evidence,
     too_few_windows,
 )
-from estimation.alerts.rules.standing import IntervalsRule
 from estimation.trend.extrapolation import (
     LEAST_AMPLITUDE,
     LIMIT_AMPLITUDE,
@@ -33,7 +32,7 @@ from estimation.trend.extrapolation import (
     extrapolated,
 )
 from estimation.trend.trend import probability_above
-from estimation.values.alerts import Finding, Severity
+from estimation.values.alerts import DecidingEvidence, Finding, Severity, number_evidence, unknown_evidence
 from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, code_of
@@ -88,11 +87,9 @@ class LimitState:
         return Against(self.reached, self.reached_amplitude, probability)
 
     def against(self, limit: float) -> Against | None:
-        """Return the conicity that decides whether the limit is exceeded; None where none does.
-
-        That is the one at 3 mm; at the amplitude reached where that one is over more probably and the one at 3 mm is
-        unknown or not rather below. One that is below at a smaller amplitude alone decides nothing.
-        """
+        """Return the conicity that decides whether the limit is exceeded; None where none does."""
+        # That is the one at 3 mm; at the amplitude reached where that one is over more probably and the one at 3 mm is
+        # unknown or not rather below. One that is below at a smaller amplitude alone decides nothing.
         at_limit, at_reached = self.at_limit(limit), self.at_reached(limit)
         if at_reached is None or at_reached.probability < NOT_BELOW:
             return at_limit
@@ -103,7 +100,6 @@ class LimitState:
         return max(at_limit, at_reached, key=lambda one: one.probability)
 
     def _above(self, estimate: Estimate, limit: float) -> float | None:
-        """Return the probability above a limit; the std of a trend counts what lies beyond once more in each point."""
         if self.beyond is None or estimate.value is None:
             return probability_above(estimate, limit)
         return replace(self.beyond, value=estimate.value).mixture().above(limit)
@@ -115,10 +111,8 @@ class LimitState:
 
 
 def limit_state(facts: WheelsetFacts) -> LimitState | None:
-    """Return what is known of the conicity of a wheelset; None without a geometry.
-
-    The fitted trend says what is at 3 mm, or the current geometry where none is comparable.
-    """
+    """Return what is known of the conicity of a wheelset; None without a geometry."""
+    # the fitted trend says what is at 3 mm, or the current geometry where none is comparable
     if facts.geometry is None:
         return None
     geometry, record = facts.geometry.geometry, facts.current_trend
@@ -207,10 +201,8 @@ class ConicityLimitRule(IntervalsRule):
         return sorted((b for b in self.bands if b.vehicle_class == vehicle_class), key=lambda b: b.up_to_km_h)
 
     def find_now(self, facts: WheelsetFacts) -> Finding | None:
-        """Return the finding on the limit, by the conicity at 3 mm, or at the amplitude reached where that is less.
-
-        At 3 mm it is that of the fitted trend, or of the current geometry where no trend is comparable with the limit.
-        """
+        """Return the finding on the limit, by the conicity at 3 mm, or at the amplitude reached where that is less."""
+        # at 3 mm it is that of the fitted trend, or of the current geometry where no trend is comparable with the limit
         limit, state = self.limit_of(facts), limit_state(facts)
         if facts.geometry is None or limit is None or state is None:
             return None
@@ -275,7 +267,6 @@ def conicity_limit_finding(
 
 
 def _is_clear(rule: ConicityLimitRule, state: LimitState, clear_limit: float) -> bool | None:
-    """Return whether the conicity is below the clear limit at every amplitude that is known; None where 3 mm is not."""
     at_limit, at_reached = state.at_limit(clear_limit), state.at_reached(clear_limit)
     if _probability(at_reached) >= rule.raise_probability:
         return False
@@ -284,3 +275,96 @@ def _is_clear(rule: ConicityLimitRule, state: LimitState, clear_limit: float) ->
 
 def _probability(against: Against | None) -> float:
     return 0.0 if against is None else against.probability
+
+
+ANY_PROBABILITY = Interval(ge=0.01, le=0.9)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasureEvidence(DecidingEvidence):
+    """Evidence of `measure`: the conicity may be over its limit, and only a measurement of the profiles decides."""
+
+    quantity: Annotated[str, Served("What is compared with the limit.", example="equivalent_conicity")]
+    conicity: Annotated[Estimate, Served("Equivalent conicity at 3 mm; its reason says if extrapolated.", "conicity_1")]
+    reached_mm: Annotated[float | None, Served("Largest amplitude that the motion covers, at most 3 mm.")]
+    reached: Annotated[Estimate, Served("Equivalent conicity at that amplitude.", "reached_1")]
+    windows: Annotated[int | None, Served("Windows behind the geometry.")] = None
+    limit: Annotated[float | None, Served("Limit of the conicity at 3 mm.", "limit_1")]
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureRule(IntervalsRule):
+    """The conicity may be over its limit: not surely enough for `conicity_limit`, too probably to leave it."""
+
+    kind = "measure"
+    limit_unit = "1"
+    evidence = MeasureEvidence
+    advice = "may be beyond its limit: measure its profiles"
+    relations = (
+        ("clear_probability", "<=", "raise_probability"),
+        ("clear_probability", "<=", "extrapolated_probability"),
+    )
+
+    raise_probability: Annotated[float, ANY_PROBABILITY] = 0.5  # that it is over where the motion covers 3 mm
+    extrapolated_probability: Annotated[float, ANY_PROBABILITY] = 0.12  # and where it does not: no data will decide it
+    clear_probability: Annotated[float, ANY_PROBABILITY] = 0.1
+    reaches: Annotated[float, Interval(ge=1.0, le=10.0)] = 1.5  # limits that an interval at 3 mm goes up to
+    measured_within_km: Kilometres = 10_000.0  # a measurement decides for as long
+
+    def find_now(self, facts: WheelsetFacts) -> Finding | None:
+        """Return the finding; None without a geometry or a limit."""
+        rule, state = facts.limit_rule, limit_state(facts)
+        if not isinstance(rule, ConicityLimitRule) or facts.geometry is None or state is None:
+            return None
+        limit = rule.limit_of(facts)
+        if limit is None:
+            return None
+        decided = conicity_limit_finding(
+            rule,
+            facts.wheelset.serial,
+            state,
+            facts.geometry.geometry.windows,
+            limit,
+            facts.geometry.to_ns,
+            not_assessable_reason=facts.not_assessable_reason,
+        )
+        at_km = facts.profiles_measured_km
+        measured = at_km is not None and facts.geometry.mileage_km - at_km <= self.measured_within_km
+        return measure_finding(self, state, decided, limit, measured=measured)
+
+
+def measure_finding(rule: MeasureRule, state: LimitState, decided: Finding, limit: float, *, measured: bool) -> Finding:
+    """Return whether the profiles are to be measured."""
+    at_limit, at_reached = state.at_limit(limit), state.at_reached(limit)
+    over = max((one.probability for one in (at_limit, at_reached) if one is not None), default=0.0)
+    needed = rule.extrapolated_probability if state.extrapolated else rule.raise_probability
+    at_3_mm = 0.0 if at_limit is None else at_limit.probability
+    reached = 0.0 if at_reached is None else at_reached.probability
+    open_far = not state.extrapolated and (state.conicity.high or 0.0) >= rule.reaches * limit
+    unsaid = (
+        at_limit is None
+        and (state.reached is not None or state.left_open)
+        and (decided.breached is not None or decided.evidence["unknown_because_code"] == code_of(state.conicity.reason))
+    )  # nothing else hides the state
+    may_be = at_3_mm >= needed or reached >= rule.raise_probability or open_far or unsaid
+    silent, settled = decided.breached is None and not unsaid, measured or decided.breached is True
+    is_clear = at_3_mm <= rule.clear_probability and reached <= rule.clear_probability and not may_be
+    return Finding(
+        wheelset=decided.wheelset,
+        kind=MeasureRule.kind,
+        breached=None if silent else may_be and not settled,
+        cleared=None if silent else settled or is_clear,
+        probability=None if silent else number_evidence(over, 3),
+        evidence=MeasureEvidence(
+            quantity=QUANTITY,
+            conicity=state.conicity,
+            reached_mm=number_evidence(1e3 * state.reached_amplitude),
+            reached=state.conicity if state.reached is None else state.reached,
+            limit=number_evidence(limit),
+        ).stored()
+        | {name: decided.evidence[name] for name in ("windows", *unknown_evidence(None))},
+        action="measure_wheel_profiles",
+        raise_limit=limit,
+        clear_limit=limit,
+        measured_ns=decided.measured_ns,
+    )

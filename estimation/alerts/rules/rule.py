@@ -2,111 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
-from enum import Enum
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Annotated, ClassVar
 
 from annotated_types import Interval
+from scipy.special import betainc
 
 from estimation.alerts.identity import IdentityEvent
-from estimation.trend.steps import StepSurroundings
-from estimation.trend.trend import TrendParameters
-from estimation.values.alerts import Alert, Finding
-from estimation.values.fields import JsonValue, Served
+from estimation.trend.extrapolation import conicity_points
+from estimation.trend.trend import TrendParameters, trend_up_to
+from estimation.values.alerts import Alert, Evidence, Finding, Severity, number_evidence
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
 from estimation.values.opinions import GearDamper
-from estimation.values.quantities import Estimate, Forecast
-from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.trend import SuspensionShown, TrendRecord
+from estimation.values.trend import StepSurroundings, SuspensionShown, TrendRecord
 from estimation.values.windows import WindowRecord, WindowState
-
-SECOND_NS = 1_000_000_000
-MOST_NS = 2.0**63 - SECOND_NS  # so that the rounded time is within 64 bits
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Evidence:
-    """What led to a finding; fields are described for the reader of the API."""
-
-    def stored(self) -> dict[str, JsonValue]:
-        """Return the fields as an alert keeps them: JSON under their own names."""
-        kept: dict[str, JsonValue] = {}
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name == "unknown":
-                kept |= unknown_evidence(value)
-            elif isinstance(value, Forecast) and item.name.endswith("_ns"):
-                kept[item.name] = date_evidence(value)
-            else:
-                kept[item.name] = _stored(value)
-        return kept
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DecidingEvidence(Evidence):
-    """Evidence of a rule that the data may leave undecided."""
-
-    unknown: Annotated[Reason | None, Served("Why the data decide nothing at present; null where they do.")] = None
-
-
-def _stored(value: object) -> JsonValue:
-    if isinstance(value, Estimate | Forecast):
-        return dict(estimate_evidence(value) if isinstance(value, Estimate) else forecast_evidence(value))
-    if isinstance(value, Enum):
-        return str(value.value)
-    if is_dataclass(value):
-        return {item.name: _stored(getattr(value, item.name)) for item in fields(value)}
-    if isinstance(value, tuple | list):
-        return [_stored(item) for item in value]
-    if isinstance(value, Mapping):
-        return {str(name): _stored(value[name]) for name in sorted(value)}
-    return value  # type: ignore[return-value]  # a number, a text or None
-
-
-def number_evidence(value: float | None, digits: int = 4) -> float | None:
-    """Return the value with some significant digits; None where unknown or not finite."""
-    if value is None or not math.isfinite(value):
-        return None
-    return float(f"{value:.{digits}g}")
-
-
-def estimate_evidence(value: Estimate) -> dict[str, JsonValue]:
-    """Return an estimate with its interval and status, as the API writes it."""
-    return {
-        "value": number_evidence(value.value),
-        "std": number_evidence(value.std, 3),
-        "interval_95": None if value.low is None else [number_evidence(value.low), number_evidence(value.high)],
-        "n_windows": number_evidence(value.count),
-        "status": str(value.status),
-        "reason": text_of(value.reason),
-        "reason_code": code_of(value.reason),
-    }
-
-
-def unknown_evidence(reason: Reason | None) -> dict[str, JsonValue]:
-    """Return why a rule cannot decide, as sentence and code; both None where it can."""
-    return {"unknown_because": text_of(reason), "unknown_because_code": code_of(reason)}
-
-
-def forecast_evidence(value: Forecast, digits: int = 3) -> dict[str, JsonValue]:
-    """Return the quantiles of a forecast."""
-    return {name: number_evidence(getattr(value, name), digits) for name in ("p10", "p50", "p90")}
-
-
-def date_evidence(value: Forecast) -> dict[str, JsonValue]:
-    """Return the quantiles of a date in whole seconds, ns UTC; None beyond what 64 bits hold."""
-    return {name: _whole_second(getattr(value, name)) for name in ("p10", "p50", "p90")}
-
-
-def _whole_second(t_ns: float | None) -> int | None:
-    if t_ns is None or not abs(t_ns) < MOST_NS:
-        return None
-    return round(t_ns / SECOND_NS) * SECOND_NS
-
 
 # ranges of what a rules file may set; a number without one is from 0 to 1e9
 Probability = Annotated[float, Interval(ge=0.5, le=0.9999)]
@@ -217,18 +131,261 @@ def too_few_windows(windows: int, needed: int) -> Reason | None:
     return Reason(ReasonCode.TOO_FEW_WINDOWS, f"{windows} windows, {needed} needed")
 
 
-def restated(alert: Alert, *, breached: bool | None, cleared: bool | None, stands: bool | None = None) -> Finding:
-    """Return a finding that says what an open alert says already."""
-    return Finding(
-        wheelset=alert.wheelset or "",
-        kind=alert.kind,
-        breached=breached,
-        cleared=cleared,
-        severity=alert.severity,
-        evidence={name: value for name, value in alert.evidence.items() if name != "delays"},
-        action=alert.action,
-        raise_limit=alert.raise_limit,
-        clear_limit=alert.clear_limit,
-        measured_ns=alert.last_seen_ns,
-        stands=stands,
-    )
+LOOK_BACK = 5  # times the windows that a rule looks at: what was earlier raises nothing any more
+LOOK_BACK_INTERVALS = 24  # intervals of mileage: what was earlier raises nothing any more
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Findings on end that say the same; in rising or falling order of vehicle time."""
+
+    count: int = 0
+    least_km: float | None = None
+    most_km: float | None = None
+
+    def and_one(self, found: Finding) -> Run:
+        """Return the run with one more."""
+        at = found.mileage_km
+        if at is None:
+            return replace(self, count=self.count + 1)
+        least = at if self.least_km is None else min(at, self.least_km)
+        most = at if self.most_km is None else max(at, self.most_km)
+        return Run(self.count + 1, least, most)
+
+    def raises(self, delays: AlertDelays) -> bool:
+        """Return whether breaches on end raise an alert."""
+        return self._lasts(delays.on_evaluations, delays.on_delay_km)
+
+    def clears(self, delays: AlertDelays) -> bool:
+        """Return whether findings on end beyond the clear limit clear an alert."""
+        return self._lasts(delays.off_evaluations, delays.off_delay_km)
+
+    def _lasts(self, evaluations: int, km: float) -> bool:
+        if km <= 0.0:
+            return self.count >= evaluations
+        return self.least_km is not None and self.most_km is not None and self.most_km - self.least_km >= km
+
+
+NO_RUN = Run()
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Whether an alert stands after some findings, and since when; ``run`` is towards its other state."""
+
+    since_ns: int | None = None
+    run: Run = NO_RUN
+
+    def after(self, found: Finding, delays: AlertDelays) -> Standing:
+        """Return what it is after one more finding in order of vehicle time; an undecided one changes nothing."""
+        if found.breached is None:
+            return self
+        if self.since_ns is None:
+            run = self.run.and_one(found) if found.breached else NO_RUN
+            return Standing(found.measured_ns) if run.raises(delays) else Standing(None, run)
+        run = self.run.and_one(found) if found.cleared else NO_RUN
+        return Standing() if run.clears(delays) else Standing(self.since_ns, run)
+
+
+def raised_at(found: Iterable[Finding], delays: AlertDelays) -> int | None:
+    """Return when an alert was raised that stands after findings in order of vehicle time, ns UTC; else None."""
+    standing = Standing()
+    for one in found:
+        standing = standing.after(one, delays)
+    return standing.since_ns
+
+
+def latest_run(newest_first: Iterable[Finding], delays: AlertDelays) -> bool:
+    """Return whether the latest run of findings that was long enough raised an alert; False where none was."""
+    # That is where an alert ends that is raised by breaches on end, for its on-delay, and cleared by findings beyond
+    # the clear limit, for its off-delay. Going back from the newest, most wheelsets are decided by two.
+    raising = clearing = NO_RUN
+    for found in newest_first:
+        raising = raising.and_one(found) if found.breached else NO_RUN
+        clearing = clearing.and_one(found) if found.cleared else NO_RUN
+        if raising.raises(delays):
+            return True
+        if clearing.clears(delays):
+            return False
+    return False
+
+
+def began(newest_first: Iterable[Finding], delays: AlertDelays) -> int | None:
+    """Return when an alert that stands was raised, ns UTC, looking back from the newest to the last run that clears."""
+    read: list[Finding] = []
+    clearing = NO_RUN
+    for found in newest_first:
+        read.append(found)
+        clearing = clearing.and_one(found) if found.cleared else NO_RUN
+        if clearing.clears(delays):
+            break
+    return raised_at(reversed(read), delays)
+
+
+def reach_km(delays: AlertDelays) -> float:
+    """Return how far back findings count where a delay is in kilometres; 0 where none is."""
+    return LOOK_BACK * max(delays.on_delay_km, delays.off_delay_km)
+
+
+def within_reach(mileages_km: Sequence[float | None], count: int, reach: float) -> int:
+    """Return how many of the newest data count: at least ``count``, and those of the last kilometres."""
+    known = [at for at in mileages_km if at is not None]
+    if reach <= 0.0 or not known:
+        return min(count, len(mileages_km))
+    first = next(i for i, at in enumerate(mileages_km) if at is not None and at >= known[-1] - reach)
+    return min(len(mileages_km), max(count, len(mileages_km) - first))
+
+
+@dataclass(frozen=True, slots=True)
+class WindowsRule(AlertRule):
+    """A rule on the latest windows: an alert stands as if it had been evaluated at each of them."""
+
+    counts_km = True
+
+    latest_windows: Annotated[int, Interval(ge=1, le=1000)] = 20
+
+    @abstractmethod
+    def find_in(self, windows: Sequence[WindowRecord], facts: WheelsetFacts) -> Finding:
+        """Return the finding of the latest windows, oldest first."""
+
+    @abstractmethod
+    def is_suspect(self, window: WindowRecord, facts: WheelsetFacts) -> bool:
+        """Return whether a window can raise anything; without such windows nothing stands."""
+
+    def counts_from_ns(self, facts: WheelsetFacts) -> int | None:  # noqa: ARG002 - of those that override it
+        """Return the start of the first window that counts, ns UTC; None where all of the mounting count."""
+        return None
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
+        """Return the finding of the latest windows of the mounting.
+
+        The newest ``LOOK_BACK`` times ``latest_windows`` show whether an alert stands, with delays in kilometres also
+        all of the last ``reach_km``.
+        """
+        if facts.wheelset.mounting is None:
+            return None
+        from_ns, latest = self.counts_from_ns(facts), self.latest_windows
+        counting = (one for one in facts.windows if from_ns is None or one.start_ns >= from_ns)
+        ordered = sorted(counting, key=lambda window: window.start_ns)
+        now = self.find_in(ordered[-latest:], facts)
+        if not any(self.is_suspect(window, facts) for window in ordered):
+            return replace(now, stands=False)
+        mileages = [None if one.implausible is not None else one.mileage_km for one in ordered]
+        first = len(ordered) - within_reach(mileages, LOOK_BACK * latest, reach_km(self.delays))
+
+        def after(end: int) -> Finding:
+            found = self.find_in(ordered[max(first, end - latest) : end], facts)
+            return replace(found, mileage_km=mileages[end - 1])
+
+        since_ns = raised_at((after(end) for end in range(first + 1, len(ordered) + 1)), self.delays)
+        return replace(now, stands=since_ns is not None, since_ns=since_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class WindowShareRule(WindowsRule):
+    """A rule on the share of the latest windows that show something.
+
+    With k of n windows, the probability that the share exceeds a limit is that of a Beta(k + 1, n - k + 1), the
+    posterior of a flat prior.
+    """
+
+    relations = (("clear_share", "<=", "raise_share"), ("minimum_windows", "<=", "latest_windows"))
+
+    minimum_windows: WindowCount = 3
+    raise_share: Share = 0.5
+    clear_share: Share = 0.1
+    raise_probability: Probability = 0.8
+    clear_probability: Probability = 0.8
+
+    def share_finding(
+        self,
+        windows: Sequence[WindowRecord],
+        showing: int,
+        facts: WheelsetFacts,
+        evidence: Evidence,
+        action: str,
+        severity: Severity = Severity.WARNING,
+    ) -> Finding:
+        """Return the finding of the latest windows of which some show it; too few of them decide nothing."""
+        known, shape = len(windows) >= self.minimum_windows, (showing + 1, len(windows) - showing + 1)
+        over, below_clear = float(1.0 - betainc(*shape, self.raise_share)), float(betainc(*shape, self.clear_share))
+        return Finding(
+            wheelset=facts.wheelset.serial,
+            kind=self.kind,
+            breached=over >= self.raise_probability if known else None,
+            cleared=below_clear >= self.clear_probability if known else None,
+            severity=severity,
+            probability=number_evidence(over, 3) if known else None,
+            evidence=evidence.stored(),
+            action=action,
+            raise_limit=self.raise_share,
+            clear_limit=self.clear_share,
+            measured_ns=measured_until(windows, facts),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class IntervalsRule(AlertRule):
+    """A rule on the profile: an alert stands as if it had been evaluated after each interval of mileage.
+
+    The newest ``LOOK_BACK_INTERVALS`` intervals count, with delays in kilometres also those of the last ``reach_km``.
+    """
+
+    counts_km = True
+    of_wear = True
+
+    @abstractmethod
+    def find_now(self, facts: WheelsetFacts) -> Finding | None:
+        """Return what the facts show without those before; None where the rule does not apply."""
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
+        """Return the present finding; without intervals it leaves open whether an alert stands.
+
+        What hides the present state (``not_assessable_reason``) does not undo what the data have shown. Severity and
+        action are then those of the newest data that decide.
+        """
+        now = self.find_now(facts)
+        if now is None:
+            return None
+        now = replace(now, mileage_km=None if facts.geometry is None else facts.geometry.mileage_km)
+        if not facts.intervals:
+            return now
+        read: list[Finding] = []
+        deciding = self._deciding(facts, read)
+        standing = latest_run(deciding, self.delays)
+        if not read:
+            return now
+        if standing and all(alert.kind != now.kind for alert in facts.open_alerts):  # it will be opened
+            now = replace(now, since_ns=began(chain(read.copy(), deciding), self.delays))
+        if now.breached is not None:
+            return replace(now, stands=standing)
+        return replace(now, stands=standing, severity=read[0].severity, action=read[0].action)
+
+    def _deciding(self, facts: WheelsetFacts, read: list[Finding]) -> Iterator[Finding]:
+        """Yield the findings that decide, newest first, each at the mileage of its interval, and keep what was read."""
+        intervals = counting(facts, self.delays)
+        for record, one in zip(reversed(intervals), _newest_first(facts, intervals), strict=True):
+            found = self.find_now(one)
+            if found is not None and found.breached is not None:
+                found = replace(found, mileage_km=record.mileage_km)
+                read.append(found)
+                yield found
+
+
+def counting(facts: WheelsetFacts, delays: AlertDelays) -> Sequence[GeometryRecord]:
+    """Return the newest intervals that count; delays in kilometres may reach further back."""
+    mileages = [record.mileage_km for record in facts.intervals]
+    return facts.intervals[-within_reach(mileages, LOOK_BACK_INTERVALS, reach_km(delays)) :]
+
+
+def _newest_first(facts: WheelsetFacts, intervals: Sequence[GeometryRecord]) -> Iterator[WheelsetFacts]:
+    """Yield the facts as they are, and as they were after each earlier interval, had all earlier data been there."""
+    yield replace(facts, not_assessable_reason=None)
+    shared_std: float | None = None
+    for record in reversed(intervals[:-1]):
+        trend = None
+        if facts.current_trend is not None and facts.current_trend.trend.not_comparable is None:
+            if shared_std is None:
+                shared_std = conicity_points(facts.all_conicities).spread
+            trend = trend_up_to(facts.current_trend, record.mileage_km, shared_std, facts.trend_parameters)
+        yield replace(facts, geometry=record, trend=trend, not_assessable_reason=None)

@@ -4,28 +4,38 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Annotated
 
 from annotated_types import Interval
 
+from estimation.alerts.identity import IdentityEvent, IdentityParameters, Mistake
 from estimation.alerts.rules.rule import (
     AlertDelays,
     AlertRule,
     Days,
-    DecidingEvidence,
-    Evidence,
     Share,
     WheelsetFacts,
     WindowCount,
+    WindowShareRule,
+    WindowsRule,
     measured_until,
     too_few_windows,
+)
+from estimation.values.alerts import (
+    Alert,
+    DecidingEvidence,
+    Evidence,
+    Finding,
+    Severity,
+    number_evidence,
+    restated,
     unknown_evidence,
 )
-from estimation.alerts.rules.standing import WindowShareRule, WindowsRule
-from estimation.values.alerts import Finding, Severity
 from estimation.values.fields import JsonValue, Served
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import Mounting
+from estimation.values.trend import IDENTITY
 from estimation.values.windows import WindowRecord
 
 DAY_NS = 86_400_000_000_000
@@ -141,11 +151,9 @@ class SensorFaultRule(WindowShareRule):
 
 
 def faulty(rule: SensorFaultRule, window: WindowRecord, hunted: frozenset[int] = frozenset()) -> str:
-    """Return what is wrong with the sensor in this window; empty where nothing is.
-
-    A sensor that clips because its wheelset hunts, or another one that shakes its vehicle, is sound; so is one that a
-    wheel with a flat strikes.
-    """
+    """Return what is wrong with the sensor in this window; empty where nothing is."""
+    # a sensor that clips because its wheelset hunts, or another one that shakes its vehicle, is sound; so is one that a
+    # wheel with a flat strikes
     quality = window.quality
     if quality.sensor_fault:
         return "self_test_or_emergency"
@@ -227,3 +235,93 @@ def silent_since_ns(facts: WheelsetFacts) -> int | None:
         return None
     from_ns = facts.wheelset.mounting.from_ns
     return from_ns if facts.last_usable_ns is None else max(from_ns, facts.last_usable_ns)
+
+
+MOUNTED = "mounted"
+_EXPLANATIONS = {
+    Mistake.REVERSED: "the geometry has become its own mirror image: it runs the other way round than on file",
+    Mistake.SWAPPED: "the geometry has become that of another wheelset, and the other's has become this one's",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountedAs:
+    """How a wheelset is mounted on file."""
+
+    vehicle: Annotated[str, Served("Code of the vehicle.")]
+    axle: Annotated[int, Served("Number of the axle, from 1.")]
+    from_ns: Annotated[int, Served("Since when.", "mounted_from")]
+    reversed: Annotated[bool, Served("The left wheel runs on the right-hand side.")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IdentityEvidence(Evidence):
+    """Evidence of `identity`: the wheelset that runs is not the one on file, or not the way round."""
+
+    mistake: Annotated[Mistake, Served("The mistake that explains the jump.")]
+    partner: Annotated[str | None, Served("The other wheelset of a swap.")]
+    before_ns: Annotated[int, Served("End of the last data before it happened.", "last_data_before_at")]
+    after_ns: Annotated[int, Served("Begin of the first data after it.", "first_data_after_at")]
+    jump: Annotated[float | None, Served("Standard deviations between the geometries before and after.", "jump_1")]
+    left: Annotated[float | None, Served("Standard deviations that the explanation leaves.", "left_1")]
+    reason: Annotated[str, Served("The explanation, as a sentence.")]
+    mounted: Annotated[MountedAs, Served("The mounting that it was raised on.")]
+
+
+@dataclass(frozen=True, slots=True)
+class IdentityRule(AlertRule):
+    """A wheelset is not the one on file, or not the way round; its alert stands until its mounting is corrected."""
+
+    kind = IDENTITY
+    limit_unit = "1"
+    evidence = IdentityEvidence
+    hides_wear = Reason(
+        ReasonCode.IDENTITY_DOUBTFUL, "the wheelset is not the recorded one, or is mounted the other way round"
+    )
+
+    parameters: IdentityParameters = field(default_factory=IdentityParameters)
+
+    def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
+        """Return what stands against the wheelset's identity, unless the mounting has been corrected since."""
+        mounting = facts.wheelset.mounting
+        if mounting is None or not self.enabled:
+            return None
+        standing = next((alert for alert in facts.open_alerts if alert.kind == self.kind), None)
+        if standing is not None and (mounting_corrected(standing, mounting) or mounting.from_ns > standing.opened_ns):
+            standing = None
+        return identity_finding(facts.identity, mounting, standing)
+
+
+def identity_finding(event: IdentityEvent | None, mounting: Mounting, standing: Alert | None) -> Finding | None:
+    """Return the finding on a wheelset's identity; None where the geometries agree with it."""
+    if event is None:
+        return None if standing is None else restated(standing, breached=True, cleared=False)
+    details = IdentityEvidence(
+        mistake=event.mistake,
+        partner=event.partner,
+        before_ns=event.before_ns,
+        after_ns=event.after_ns,
+        jump=number_evidence(event.jump, 3),
+        left=number_evidence(event.left, 3),
+        reason=_EXPLANATIONS[event.mistake],
+        mounted=MountedAs(
+            vehicle=mounting.vehicle, axle=mounting.axle, from_ns=mounting.from_ns, reversed=mounting.reversed
+        ),
+    )
+    return Finding(
+        wheelset=event.wheelset,
+        kind=IDENTITY,
+        breached=True,
+        cleared=False,
+        evidence=details.stored(),
+        action="check_mounting",
+        measured_ns=event.measured_ns,
+    )
+
+
+def mounting_corrected(alert: Alert, mounting: Mounting) -> bool:
+    """Whether the mounting on file is another than the alert was raised on."""
+    mounted = alert.evidence.get(MOUNTED)
+    if alert.kind != IDENTITY or not isinstance(mounted, Mapping):
+        return alert.kind == IDENTITY
+    return any(mounted.get(field.name) != getattr(mounting, field.name) for field in fields(MountedAs))

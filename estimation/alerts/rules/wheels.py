@@ -18,16 +18,16 @@ from scipy.special import ndtr
 
 from estimation.alerts.rules.rule import (
     AlertRule,
-    DecidingEvidence,
     Probability,
     Share,
+    Standing,
     WheelsetFacts,
     WindowCount,
-    number_evidence,
+    WindowShareRule,
+    counting,
     too_few_windows,
 )
-from estimation.alerts.rules.standing import Standing, WindowShareRule, counting
-from estimation.values.alerts import Finding, Severity
+from estimation.values.alerts import DecidingEvidence, Finding, Severity, number_evidence
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.fields import JsonValue, Served
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry

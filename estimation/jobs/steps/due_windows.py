@@ -20,8 +20,7 @@ from estimation.storage import UnitOfWork
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.registry import Mounting
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.windows import DueStage, MileageReading, ReadingSpan, WindowKey, WindowMark, WindowState
 
 APART_NS = 86_400_000_000_000  # starts of new windows, of which those between are not read

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 from estimation.errors import DamagedError, NotFoundError
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.geometry.rolling_radius import check_radius
+from estimation.geometry.model_fit import check_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import load_window

@@ -8,10 +8,9 @@ from functools import lru_cache
 import numpy as np
 
 from estimation.accuracy.wheel_contact import RailShare
-from estimation.alerts.rules.contradicted_registry import MOUNTED
-from estimation.rails.parameters import conicity_on_rails, designed_wheel
+from estimation.alerts.rules.sensor_data import MOUNTED
+from estimation.rails.cell import conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
-from estimation.trend.steps import StepSurroundings
 from estimation.values.alerts import Alert
 from estimation.values.geometry import IntervalConicities
 from estimation.values.registry import Mounting, WheelsetRecord
@@ -21,6 +20,7 @@ from estimation.values.trend import (
     IDENTITY,
     TREND,
     IdentityChange,
+    StepSurroundings,
     TrendRecord,
     TrendStep,
     baseline_part,

@@ -18,17 +18,16 @@ from estimation.motion.axle_distance import (
     bogie_runs_backwards,
     check_axle_distance,
     check_frame_sensors,
-    runs_backwards,
     turned_over,
     with_frame_yaw,
 )
+from estimation.motion.checks import runs_backwards
 from estimation.motion.without_blows import without_blows
 from estimation.storage import UnitOfWork
 from estimation.values.opinions import FRICTION
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.track import AlignmentRecord, TrackAlignment, TrackLayout
 from estimation.values.windows import Window, WindowKey, WindowPosition, WindowRecord
 from estimation.vehicle.vehicle_class import VehicleClass

@@ -16,7 +16,7 @@ from estimation.errors import DamagedError
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import RailsSettings
 from estimation.jobs.steps.identities import last_change
-from estimation.rails.parameters import Anchors, ReferenceWheel, conicity_on_rails, designed_wheel
+from estimation.rails.cell import Anchors, ReferenceWheel, conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import KnownWheel, RailKey, StoredCell, WheelKey

@@ -15,7 +15,7 @@ from estimation.errors import DamagedError
 from estimation.jobs.steps.identities import suspected
 from estimation.jobs.steps.membership import Baseline, baselines
 from estimation.jobs.steps.vehicle_classes import ClassLookup, VehicleLookup
-from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, extrapolated
 from estimation.values.geometry import KnownConicity, interval_conicities

@@ -13,13 +13,11 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup, VehicleLookup
-from estimation.motion.parameters import WindowParameters
-from estimation.signatures.parameters import SignatureParameters
-from estimation.signatures.window_signatures import window_signatures
+from estimation.motion.integration import WindowParameters
+from estimation.signatures.window_signatures import SignatureParameters, window_signatures
 from estimation.storage import UnitOfWork
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind, code_of_error, first_line
+from estimation.values.runs import Facet, SubjectKind, code_of_error, first_line
 from estimation.values.signatures import SIGNATURES, KnownSignatures, Signature, WindowSignatures
 from estimation.values.track import TrackLayout
 from estimation.values.windows import Window, WindowRecord, key_of_text, text_of_key

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 from estimation.jobs.settings import EstimationSettings
-from estimation.motion.parameters import WindowParameters
+from estimation.motion.integration import WindowParameters
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import bin_parameters
 from estimation.values.reasons import Reason, ReasonCode

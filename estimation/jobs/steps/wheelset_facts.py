@@ -8,16 +8,15 @@ from typing import TypeVar
 
 from estimation.accuracy.wheel_contact import RailShare
 from estimation.alerts.identity import IDENTITY_EVENT, IdentityEvent
-from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.rule import WheelsetFacts
+from estimation.alerts.rule_book import RuleBook
+from estimation.alerts.rules.rule import LOOK_BACK, LOOK_BACK_INTERVALS, WheelsetFacts, reach_km, within_reach
 from estimation.alerts.rules.running_gear import HuntingRule
 from estimation.alerts.rules.sensor_data import DataQualityRule, SensorFaultRule
-from estimation.alerts.rules.standing import LOOK_BACK, LOOK_BACK_INTERVALS, reach_km, within_reach
 from estimation.alerts.rules.wheels import WheelFlatRule
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.identities import identity_changes, rails_of, step_of, surroundings
 from estimation.storage import UnitOfWork
-from estimation.trend.steps import StepSurroundings, behind_step
+from estimation.trend.trend import behind_step
 from estimation.values.alerts import Alert
 from estimation.values.geometry import GeometryRecord, IntervalConicities
 from estimation.values.opinions import GEAR_DAMPERS, GearDamper
@@ -26,6 +25,7 @@ from estimation.values.trend import (
     SUSPENSION,
     TREND,
     IdentityChange,
+    StepSurroundings,
     SuspensionShown,
     TrendRecord,
     TrendStep,

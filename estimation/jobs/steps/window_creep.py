@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from estimation.adhesion.creep_forces import ContactForces, forces_on, gear_segments
-from estimation.adhesion.parameters import FileErrors, FrictionParameters
+from estimation.adhesion.creep_forces import ContactForces, FileErrors, FrictionParameters, forces_on, gear_segments
 from estimation.adhesion.window_adhesion import AdhesionInputs, refused, window_adhesion
-from estimation.alerts.rules.low_adhesion import LowAdhesionRule
+from estimation.alerts.rules.running_gear import LowAdhesionRule
 from estimation.dampers.damper import looked_at, window_damper
 from estimation.errors import DamagedError, PurgedError
 from estimation.jobs.settings import EstimationSettings

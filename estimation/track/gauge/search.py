@@ -38,8 +38,6 @@ class GaugePrior:
 
 @dataclass(frozen=True, slots=True)
 class _LinearisedPass:
-    """One pass: residual of y and its derivative by e before the filter, on its own grid."""
-
     points: IntArray  # (m,) clipped to the section
     on: BoolArray  # (m,) on the section
     inside: BoolArray  # (m,) where the residual can be used
@@ -96,8 +94,6 @@ def _linearised(item: GriddedPass, curve: FloatArray, panel: Panel) -> _Linearis
 
 @dataclass(frozen=True, slots=True)
 class _GaugeSystem:
-    """Minimise |residual - F[dh/de K u]|^2 + ridge |u|^2 with d free: F is the filter, K u the change of the gauge."""
-
     rows: Sequence[_LinearisedPass]
     share: FloatArray  # (n,) one over the weights of the passes, zero where there are too few
     smooth: FloatArray  # kernel of K
@@ -193,7 +189,6 @@ def search_gauge(
 
 
 def _best_way(cost: FloatArray, level: FloatArray) -> IntArray:
-    """Return the indices (n,) of the way with the least sum of ``cost`` (n, l) and half the squares of its steps."""
     step = 0.5 * (level[:, None] - level[None, :]) ** 2  # (to, from)
     n, count = cost.shape
     came_from = np.zeros((n, count), dtype=np.int64)

@@ -165,7 +165,6 @@ def _misfits_by_factor(seen: Mapping[ProfileLife, ContactSamples]) -> FloatArray
 
 
 def _best_factor(misfits: FloatArray) -> float:
-    """Return the factor at the least of ``misfits`` (f,), by a parabola over its logarithm."""
     best = min(max(int(np.argmin(misfits)), 1), len(FACTORS) - 2)
     near = slice(best - 1, best + 2)
     bend, slope, _ = np.polyfit(np.log(FACTORS[near]), misfits[near], 2)
@@ -175,11 +174,9 @@ def _best_factor(misfits: FloatArray) -> float:
 
 
 def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[ProfileLife, GaugeShift]) -> int:
-    """Return the sign that estimated gauge deviations are to be multiplied with.
-
-    It is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is taken from
-    what wheels are, steeper towards the flange: far from the centre a wheelset runs further out in wide gauge.
-    """
+    """Return the sign that estimated gauge deviations are to be multiplied with."""
+    # It is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is taken
+    # from what wheels are, steeper towards the flange: far from the centre a wheelset runs further out in wide gauge.
     outwards = 0.0  # per millimetre of gauge
     for name, one in seen.items():
         R = one.difference[np.abs(one.difference) >= np.quantile(np.abs(one.difference), FAR)]
@@ -189,7 +186,6 @@ def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[Profi
 
 
 def _misfit_wheels(seen: ContactSamples, factor: float) -> float:
-    """Return the mean square of x less the shift, m2, around its curve over R: straight between knots."""
     shift = gauge_shift_of(fit_wheels(seen, factor))
     x = seen.displacement - shift.at(seen.difference, factor * seen.gauge)
     B = _hats(seen.difference, CURVE_KNOTS)
@@ -198,7 +194,6 @@ def _misfit_wheels(seen: ContactSamples, factor: float) -> float:
 
 
 def _hats(u: FloatArray, knots: FloatArray) -> sparse.csr_matrix:
-    """Return the hat functions over uniform ``knots`` (k,) at u (n,): (n, k)."""
     position = np.clip((u - knots[0]) / (knots[1] - knots[0]), 0.0, len(knots) - 1.001)
     cell = position.astype(np.int64)
     share = position - cell
@@ -232,7 +227,6 @@ def initial_gauge_effect(
 def _leading_vectors(
     passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the two leading eigenvectors, and how many samples each knot has, (w, knots of R >= 0) each."""
     knots = panel.parameters.gauge_knots[panel.parameters.gauge_basis_count // 2 :]
     k, w = len(knots), len(solution.lives)
     sums, own, count = np.zeros((panel.grid.points, w * k)), np.zeros((w * k, w * k)), np.zeros(w * k)
@@ -288,7 +282,6 @@ def _best_candidate(
 
 
 def _cut(item: Pass, begin: float, end: float) -> Pass | None:
-    """Return a pass between two places, m, counted from the first; None where it has not been there."""
     within = (item.at >= begin) & (item.at <= end)
     if within.sum() < 2:  # noqa: PLR2004 - a pass has a length
         return None

@@ -154,7 +154,6 @@ class Panel:
 
 
 def _knots(reach: float, count: int) -> FloatArray:
-    """Return knots (count,), closer together around zero, where contact jumps are small and data many."""
     return np.asarray(reach * np.sinh(np.linspace(-1.5, 1.5, count)) / np.sinh(1.5))
 
 
@@ -345,7 +344,6 @@ def update(state: PanelState, passes: Sequence[GriddedPass]) -> PanelState:
 
 
 def _extended(sums: npt.NDArray[Precision], axis: int, new: int) -> npt.NDArray[Precision]:
-    """Return a copy of sums with so many zeros more along an axis."""
     shape = list(sums.shape)
     shape[axis] += new
     found = np.zeros(shape, dtype=sums.dtype)
@@ -354,7 +352,6 @@ def _extended(sums: npt.NDArray[Precision], axis: int, new: int) -> npt.NDArray[
 
 
 def _add(sums: PanelState, w: int, rows: PassRows, weight: float) -> None:
-    """Add the rows of one pass of wheelset ``w`` in place, to sums that have no other owner."""
     at, y, R = rows.points, rows.displacement, rows.difference
     for group, B_there, y_there in _by_block(rows, sums.panel):
         sums.gram[group, w] += weight * (B_there @ B_there.T)
@@ -369,7 +366,6 @@ def _add(sums: PanelState, w: int, rows: PassRows, weight: float) -> None:
 
 
 def _by_block(rows: PassRows, panel: Panel) -> Iterator[tuple[int, npt.NDArray[np.float32], FloatArray]]:
-    """Yield the group of each block with its part of the design matrix (k, m) and of the displacement (m,)."""
     block = _block_of(rows.points, panel)
     ends = np.flatnonzero(np.diff(block)) + 1
     for start, end in pairwise((0, *ends.tolist(), len(block))):

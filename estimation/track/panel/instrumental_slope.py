@@ -91,8 +91,6 @@ SYSTEMATIC_SHARE = 0.15  # of 1 / r2 - 1: std of the factor that blocks of data 
 
 @dataclass(frozen=True, slots=True)
 class _Filtered:
-    """A pass through the grid's high-pass, at its grid points (m,)."""
-
     source: GriddedPass
     displacement: FloatArray  # (m,) y, m
     difference: FloatArray  # (m,) R, m, as the section has it
@@ -122,7 +120,6 @@ def with_instrument(
 
 
 def _sums(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel) -> FloatArray:
-    """Return by group (g, 4) the sums of h(z) h(R), h(z) y, h(z)^2 and h(R)^2, each less its mean over the place."""
     grid, groups = panel.grid, panel.parameters.groups
     filtered = [_filtered(item, panel) for item in passes if not item.empty]
     summed, passed = np.zeros((2, grid.points))
@@ -192,7 +189,6 @@ def _compared(one: _Filtered, curve: FloatArray, predicted: FloatArray, panel: P
 
 
 def _at(values: FloatArray | BoolArray, points: IntArray, panel: Panel) -> np.ndarray:
-    """Return ``values`` (n,) at grid points (m,), some of which are off the section."""
     return values[np.clip(points, 0, panel.grid.points - 1)]
 
 
@@ -278,17 +274,14 @@ def with_ratio_std(
 
 
 def error_of_difference(ratios: Mapping[str, Ratio], passes: Sequence[GriddedPass]) -> float:
-    """Return the relative std of R that the stiffness ratio leaves, of the vehicle where it is largest.
-
-    In a stiff bogie nearly all of R is its stiffness term, a small difference of two yaws, whose errors follow the
-    motion as curves do: there the passes determine neither the ratio nor the curves.
-    """
+    """Return the relative std of R that the stiffness ratio leaves, of the vehicle where it is largest."""
+    # in a stiff bogie nearly all of R is its stiffness term, a small difference of two yaws, whose errors follow the
+    # motion as curves do: there the passes determine neither the ratio nor the curves
     shares = _stiffness_shares([item for item in passes if item.source.vehicle in ratios])
     return max((float(np.sqrt(share)) * ratios[vehicle].std for vehicle, share in shares.items()), default=0.0)
 
 
 def _stiffness_shares(passes: Sequence[GriddedPass]) -> dict[str, float]:
-    """Return by vehicle the mean square of the stiffness term over that of R, at most 1."""
     sums: dict[str, np.ndarray] = {}
     for item in passes:
         E, R = item.stiffness_term[item.inside], item.difference[item.inside]

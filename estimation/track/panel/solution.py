@@ -106,7 +106,6 @@ _Equations = tuple[FloatArray, FloatArray]
 
 
 def _normal_equations(state: PanelState, *, by_group: bool) -> list[_Equations]:
-    """Return the equations of each group of blocks along the section, or those of all."""
     group = groups_of(np.arange(state.panel.grid.points), state.panel)
     met = state.passes > 0
     if by_group:
@@ -128,7 +127,6 @@ def _sum_of(parts: Sequence[_Equations]) -> _Equations:
 
 
 def _reduced(state: PanelState, gram: FloatArray, cross: FloatArray, at: IntArray) -> _Equations:
-    """Return the equations from what is at some grid points."""
     where = as_slice(at)
     G = state.basis_sums.reshape(-1, state.panel.grid.points)[:, where]
     per_pass = 1.0 / state.passes[where]
@@ -155,7 +153,6 @@ def _by_curves(curves: FloatArray, state: PanelState) -> FloatArray:
 
 
 def _curves(whole: _Equations, groups: Sequence[_Equations], state: PanelState, *, curves_fixed: bool) -> FloatArray:
-    """Solve for all data and with each of some groups left out; curves pass through zero at R = 0."""
     w, p, c = len(state.lives), state.panel.parameters, state.panel.unknowns
     if w == 0:
         return np.zeros((1 + len(groups), 0, 1))
@@ -179,7 +176,6 @@ def _curves(whole: _Equations, groups: Sequence[_Equations], state: PanelState, 
 
 
 def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the solution of normal equations: by Cholesky, and where rounding has left them indefinite by LDL."""
     try:
         factor = linalg.cho_factor(normal, lower=True, check_finite=False)
     except linalg.LinAlgError:
@@ -188,7 +184,6 @@ def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _prior(scale: float, panel: Panel) -> FloatArray:
-    """Return the normal matrix (c, c) of what is known of one wheelset's columns beforehand."""
     p, count = panel.parameters, panel.parameters.basis_count
     blocks = [scale * (_rough(count, p.roughness) + 1e-6 * np.ones((count, count)) / count)]
     if panel.gauge is not None:
@@ -198,16 +193,13 @@ def _prior(scale: float, panel: Panel) -> FloatArray:
 
 
 def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
-    """Return the curves that have been measured, by the number of their wheelset."""
     known = state.panel.measured
     return {number: known[life] for number, life in enumerate(state.lives) if life in known}
 
 
 def _prior_of_measured(state: PanelState, fixed_weight: float | None) -> tuple[FloatArray, FloatArray]:
-    """Return normal matrix (w c, w c) and right side (w c,) of h0 as measured, up to a constant.
-
-    ``fixed_weight`` is that of a knot where only the measurement determines the curve; None weights it by its std.
-    """
+    """Return normal matrix (w c, w c) and right side (w c,) of h0 as measured, up to a constant."""
+    # `fixed_weight` is that of a knot where only the measurement determines the curve; None weights it by its std
     w, p, c = len(state.lives), state.panel.parameters, state.panel.unknowns
     matrix, right = np.zeros((w * c, w * c)), np.zeros(w * c)
     for number, curve in _measured(state).items():
@@ -223,10 +215,8 @@ def _prior_of_measured(state: PanelState, fixed_weight: float | None) -> tuple[F
 
 
 def _no_common_shift(w: int, panel: Panel, strength: float) -> FloatArray:
-    """Return the normal matrix (w c, w c) of the mean of h1(0) and that of h2(0) over the wheelsets being zero.
-
-    A common shift of all wheelsets in proportion to the gauge deviation, or its square, is inseparable from the track.
-    """
+    """Return the normal matrix (w c, w c) of the mean of h1(0) and that of h2(0) over the wheelsets being zero."""
+    # a common shift of all wheelsets in proportion to the gauge deviation, or its square, is inseparable from the track
     p, c = panel.parameters, panel.unknowns
     if panel.gauge is None:
         return np.zeros((w * c, w * c))

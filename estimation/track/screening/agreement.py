@@ -137,11 +137,9 @@ def alignment_segment(
 
 
 def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, least_length: float) -> Agreement:
-    """Return what two have in common within ``largest_offset`` m, on at least ``least_length`` m; else ``NOTHING``.
-
-    Where they share much, odometers of other scale drift apart by more than a wavelength; a few pieces of it are then
-    compared, each by itself, and the one that agrees neither most nor least is returned.
-    """
+    """Return what two have in common within ``largest_offset`` m, on at least ``least_length`` m; else ``NOTHING``."""
+    # where they share much, odometers of other scale drift apart by more than a wavelength; a few pieces of it are then
+    # compared, each by itself, and the one that agrees neither most nor least is returned
     step = first.step
     start, stop = max(first.first, second.first), min(first.last, second.last) + 1
     if (stop - start) * step < least_length:
@@ -158,7 +156,6 @@ def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, 
 
 
 def _pieces(n: int, step: float) -> list[slice]:
-    """Return which parts of ``n`` shared samples are compared."""
     length = int(PIECE / step)
     if n <= 2 * length:
         return [slice(0, n)]
@@ -179,7 +176,6 @@ def _canonical(X: FloatArray, Z: FloatArray, reach: int) -> FloatArray:
 
 
 def _at_lag(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> Agreement:
-    """Return the agreement of what overlaps at a lag, with its chance over all lags."""
     n = X.shape[1] - abs(lag)
     X, Z = (X[:, :n], Z[:, lag:]) if lag >= 0 else (X[:, -lag:], Z[:, :n])
     X, Z = (signals - signals.mean(axis=1, keepdims=True) for signals in (X, Z))
@@ -200,14 +196,12 @@ def _at_lag(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> 
 
 
 def _inverse(gram: FloatArray) -> FloatArray:
-    """Return the inverse of a Gram matrix whose signals may be of any size, or nothing at all."""
     size = np.sqrt(np.diag(gram))
     size[size == 0.0] = np.inf
     return np.asarray(np.linalg.inv(gram / np.outer(size, size) + 1e-12 * np.eye(len(gram))) / np.outer(size, size))
 
 
 def _independent(X: FloatArray, Z: FloatArray, step: float) -> tuple[float, float]:
-    """Return how many independent samples a correlation of X with Z has, and over how many m one of them reaches."""
     n = X.shape[1]
     far = min(int(CORRELATION_LENGTH / step), n - 1)
     products = own_products(np.concatenate([X, Z]), far)

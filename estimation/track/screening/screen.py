@@ -68,10 +68,8 @@ def misplaced(links: Sequence[Link], journey_of: IntArray, middle: FloatArray, t
 
 
 def _offsets(links: Sequence[Link], count: int) -> tuple[FloatArray, IntArray]:
-    """Return the displacement of each pass (count,) along the section, m, and its group.
-
-    Fitted by least absolute values. Groups are what links join; offsets of different groups cannot be compared.
-    """
+    """Return the displacement of each pass (count,) along the section, m, and its group."""
+    # Fitted by least absolute values. Groups are what links join; offsets of different groups cannot be compared.
     rows = np.arange(len(links))
     first, second = np.array([link.first for link in links]), np.array([link.second for link in links])
     shift = np.array([link.shift for link in links])
@@ -93,7 +91,6 @@ def _offsets(links: Sequence[Link], count: int) -> tuple[FloatArray, IntArray]:
 
 
 def _parts(ordered: Sequence[int], offset: FloatArray, middle: FloatArray, tolerance: float) -> list[list[int]]:
-    """Return the passes of a journey, in order along the section, in parts within which nothing jumps."""
     parts: list[list[int]] = []
     for i in ordered:
         for part in reversed(parts):
@@ -139,7 +136,6 @@ def compare_pairs(
 
 
 def _compare(i: int, j: int, filtered: Mapping[int, FilteredPass], p: ScreeningParameters) -> Comparison | None:
-    """Return why two passes contradict each other, or where they agree; None where they share too little."""
     found = agreement(filtered[i], filtered[j], p.positions.largest_offset, p.cutoff_wavelength)
     if found.samples < p.least_samples and found.log10_chance > p.log10_chance:
         return None
@@ -172,9 +168,7 @@ def minority(
 ) -> dict[int, Reason]:
     """Return the passes that are contradicted by at least as many journeys as stand with them, with the reason.
 
-    Args:
-        journey_of: (n,) number of each pass's journey.
-        confirmed: Passes that a known alignment agrees with: they are not refused, and whom they contradict is.
+    Passes ``confirmed`` by a known alignment are not refused, and whom they contradict is.
     """
     camp = _camps(comparisons, len(journey_of))
     members: dict[int, set[int]] = {}
@@ -271,7 +265,6 @@ def screen(
 def _against_known(
     filtered: Mapping[int, FilteredPass], known: TrackAlignment | None, p: ScreeningParameters
 ) -> tuple[frozenset[int], dict[int, Reason]]:
-    """Return which passes agree with the known alignment and which contradict it; some are not comparable."""
     if known is None or known.status is not Status.ESTIMATED:
         return frozenset(), {}
     reach = int(p.positions.largest_offset / p.step)

@@ -17,9 +17,9 @@ from api.factory import create_app
 from api.settings import Settings
 from api.times import to_rfc3339
 from bench.adhesion_fleet import true_friction
-from estimation.adhesion.parameters import FileErrors, FrictionParameters
-from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.low_adhesion import LowAdhesionRule
+from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
+from estimation.alerts.rule_book import RuleBook
+from estimation.alerts.rules.running_gear import LowAdhesionRule
 from estimation.jobs import refresh_adhesion
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import JobContext, run_job

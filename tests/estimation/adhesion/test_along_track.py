@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.adhesion.parameters import FrictionParameters
+from estimation.adhesion.creep_forces import FrictionParameters
 from estimation.adhesion.pass_sums import GRID, WRONG_BY, WRONG_SHARE, along_track
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import INVERSE

@@ -12,7 +12,7 @@ from bogie_run import SOFT, joined, motions, of_bogie, wheelset
 from bench.adhesion_case import contact_forces
 from estimation.adhesion.creep_forces import MOST_INNOVATION, ContactForces
 from estimation.filters import remove_wander
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window

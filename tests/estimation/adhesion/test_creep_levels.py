@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_friction import a_pass
 
-from estimation.adhesion.parameters import FrictionParameters
+from estimation.adhesion.creep_forces import FrictionParameters
 from estimation.adhesion.pass_sums import MEDIAN_ERROR, ROBUST, creep_levels, pass_sums
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.opinions import WindowAdhesion

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from test_friction import KNOWN, NO_ERRORS, TRUE, a_pass, section_friction
 
-from estimation.adhesion.parameters import LATERAL_AS_CREEP, YAW_AS_CREEP, FileErrors, force_errors, lateral_scale_std
+from estimation.adhesion.creep_forces import LATERAL_AS_CREEP, YAW_AS_CREEP, FileErrors, force_errors, lateral_scale_std
 from estimation.values.opinions import CellFriction
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import (
     LOAD_STD,
     UNSTATED_SCALE_STD,
@@ -18,6 +17,7 @@ from estimation.vehicle.vehicle_class import (
     SensorChannel,
     SensorLayout,
     VehicleClass,
+    VehicleParameters,
     default_relative_std,
 )
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from oracles.creep_excess import creep_excess
 
+from estimation.adhesion.creep_forces import FileErrors
 from estimation.adhesion.friction import (
     LEARNT,
     FrictionParameters,
@@ -17,7 +18,6 @@ from estimation.adhesion.friction import (
     pooled_friction,
     section_adhesion,
 )
-from estimation.adhesion.parameters import FileErrors
 from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode

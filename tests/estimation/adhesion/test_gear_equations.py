@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from estimation.adhesion.stationary_filter import AXLE, gear_equations
-from estimation.vehicle.equations_of_motion import (
-    VehicleParameters,
+from estimation.vehicle.regressors import (
     WheelsetState,
     lateral_suspension_force,
     mass_lateral_acceleration,
     yaw_suspension_moment,
 )
-from estimation.vehicle.vehicle_class import BogieParameters
+from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
 
 P = VehicleParameters(yaw_damping=3e3, load=90e3)
 BOGIE = BogieParameters(2.5, 2600.0, 3000.0, 16e3, 0.32e6, 64e3, 0.3e6, 5e3)

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from bogie_run import SOFT, windows
 
-from estimation.adhesion.friction import MARGIN, away_from_low_adhesion, refused_for_low_adhesion, touched
+from estimation.adhesion.friction import touched
+from estimation.motion.checks import MARGIN, away_from_low_adhesion, refused_for_low_adhesion
 from estimation.values.opinions import INVERSE, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode

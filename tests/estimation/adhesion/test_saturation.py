@@ -7,7 +7,7 @@ import pytest
 from oracles.creep_excess import creep_excess, saturated_sums
 
 from estimation.adhesion.window_adhesion import add_saturated, excess_at, excess_table
-from ingest.simulator.creep_laws import Creep, CreepLaw, share_of_linear
+from ingest.simulator.running import Creep, CreepLaw, share_of_linear
 
 TABLE = excess_table()
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from test_friction import KNOWN, TRUE, a_pass
 
+from estimation.adhesion.creep_forces import FileErrors
 from estimation.adhesion.friction import pooled_friction, section_adhesion
-from estimation.adhesion.parameters import FileErrors
 from estimation.adhesion.pass_sums import (
     FAR,
     FEWEST_VEHICLES,

@@ -11,9 +11,16 @@ from hypothesis import strategies as st
 from wheelset_life import START_NS, window_record
 
 from estimation.alerts.life_cycle import transition
-from estimation.alerts.rules.rule import AlertDelays, WheelsetFacts
+from estimation.alerts.rules.rule import (
+    LOOK_BACK,
+    AlertDelays,
+    WheelsetFacts,
+    began,
+    latest_run,
+    raised_at,
+    within_reach,
+)
 from estimation.alerts.rules.sensor_data import SensorFaultRule
-from estimation.alerts.rules.standing import LOOK_BACK, began, latest_run, raised_at, within_reach
 from estimation.values.alerts import Alert, Condition, Finding, Severity
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, WheelsetRecord

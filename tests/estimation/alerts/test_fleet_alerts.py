@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, register, run_windows
 
-from estimation.alerts.fleet_alerts import HOUR_NS, in_flood, opened, refreshed
 from estimation.alerts.life_cycle import acknowledge
-from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
+from estimation.alerts.rule_book import HOUR_NS, AlarmFloodRule, RuleBook, in_flood, opened, refreshed
 from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.errors import ConflictError, InputError
 from estimation.jobs import evaluate_alerts

@@ -9,14 +9,12 @@ from itertools import product
 import pytest
 from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, known
 
-from estimation.alerts.evaluation import findings
 from estimation.alerts.identity import IdentityEvent, Mistake
 from estimation.alerts.life_cycle import transition
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook, findings
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.near_limit import LimitForecastRule
-from estimation.alerts.rules.rule import AlertDelays, AlertRule, WheelsetFacts
-from estimation.alerts.rules.standing import LOOK_BACK_INTERVALS, latest_run
+from estimation.alerts.rules.rule import LOOK_BACK_INTERVALS, AlertDelays, AlertRule, WheelsetFacts, latest_run
+from estimation.alerts.rules.trend import LimitForecastRule
 from estimation.alerts.rules.wheels import WheelAsymmetryRule
 from estimation.trend.extrapolation import conicity_points
 from estimation.trend.trend import refresh

@@ -11,13 +11,14 @@ from wheelset_life import DAY_NS, geometry_of, known, window_record
 from windows_finding import silence_finding, windows_finding
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, LimitState, SpeedBand, conicity_limit_finding
-from estimation.alerts.rules.near_limit import LimitForecastRule, limit_forecast_finding
 from estimation.alerts.rules.sensor_data import NoDataRule, SensorFaultRule
+from estimation.alerts.rules.trend import LimitForecastRule, limit_forecast_finding
 from estimation.alerts.rules.wheels import WheelAsymmetryRule, asymmetry_of, wheel_asymmetry_finding
-from estimation.trend.trend import TrendPoint, refresh
+from estimation.trend.trend import refresh
 from estimation.values.alerts import Severity
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.trend import TrendPoint
 
 WHY = Reason(ReasonCode.NO_RECENT_DATA, "silent")
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 from wheelset_life import START_NS, window_record
 
-from estimation.alerts.evaluation import superseded
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook, superseded
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.alerts.rules.sensor_data import SensorFaultRule
 from estimation.values.alerts import Alert, CloseReason, Condition, Severity

@@ -11,9 +11,8 @@ from wheelset_life import START_NS, window_record
 from windows_finding import windows_finding
 
 from estimation.alerts.life_cycle import transition
-from estimation.alerts.rules.rule import AlertDelays, WheelsetFacts
+from estimation.alerts.rules.rule import LOOK_BACK, AlertDelays, WheelsetFacts
 from estimation.alerts.rules.sensor_data import SensorFaultRule, faulty
-from estimation.alerts.rules.standing import LOOK_BACK
 from estimation.values.alerts import Alert, Finding
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.windows import WindowRecord

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from estimation.trend.steps import TOGETHER_NS, StepSurroundings, explanations
+from estimation.alerts.rules.trend import TOGETHER_NS, explanations
 from estimation.values.geometry import KnownConicity
 from estimation.values.quantities import Estimate, Status
-from estimation.values.trend import StepCause, StepExplanation, TrendStep
+from estimation.values.trend import StepCause, StepExplanation, StepSurroundings, TrendStep
 
 DAY_NS = 86_400 * 10**9
 DESIGNED = {2e-3: 0.07, 2.5e-3: 0.08, 3e-3: 0.1}

@@ -9,11 +9,10 @@ import numpy as np
 from bench.adhesion_fleet import GOOD
 from estimation.adhesion.creep_forces import gear_segments
 from estimation.dampers.damper import window_damper
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import WindowDamper
 from estimation.values.windows import Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import (
     Arrangement,
     BogieParameters,
@@ -21,6 +20,7 @@ from estimation.vehicle.vehicle_class import (
     SensorChannel,
     SensorLayout,
     VehicleClass,
+    VehicleParameters,
 )
 
 DT, WINDOW_S, DENSITY = 0.004, 60.0, 1e-3

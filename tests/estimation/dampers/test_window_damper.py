@@ -12,7 +12,7 @@ from estimation.adhesion.creep_forces import gear_segments
 from estimation.dampers import damper
 from estimation.dampers.damper import EVERY, looked_at, not_judged, posterior
 from estimation.dampers.damper_filters import LATE_STD_S, add_products, damper_filters, gain_std, of_signals
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.values.opinions import SHARES
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window

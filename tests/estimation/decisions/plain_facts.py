@@ -9,10 +9,10 @@ from scipy import stats
 from wheelset_life import geometry_of, known
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, LimitState, conicity_limit_finding
-from estimation.alerts.rules.near_limit import LimitForecastRule, limit_forecast_finding
 from estimation.alerts.rules.rule import (
     WheelsetFacts,
 )
+from estimation.alerts.rules.trend import LimitForecastRule, limit_forecast_finding
 from estimation.alerts.rules.wheels import Asymmetry, WheelAsymmetryRule, wheel_asymmetry_finding
 from estimation.values.alerts import Alert, Condition, Finding, Severity
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from estimation.alerts.fleet_alerts import in_flood, opened, refreshed
 from estimation.alerts.life_cycle import acknowledge, close, link, shelve, transition, without_stale_acknowledgement
-from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
+from estimation.alerts.rule_book import AlarmFloodRule, RuleBook, in_flood, opened, refreshed
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition

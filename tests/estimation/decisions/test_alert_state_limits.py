@@ -24,23 +24,25 @@ from scipy import stats
 from wheelset_life import DAY_NS, geometry_of, known, quality, window_record
 from windows_finding import silence_finding, windows_finding
 
-from estimation.alerts.evaluation import findings, superseded
 from estimation.alerts.identity import IdentityEvent, Mistake
-from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.contradicted_registry import IdentityRule, identity_finding, mounting_corrected
-from estimation.alerts.rules.rule import (
-    AlertDelays,
-    WheelsetFacts,
+from estimation.alerts.rule_book import RuleBook, findings, superseded
+from estimation.alerts.rules.rule import AlertDelays, WheelsetFacts
+from estimation.alerts.rules.sensor_data import (
+    IdentityRule,
+    NoDataRule,
+    SensorFaultRule,
+    faulty,
+    identity_finding,
+    mounting_corrected,
+)
+from estimation.values.alerts import (
+    CloseReason,
+    Finding,
+    Severity,
     estimate_evidence,
     forecast_evidence,
     number_evidence,
 )
-from estimation.alerts.rules.sensor_data import (
-    NoDataRule,
-    SensorFaultRule,
-    faulty,
-)
-from estimation.values.alerts import CloseReason, Finding, Severity
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Reprofiling

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from test_agreement_limits import smooth
 
 from estimation.filters import local_cubic_kernel
-from estimation.motion.track_lookup import alignment_at, deconvolved
+from estimation.motion.window_motion import alignment_at, deconvolved
 from estimation.values.arrays import FloatArray
 from estimation.values.track import TrackAlignment
 

@@ -18,8 +18,7 @@ from estimation.motion.checks import (
     position_jumps,
     without_jumps,
 )
-from estimation.motion.integration import IntegratedSegment, IntegratedWindow, integrate
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import IntegratedSegment, IntegratedWindow, SignalParameters, integrate
 from estimation.motion.window_motion import to_wheelset_axes
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import ReasonCode, code_of

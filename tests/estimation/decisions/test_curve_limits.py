@@ -14,7 +14,7 @@ from estimation.motion.checks import (
     straight_part,
     usable_samples,
 )
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackLayout

@@ -8,7 +8,7 @@ import pytest
 from plain_windows import GOOD
 
 from estimation.motion.checks import gate
-from estimation.motion.parameters import Gates
+from estimation.motion.integration import Gates
 from estimation.values.reasons import ReasonCode, code_of
 
 GATES = Gates()

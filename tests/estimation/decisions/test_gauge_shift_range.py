@@ -9,14 +9,13 @@ import pytest
 from plain_windows import DT, SPEED, plain_track, plain_window
 
 from estimation.filters import local_cubic_kernel, remove_wander
-from estimation.motion.integration import integrate
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters, integrate
 from estimation.motion.rolling_radius_difference import fuse, motion_signals
-from estimation.motion.track_lookup import gauge_shift
+from estimation.motion.window_motion import gauge_shift
 from estimation.values.arrays import FloatArray
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings
 from estimation.values.windows import Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 SIGNALS, VEHICLE = SignalParameters(), VehicleParameters()
 N = 1500

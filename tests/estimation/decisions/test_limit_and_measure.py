@@ -9,8 +9,15 @@ import pytest
 from plain_facts import VEHICLE, above, facts_of, geometry_record, trend_of, trend_record
 from wheelset_life import geometry_of, known
 
-from estimation.alerts.rules.conicity_limit import ConicityLimitRule, LimitState, conicity_limit_finding, limit_state
-from estimation.alerts.rules.near_limit import LimitForecastRule, MeasureRule, limit_forecast_finding, measure_finding
+from estimation.alerts.rules.conicity_limit import (
+    ConicityLimitRule,
+    LimitState,
+    MeasureRule,
+    conicity_limit_finding,
+    limit_state,
+    measure_finding,
+)
+from estimation.alerts.rules.trend import LimitForecastRule, limit_forecast_finding
 from estimation.trend.extrapolation import Extrapolation
 from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Estimate, Forecast

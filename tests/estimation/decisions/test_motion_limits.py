@@ -10,8 +10,7 @@ from paper_class import WINDOWS
 from plain_windows import DT, GOOD, SPEED, layout, plain_track, plain_window
 
 from estimation.errors import ParameterError
-from estimation.motion.integration import segments
-from estimation.motion.parameters import SignalParameters, WindowParameters
+from estimation.motion.integration import SignalParameters, WindowParameters, segments
 from estimation.motion.window_motion import NO_ALIGNMENT, motion, window_motion
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode

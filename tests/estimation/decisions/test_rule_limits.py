@@ -23,7 +23,7 @@ from plain_facts import (
 from wheelset_life import geometry_of, known
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
-from estimation.alerts.rules.near_limit import LimitForecastRule
+from estimation.alerts.rules.trend import LimitForecastRule
 from estimation.alerts.rules.wheels import WheelAsymmetryRule, asymmetry_of
 from estimation.values.alerts import Severity
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry

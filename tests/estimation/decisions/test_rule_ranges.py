@@ -11,7 +11,7 @@ from typing import get_args, get_origin, get_type_hints
 import pytest
 
 from api.rules_file import load_rules
-from estimation.alerts.rules.book import ALERT_RULES, AlarmFloodRule, RuleBook
+from estimation.alerts.rule_book import ALERT_RULES, AlarmFloodRule, RuleBook
 from estimation.errors import InputError
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from estimation.trend.trend import TrendParameters, TrendPoint, probability_above, probability_within, refresh
+from estimation.trend.trend import TrendParameters, probability_above, probability_within, refresh
 from estimation.trend.wear_curve import fit_wear_curve
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.trend import WearTrend
+from estimation.values.trend import TrendPoint, WearTrend
 
 YEAR_NS = round(365.25 * 24 * 3600 * 1e9)
 START_NS = 1_700_000_000 * 10**9

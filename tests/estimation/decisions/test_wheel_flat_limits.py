@@ -14,7 +14,7 @@ from windows_finding import windows_finding
 from estimation.alerts.rules.sensor_data import NoDataRule, SensorFaultRule, faulty
 from estimation.alerts.rules.wheels import MOST_APART, SAME_SIDE, WheelFlatRule, strikes
 from estimation.motion.checks import gate
-from estimation.motion.parameters import Gates
+from estimation.motion.integration import Gates
 from estimation.values.alerts import Finding, Severity
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord

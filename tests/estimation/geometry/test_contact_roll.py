@@ -13,7 +13,7 @@ from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import TreadWear, worn
 from estimation.geometry.sharpening import ContactRoll, standard_curve
 from estimation.geometry.uncertainty import SCALE_STDS, ParameterUncertainty
-from estimation.motion.rolling_radius_difference import standard_displacement
+from estimation.motion.integration import standard_displacement
 from estimation.values.arrays import FloatArray
 from ingest.vehicle_class_schema import shipped_class
 

@@ -13,7 +13,7 @@ from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, sample_window, wear
 
 from bench.put_values import put_geometry, put_trend
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.jobs.catalogue import ALL_STAGES
 from estimation.jobs.job import JobContext
@@ -27,7 +27,7 @@ from estimation.values.geometry import GEOMETRY
 from estimation.values.opinions import CELLS, CREEP, FRICTION
 from estimation.values.quantities import with_interval
 from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
-from estimation.values.results import EVERYTHING, Facet, Mark, Result
+from estimation.values.runs import EVERYTHING, Facet, Mark, Result
 from estimation.values.signatures import ANSWERS, SIGNATURES
 from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import (

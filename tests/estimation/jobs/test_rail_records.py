@@ -34,8 +34,8 @@ from estimation.values.opinions import (
     WheelsFinding,
 )
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.results import EVERYTHING, Mark
 from estimation.values.roll_up import RollUp, RollUpKey, Side
+from estimation.values.runs import EVERYTHING, Mark
 from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import IdentityChange
 from fleet_db.storage import SqlStorage

@@ -21,8 +21,7 @@ from estimation.jobs.job import JobContext
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
-from estimation.values.results import Facet
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, SubjectKind
 from estimation.values.signatures import ANSWERS, SIGNATURES, Basis, Signature, SignatureFinding, WindowSignatures
 from estimation.values.trend import IdentityChange
 from fleet_db.migrate import upgrade

@@ -9,7 +9,7 @@ from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows
 
 from bench.put_values import put_geometry
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.alerts.rules.sensor_data import NoDataRule, SensorFaultRule

@@ -19,8 +19,7 @@ from estimation.jobs.stage import AnyStage, Counted, Outcome, Part, Stage
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import BinStatus, BinValues
 from estimation.values.quantities import Estimate, Status
-from estimation.values.results import Facet, Result, ResultKind
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Facet, Result, ResultKind, SubjectKind
 from estimation.values.windows import text_of_key
 from fleet_db.due import WINDOWS, list_due
 from fleet_db.storage import SqlStorage

@@ -25,7 +25,7 @@ from estimation.jobs.steps.epoch_inputs import FileLookup, changed_from
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling
-from estimation.values.results import Mark
+from estimation.values.runs import Mark
 from estimation.values.track import EpochMember, TrackLayout
 from estimation.values.windows import DueStage, WindowState
 from fleet_db.due import WINDOWS

@@ -14,8 +14,7 @@ from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, regist
 
 from api.schemas.trend import trend as served_trend
 from bench.put_values import put_geometry
-from estimation.alerts.rules.contradicted_registry import UnregisteredChangeRule
-from estimation.alerts.rules.near_limit import LimitForecastRule, limit_forecast_finding
+from estimation.alerts.rules.trend import LimitForecastRule, UnregisteredChangeRule, limit_forecast_finding
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.identities import last_change
 from estimation.jobs.steps.wheelset_facts import facts_of

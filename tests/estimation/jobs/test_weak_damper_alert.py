@@ -9,7 +9,7 @@ import pytest
 from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, register, run_windows
 
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.running_gear import WeakDamperRule, weak_damper_finding
 from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.jobs import evaluate_alerts, refresh_adhesion
@@ -23,8 +23,7 @@ from estimation.values.opinions import CREEP, GEAR_DAMPERS, GearDamper, WindowDa
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
-from estimation.values.results import Result
-from estimation.values.runs import JobTrigger, SubjectKind
+from estimation.values.runs import JobTrigger, Result, SubjectKind
 
 RULE = WeakDamperRule()
 

@@ -11,7 +11,7 @@ from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register,
 
 from bench.put_values import put_geometry
 from estimation.alerts.life_cycle import acknowledge
-from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.jobs import evaluate_alerts, refresh_trends
 from estimation.jobs.job import JobContext, run_job

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 from estimation.motion import rolling_radius_difference
 from estimation.motion.rolling_radius_difference import MARGIN, STEP, long_waves_in_bogie
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 COACH = VehicleParameters(yaw_stiffness=62.8e6)
 SOFT = VehicleParameters(yaw_stiffness=2.5e6)

@@ -12,9 +12,13 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.wear import TreadWear, worn
-from estimation.motion.integration import integrate, mirrored
-from estimation.motion.parameters import SignalParameters
-from estimation.motion.rolling_radius_difference import observed_displacement, standard_displacement
+from estimation.motion.integration import (
+    SignalParameters,
+    integrate,
+    mirrored,
+    observed_displacement,
+    standard_displacement,
+)
 from estimation.motion.window_motion import motion
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status

@@ -10,13 +10,12 @@ import pytest
 from smooth_wheelset import alignment, mems_windows, run, track
 
 from estimation.filters import remove_wander
-from estimation.motion.parameters import SignalParameters
-from estimation.motion.track_lookup import gauge_shift
-from estimation.motion.window_motion import motion
+from estimation.motion.integration import SignalParameters
+from estimation.motion.window_motion import gauge_shift, motion
 from estimation.values.arrays import FloatArray
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings
 from estimation.values.windows import Motion, Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.motion import WheelsetMotion
 
 SIGNALS = SignalParameters()

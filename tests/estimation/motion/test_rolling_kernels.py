@@ -12,7 +12,7 @@ from oracles.rolling_sums import rolling_sums as plain_rolling_sums
 from paper_class import PAPER_CLASS
 from smooth_wheelset import GOOD
 
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.motion.rolling_sums import BANDS, TERMS, rolling_sums
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.vehicle_class import SensorChannel, SensorLayout, VehicleClass

@@ -12,12 +12,12 @@ from smooth_wheelset import mems_windows, run
 from whole_runs import whole_runs
 
 from estimation.filters import high_pass, local_cubic_kernel
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.motion.rolling_radius_difference import MotionSignals, _sampled, _shortest
 from estimation.track.passes import Pass, passes
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 VEHICLE = VehicleParameters()
 

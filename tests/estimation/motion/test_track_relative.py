@@ -10,8 +10,7 @@ from smooth_wheelset import alignment, mems_windows, run, track
 
 from estimation.errors import ParameterError
 from estimation.filters import remove_wander
-from estimation.motion.parameters import SignalParameters
-from estimation.motion.rolling_radius_difference import standard_displacement
+from estimation.motion.integration import SignalParameters, standard_displacement
 from estimation.motion.window_motion import motion
 from estimation.values.reasons import Reason
 from estimation.values.windows import Motion

@@ -11,15 +11,10 @@ from paper_class import PAPER_CLASS
 from smooth_wheelset import alignment, mems_windows, run, track
 from whole_runs import whole_runs
 
-from estimation.geometry.rolling_radius import rolling_radius
-from estimation.motion.axle_distance import (
-    bogie_runs_backwards,
-    check_axle_distance,
-    runs_backwards,
-    turned_over,
-    with_frame_yaw,
-)
-from estimation.motion.parameters import SignalParameters, WindowParameters
+from estimation.geometry.model_fit import rolling_radius
+from estimation.motion.axle_distance import bogie_runs_backwards, check_axle_distance, turned_over, with_frame_yaw
+from estimation.motion.checks import runs_backwards
+from estimation.motion.integration import SignalParameters, WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.motion.window_motion import window_motion
 from estimation.signatures.window_signatures import axle_position

@@ -9,7 +9,7 @@ import pytest
 from smooth_wheelset import alignment, mems_windows, run, track
 
 from estimation.motion.checks import check_upright, straight_part
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.motion.window_motion import motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackLayout

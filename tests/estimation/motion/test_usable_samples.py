@@ -12,13 +12,12 @@ from smooth_wheelset import SmoothTable, alignment, mems_windows, run, track
 
 from estimation.filters import high_pass, local_cubic_kernel
 from estimation.motion.checks import straight, straight_part
-from estimation.motion.parameters import SignalParameters
-from estimation.motion.track_lookup import deconvolved
-from estimation.motion.window_motion import motion
+from estimation.motion.integration import SignalParameters
+from estimation.motion.window_motion import deconvolved, motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackLayout
 from estimation.values.windows import Motion, Window
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
 from ingest.simulator.track import Curve, TrackRecipe, make_track
 

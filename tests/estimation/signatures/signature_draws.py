@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.signatures import AxlePosition, ConicitySource, LibraryEntry, Place, Signature
 
 Draw = Callable[..., list[LibraryEntry]]

@@ -13,7 +13,7 @@ from signature_draws import PARAMETERS, Draw
 
 from estimation.signatures.answer import judged
 from estimation.signatures.library import Libraries, Library, Subject
-from estimation.signatures.parameters import ALONE, FOLDS, families, folds, sharers
+from estimation.signatures.window_signatures import ALONE, FOLDS, families, folds, sharers
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import AxlePosition, DesignPair, LibraryEntry
 

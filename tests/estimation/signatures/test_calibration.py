@@ -14,7 +14,7 @@ from estimation.signatures.answer import judged
 from estimation.signatures.calibration import NORMAL, SHARES, Calibration, differences, judged_by, unjudged
 from estimation.signatures.library import Library, library, rows_of
 from estimation.signatures.mixed_model import CONICITY, LARGEST_SHARE, Likelihood, _less, fitted
-from estimation.signatures.parameters import sharers
+from estimation.signatures.window_signatures import sharers
 from estimation.values.arrays import FloatArray
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
 

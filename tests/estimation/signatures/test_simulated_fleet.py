@@ -11,7 +11,7 @@ from bench.signature_cases import SimulatedFleet, entries
 from bench.signature_fleets import Plan, fleet
 from estimation.signatures.answer import judged
 from estimation.signatures.library import Library, library
-from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.signatures import Basis
 
 pytestmark = pytest.mark.slow

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from bench.signature_cases import Wheelset, tracks, wheelset, window_of, window_parameters
-from estimation.signatures.parameters import SignatureParameters
-from estimation.signatures.window_signatures import band_spectra, window_signatures
+from estimation.signatures.window_signatures import SignatureParameters, band_spectra, window_signatures
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Place, Signature

@@ -13,8 +13,7 @@ from same_values import same_values
 
 from bench.moments import collect
 from estimation.tables import bin_table
-from estimation.tables.bin_table import BinParameters, fill_cells, group_of
-from estimation.tables.least_squares import LATERAL_COLUMNS, NOISE
+from estimation.tables.bin_table import LATERAL_COLUMNS, NOISE, BinParameters, fill_cells, group_of
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.windows import OF_FRAME, Motion
 from estimation.vehicle.regressors import LATERAL_TARGETS, YAW_TARGET_COLUMNS, YAW_TARGETS, Signals, regression

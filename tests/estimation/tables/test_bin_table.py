@@ -14,12 +14,12 @@ from smooth_wheelset import SmoothTable, ideal, run
 
 from estimation.errors import ParameterError
 from estimation.tables import bin_table
-from estimation.tables.least_squares import solve
+from estimation.tables.bin_table import solve
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable, FilledCells
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 PARAMETERS = bin_table.BinParameters()
 

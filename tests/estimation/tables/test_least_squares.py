@@ -13,7 +13,7 @@ from oracles import recursive_least_squares
 from oracles.forgetting import merge, one_cell
 
 from bench import moments as moments_of
-from estimation.tables import least_squares
+from estimation.tables import bin_table
 
 
 def _data(seed: int, n: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -27,7 +27,7 @@ def _data(seed: int, n: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _theta(moments: moments_of.Moments) -> np.ndarray:
-    return least_squares.solve(moments.packed, moments.weight, moments.regressors, moments.targets).theta[0, :, 0]
+    return bin_table.solve(moments.packed, moments.weight, moments.regressors, moments.targets).theta[0, :, 0]
 
 
 @settings(max_examples=30)
@@ -69,7 +69,7 @@ def test_it_equals_padasip() -> None:
 def test_it_equals_lstsq_with_its_residual_variance() -> None:
     features, measured, known = _data(5)
     moments = one_cell(features, measured - known, 1.0)
-    solution = least_squares.solve(moments.packed, moments.weight, 4, 1)
+    solution = bin_table.solve(moments.packed, moments.weight, 4, 1)
     theta, squares, _, _ = np.linalg.lstsq(features, measured - known, rcond=None)
     np.testing.assert_allclose(solution.theta[0, :, 0], theta, rtol=1e-9)
     np.testing.assert_allclose(solution.residual_variance[0], squares[0] / (400 - 4), rtol=1e-6)
@@ -80,7 +80,7 @@ def test_a_direction_that_is_not_in_the_data_is_nan() -> None:
     features, measured, _ = _data(1)
     features[:, 2] = 2 * features[:, 0]
     moments = one_cell(features, measured, 1.0)
-    solution = least_squares.solve(moments.packed, moments.weight, 4, 1)
+    solution = bin_table.solve(moments.packed, moments.weight, 4, 1)
     assert np.isnan(solution.theta).all()
 
 

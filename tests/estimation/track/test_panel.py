@@ -15,14 +15,14 @@ from whole_runs import whole_runs
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.track.gridded_pass import grid_pass
 from estimation.track.panel.basis import Panel, PanelParameters, PanelState, basis_functions, init, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass, ProfileLife, gridded, passes
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 PARAMETERS = PanelParameters(length=3000.0, basis_count=31)
 PANEL = Panel.of(PARAMETERS)

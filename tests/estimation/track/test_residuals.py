@@ -12,11 +12,11 @@ from test_panel import PARAMETERS
 from whole_runs import whole_runs
 
 from estimation.filters import high_pass, local_cubic_kernel
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.track.passes import Pass, ProfileLife, passes
 from estimation.track.section import LEAST_USUAL, USUAL_FACTOR, Residuals, SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
 
 HOLLOW = ("hollow", 0.05, 20.0)  # name, cone, speed

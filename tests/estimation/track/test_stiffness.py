@@ -10,14 +10,14 @@ import pytest
 from smooth_wheelset import mems_windows, run
 from whole_runs import whole_runs
 
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.integration import SignalParameters
 from estimation.track.gridded_pass import grid_pass, with_ratio
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
 from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.instrumental_slope import PRIOR_STD, SYSTEMATIC_STD, Ratio, with_ratio_std
 from estimation.track.passes import Pass, PositionParameters, journeys, passes
 from estimation.track.results import findings
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 CONES = (0.05, 0.10, 0.16)
 NAMES = ("stiffness_term", "difference")

@@ -9,8 +9,14 @@ import pytest
 from wheelset_life import geometry_of
 
 from bench.worn_family import PAIRS, conicities_of
-from estimation.contact.wear import HOLLOWS, WornFamily, worn_family
-from estimation.trend.extrapolation import conicity_at_limit_amplitude, conicity_points, extrapolated
+from estimation.contact.wear import HOLLOWS
+from estimation.trend.extrapolation import (
+    WornFamily,
+    conicity_at_limit_amplitude,
+    conicity_points,
+    extrapolated,
+    worn_family,
+)
 from estimation.trend.trend import refresh
 from estimation.values.geometry import GeometryRecord, KnownConicity, WheelsetGeometry, interval_conicities
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimation.trend.change_point import DAY_NS
-from estimation.trend.steps import newest_step
+from estimation.trend.trend import newest_step
 from estimation.values.geometry import IntervalConicities, KnownConicity
 
 KM = 33_000.0

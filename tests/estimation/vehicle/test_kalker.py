@@ -8,8 +8,7 @@ from dataclasses import replace
 import pytest
 
 from estimation.errors import ParameterError
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.kalker import (
+from estimation.vehicle.plausibility import (
     ContactRadii,
     ContactRadiiStd,
     contact_ellipse,
@@ -17,6 +16,7 @@ from estimation.vehicle.kalker import (
     creep_coefficients,
     table_coefficients,
 )
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 COACH = ContactRadii(wheel_rolling_radius=0.46, rail_head_radius=0.3, wheel_load=54.5e3)
 

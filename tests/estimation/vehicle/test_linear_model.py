@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy import integrate
 
 from estimation.errors import ParameterError
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.linear_model import (
     COORDINATES,
     HIGHEST_SPEED,
@@ -23,7 +22,7 @@ from estimation.vehicle.linear_model import (
     single_wheelset_model,
 )
 from estimation.vehicle.plausibility import UNIT_FACTOR, check_plausible, plausible_ranges
-from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, VehicleClass
+from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, VehicleClass, VehicleParameters
 
 FREE = VehicleParameters(
     yaw_stiffness=1e-3, lateral_stiffness=1e-3, lateral_damping=0.0, lateral_spin_creep_coefficient=0.0, load=1e-3

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.linear_model import (
     ComplexArray,
     LinearContact,
@@ -20,7 +19,7 @@ from estimation.vehicle.linear_model import (
     true_signals,
 )
 from estimation.vehicle.observability import CAUSES, Observed, Running, conicity_shifts, observability
-from estimation.vehicle.vehicle_class import SensorChannel, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import SensorChannel, SensorLayout, VehicleClass, VehicleParameters
 from ingest.vehicle_class_schema import shipped_class, shipped_classes
 
 RUNNING = Running(speed=20.0, duration=60.0, alignment_std=0.0)

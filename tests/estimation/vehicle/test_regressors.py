@@ -15,8 +15,8 @@ from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings
 from estimation.values.windows import Motion
-from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 
 ASSUMED = VehicleParameters()

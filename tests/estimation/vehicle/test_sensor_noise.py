@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from paper_class import PAPER_CLASS
 
-from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
+from estimation.motion.integration import Gates, SignalParameters, WindowParameters
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.vehicle_class import (
     Arrangement,

@@ -6,8 +6,7 @@ import numpy as np
 from linear_wheelset import linear_system
 
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import BogieParameters
+from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
 
 
 def bogie_system(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 
 def linear_system(p: VehicleParameters, V: float, conicity: float, angle_slope: float, roll_slope: float) -> FloatArray:

@@ -10,10 +10,9 @@ import pytest
 from analytic_contact import HALF, RADIUS, cones, smooth_pair
 
 from estimation.errors import ParameterError
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
-from estimation.vehicle.vehicle_class import BogieParameters
-from ingest.simulator.creep_laws import Creep, CreepLaw, share_of_linear
+from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
+from ingest.simulator.running import Creep, CreepLaw, share_of_linear
 from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
 from ingest.simulator.track import Curves, Surface, TrackRecipe, TrackTruth, make_track
 

@@ -11,7 +11,7 @@ from analytic_contact import cones
 
 from estimation.errors import InputError, ParameterError
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 from ingest.simulator.sensors import ideal_node, measure
 from ingest.simulator.track import Curve, TrackRecipe, TrackTruth, make_track, read_track, write_track

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.registry_file import read_registry
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.drawn_fleet import vehicle_parameters, with_less_wear, with_seed

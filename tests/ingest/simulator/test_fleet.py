@@ -71,7 +71,7 @@ def test_accelerations_on_the_bus_are_those_measured_to_half_a_count(scenario: S
     run = vehicle_run(scenario, track, scenario.vehicles[0], 0)
     record = wheelset_record(scenario, run, 1, wheelset_motion(scenario, track, run, 1))
     batch, _ = frames_of(scenario)
-    database = cantools.database.load_file(str(files("ingest.dbc") / "treadwatch.dbc"))
+    database = cantools.database.load_file(str(files("ingest") / "dbc" / "treadwatch.dbc"))
     mine = np.flatnonzero(batch.arbitration_id == 0x182)
     for k in (0, 1, 777, len(mine) - 1):
         values = database.decode_message(0x182, batch.data[mine[k]].tobytes(), decode_choices=False)

@@ -15,14 +15,14 @@ from scipy.optimize import brentq
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import (
+from estimation.vehicle.regressors import (
     ContactState,
-    VehicleParameters,
     WheelsetState,
     lateral_acceleration,
     mass_lateral_acceleration,
     yaw_acceleration,
 )
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.motion import STEP, PreparedTable, WheelsetMotion, simulate_wheelset
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 

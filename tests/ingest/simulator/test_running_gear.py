@@ -10,8 +10,7 @@ from scipy.linalg import expm
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
-from estimation.vehicle.vehicle_class import BogieParameters
+from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, VehicleParameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import Curve, TrackRecipe, TrackTruth, laid_out, make_track

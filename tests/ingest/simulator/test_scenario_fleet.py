@@ -11,14 +11,12 @@ from scenario_text import SMALL
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.wear import TreadWear, worn
 from estimation.errors import ScenarioError
-from ingest.simulator.axle_motion import axle_motions, contact_of, together, wheelset_motion
+from ingest.simulator.axle_motion import axle_motions, contact_of, rails_of, together, wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run
-from ingest.simulator.drawn_fleet import shares_of_wear, with_seed
+from ingest.simulator.drawn_fleet import impossible_bogies, shares_of_wear, with_seed
 from ingest.simulator.fleet import prepare, run_fleet, simulate_campaign
-from ingest.simulator.listed_fleet import impossible_bogies
 from ingest.simulator.scenario import Scenario, WheelsetPlan
 from ingest.simulator.scenario_file import read_scenario
-from ingest.simulator.wear import rails_of
 
 NO_GAUGE = SMALL.replace("gauge_std_mm = 0.5\nsurvey_alignment_std_mm = 0.1\nsurvey_gauge_std_mm = 0.2\n", "")
 DRAWN = NO_GAUGE[: NO_GAUGE.index("[[vehicles]]")]

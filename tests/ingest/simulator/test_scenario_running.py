@@ -12,8 +12,7 @@ from scenario_text import SMALL
 from estimation.errors import ScenarioError
 from ingest.simulator.axle_motion import averaged, axle_motions, contact_of, running_gear, wheelset_motion
 from ingest.simulator.campaign import friction_along, scenario_track, vehicle_run, with_stretches
-from ingest.simulator.creep_laws import CreepLaw
-from ingest.simulator.running import STRETCH_END, FrictionPlan, FrictionStretch, RunningPlan
+from ingest.simulator.running import STRETCH_END, CreepLaw, FrictionPlan, FrictionStretch, RunningPlan
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
 

@@ -14,7 +14,7 @@ from scipy.signal import welch
 from estimation.errors import ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
+from estimation.vehicle.vehicle_class import GRAVITY, VehicleParameters
 from ingest.simulator.campaign import odometer_scale, vehicle_run
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
 from ingest.simulator.scenario import Scenario

@@ -13,7 +13,7 @@ from scipy.signal import welch
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
 from ingest.simulator.sensors import VELOCITIES, Channel, SensorNode, draw_offsets, ideal_node, measure
 from ingest.simulator.track import TrackRecipe, make_track

@@ -10,7 +10,7 @@ ALLOWED = (
     "estimation.errors",
     "estimation.values",
     "estimation.vehicle",
-    "ingest.bus",
+    "ingest.live.listening",
     "ingest.catalogue",
     "ingest.codec",
     "ingest.file_value",

@@ -15,11 +15,10 @@ from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray
-from ingest.simulator.axle_motion import contact_of, true_geometry
+from ingest.simulator.axle_motion import AMPLITUDES, contact_of, true_geometry, truth_of, wear_at, worn_contact
 from ingest.simulator.campaign import scenario_track
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
-from ingest.simulator.wear import AMPLITUDES, truth_of, wear_at, worn_contact
 
 NO_GAUGE = SMALL.replace("gauge_std_mm = 0.5\nsurvey_alignment_std_mm = 0.1\nsurvey_gauge_std_mm = 0.2\n", "")
 FINE = 2e-6  # m

@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 from linear_wheelset import linear_system
 
 from estimation.errors import ParameterError
-from estimation.vehicle.equations_of_motion import (
+from estimation.vehicle.regressors import (
     ContactState,
-    VehicleParameters,
     WheelsetState,
     creep_rate,
     lateral_acceleration,
     mass_lateral_acceleration,
     yaw_acceleration,
 )
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 ODD = VehicleParameters(spin_creep_coefficient=31.0, yaw_damping=700.0)
 small = st.floats(-1e-2, 1e-2)

@@ -11,12 +11,11 @@ from scenario_text import SMALL
 
 from bench.rails_sections import TEMPLATE
 from estimation.errors import ScenarioError
-from ingest.simulator.axle_motion import contact_of
+from ingest.simulator.axle_motion import contact_of, rails_of, section_at, truth_of, wear_at, worn_contact
 from ingest.simulator.campaign import scenario_track
 from ingest.simulator.fleet import prepare
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
-from ingest.simulator.wear import rails_of, section_at, truth_of, wear_at, worn_contact
 
 WORN = "[section.rail_wear]\ndepth_mm = 0.6\ndepth_right_mm = 0.2\ncentre_mm = 1\nhalf_width_mm = 24\n"
 

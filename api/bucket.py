@@ -1,15 +1,13 @@
-"""From the settings to the store of raw recordings: a folder, or a bucket with the credentials of the environment."""
+"""From the settings to a bucket of raw recordings, with the credentials of the environment."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from pathlib import Path
-from urllib.parse import unquote, urlsplit
+from urllib.parse import urlsplit
 
 from api.settings import LOOPBACK, PREFIX, Settings
 from estimation.errors import ParameterError
-from fleet_db.raw import FileRawStore, RawStore
 from fleet_db.raw_s3 import S3RawStore
 from fleet_db.s3_bucket import S3Bucket, S3Place
 
@@ -23,13 +21,9 @@ BY_ROLE = (
 """Variables with which the client library gets credentials that end and are renewed."""
 
 
-def open_raw_store(settings: Settings, environment: Mapping[str, str] = os.environ) -> RawStore:
-    """Return the store that the settings name; a bucket is not asked yet, but its credentials must be there."""
-    if settings.raw_store is None:
-        return FileRawStore(settings.data_dir / "raw")
-    parts = urlsplit(settings.raw_store)
-    if parts.scheme == "file":
-        return FileRawStore(Path(unquote(parts.path)))
+def bucket_store(settings: Settings, environment: Mapping[str, str] = os.environ) -> S3RawStore:
+    """Return the bucket that the settings name; it is not asked yet, but its credentials must be there."""
+    parts = urlsplit(settings.raw_store or "")
     region = settings.s3_region or environment.get("AWS_REGION") or environment.get("AWS_DEFAULT_REGION")
     place = S3Place(
         bucket=parts.netloc,

@@ -1,1 +1,0 @@
-"""The signal catalogue (DBC)."""
