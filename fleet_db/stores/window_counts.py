@@ -45,7 +45,6 @@ from fleet_db.stores.window_rows import implausible_reason, keys_given
 from fleet_db.stores.windows import WindowStore
 from fleet_db.tables.operation import WorklistEntryRow
 from fleet_db.tables.recordings import ChunkRow
-from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import WindowRow
 
 WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
@@ -226,7 +225,6 @@ def backlog_of(connection: Connection) -> Backlog:
     )
 
 
-WHEELSETS = table_of(WheelsetRow)
 _READING = ("start_ns", "mileage_km", "odometer_excess_m", "off_line_m", "implausible", "implausible_code")
 READING = [WINDOWS.c[name] for name in _READING]
 DOUBTED = WINDOWS.c.implausible_code.is_not(None)  # word for word that of the index
