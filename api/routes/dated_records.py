@@ -24,9 +24,8 @@ from api.asking import (
     Serial,
 )
 from api.problems import described, invalid, pointer
-from api.schemas import registry
-from api.schemas.common import Body, Derived, Page, Representation
-from api.schemas.registry import MountingPeriod
+from api.schemas import common
+from api.schemas.common import Body, Derived, MountingPeriod, Page, Representation
 from api.services import writer_slot
 from api.times import Moment
 from estimation.contact.profiles import MeasuredProfiles, Profile
@@ -136,16 +135,16 @@ _CHANGE: dict[str, Any] = {
 }
 
 
-@router.get("/{serial}/mountings", response_model=Page[registry.MountingPeriod], responses=described(400, 404))
+@router.get("/{serial}/mountings", response_model=Page[common.MountingPeriod], responses=described(400, 404))
 def list_mountings(asked: AskedListDep, serial: Serial) -> Response:
     """List where the wheelset ran, oldest first."""
     with asked.read() as unit:
         unit.registry.wheelset(serial)
         found = unit.registry.mountings(serial)
-    return asked.numbered({"wheelset": serial}, found, lambda record: record.from_ns, registry.MountingPeriod.made)
+    return asked.numbered({"wheelset": serial}, found, lambda record: record.from_ns, common.MountingPeriod.made)
 
 
-@router.post("/{serial}/mountings", response_model=registry.MountingPeriod, **_CHANGE)
+@router.post("/{serial}/mountings", response_model=common.MountingPeriod, **_CHANGE)
 def mount_wheelset(asked: ChangeDep, serial: Serial, body: NewMounting) -> Response:
     """Record that the wheelset is mounted; windows of that time are assembled for it.
 
@@ -157,16 +156,16 @@ def mount_wheelset(asked: ChangeDep, serial: Serial, body: NewMounting) -> Respo
     mounted = Mounting(serial, body.vehicle, body.axle, body.mounted_from, None, *readings, body.reversed)
     source = BodySource({"from": "mounted_from", "wheelset": ""})
 
-    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.MountingPeriod:
+    def apply(unit: SqlUnitOfWork, decision: Decision) -> common.MountingPeriod:
         if any(one.from_ns == body.mounted_from for one in unit.registry.mountings(serial)):
             raise _conflict(serial, "is mounted from this time on file")
         change.enter(unit, decision, RegistryContents(mountings=(mounted,)), source)
-        return registry.MountingPeriod.made(mounted)
+        return common.MountingPeriod.made(mounted)
 
-    return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)
+    return change.change(lambda unit: common.wheelset(unit.registry.wheelset(serial)), apply)
 
 
-@router.post("/{serial}/dismount", response_model=registry.MountingPeriod, **_CHANGE)
+@router.post("/{serial}/dismount", response_model=common.MountingPeriod, **_CHANGE)
 def dismount_wheelset(asked: ChangeDep, serial: Serial, body: Dismounting) -> Response:
     """Record that the wheelset was taken off; its open alerts are closed.
 
@@ -174,12 +173,12 @@ def dismount_wheelset(asked: ChangeDep, serial: Serial, body: Dismounting) -> Re
     """
     change = RegistryRequest(asked, body)
 
-    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.MountingPeriod:
+    def apply(unit: SqlUnitOfWork, decision: Decision) -> common.MountingPeriod:
         ended = _ended(unit, serial, body.dismounted_at)
         change.enter(unit, decision, RegistryContents(mountings=(ended,)), BodySource({"to": "dismounted_at"}))
-        return registry.MountingPeriod.made(ended)
+        return common.MountingPeriod.made(ended)
 
-    return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)
+    return change.change(lambda unit: common.wheelset(unit.registry.wheelset(serial)), apply)
 
 
 @router.post("/{serial}/exchange", response_model=ExchangeRecord, **_CHANGE)
@@ -199,9 +198,9 @@ def exchange_wheelset(asked: ChangeDep, serial: Serial, body: Exchange) -> Respo
         readings = body.vehicle_odometer_km, body.fitted_mileage_km
         fitted = Mounting(body.fitted, ended.vehicle, ended.axle, body.exchanged_at, None, *readings, body.reversed)
         change.enter(unit, decision, RegistryContents(mountings=(ended, fitted)), source)
-        return ExchangeRecord(removed=registry.MountingPeriod.made(ended), fitted=registry.MountingPeriod.made(fitted))
+        return ExchangeRecord(removed=common.MountingPeriod.made(ended), fitted=common.MountingPeriod.made(fitted))
 
-    return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)
+    return change.change(lambda unit: common.wheelset(unit.registry.wheelset(serial)), apply)
 
 
 def _ended(unit: SqlUnitOfWork, serial: str, at_ns: int) -> Mounting:
@@ -217,15 +216,15 @@ def _conflict(serial: str, why: str) -> ConflictError:
     return ConflictError(f"wheelset {serial!r} {why}", kind="wheelset", key=serial)
 
 
-@router.get("/{serial}/reprofilings", response_model=Page[registry.ReprofilingRecord], responses=described(400, 404))
+@router.get("/{serial}/reprofilings", response_model=Page[common.ReprofilingRecord], responses=described(400, 404))
 def list_reprofilings(asked: AskedListDep, serial: Serial) -> Response:
     """List the wheelset's visits to the lathe, oldest first."""
     with asked.read() as unit:
         found = unit.registry.wheelset(serial).reprofilings
-    return asked.numbered({"wheelset": serial}, found, lambda record: record.at_ns, registry.ReprofilingRecord.made)
+    return asked.numbered({"wheelset": serial}, found, lambda record: record.at_ns, common.ReprofilingRecord.made)
 
 
-@router.post("/{serial}/reprofilings", response_model=registry.ReprofilingRecord, **_CHANGE)
+@router.post("/{serial}/reprofilings", response_model=common.ReprofilingRecord, **_CHANGE)
 def add_reprofiling(asked: ChangeDep, serial: Serial, body: NewReprofiling) -> Response:
     """Record a visit to the lathe; later windows belong to a new baseline, and the next evaluation closes old alerts.
 
@@ -235,28 +234,28 @@ def add_reprofiling(asked: ChangeDep, serial: Serial, body: NewReprofiling) -> R
     change = RegistryRequest(asked, body)
     record = Reprofiling(serial, body.reprofiled_at, body.mileage_km, body.note)
 
-    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.ReprofilingRecord:
+    def apply(unit: SqlUnitOfWork, decision: Decision) -> common.ReprofilingRecord:
         if any(one.at_ns == record.at_ns for one in unit.registry.wheelset(serial).reprofilings):
             reason = "a reprofiling of this wheelset was recorded at the same time; void it to enter another"
             raise ConflictError(reason, kind="wheelset", key=serial)
         change.enter(unit, decision, RegistryContents(reprofilings=(record,)), BodySource({"at": "reprofiled_at"}))
-        return registry.ReprofilingRecord.made(record)
+        return common.ReprofilingRecord.made(record)
 
-    return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)
+    return change.change(lambda unit: common.wheelset(unit.registry.wheelset(serial)), apply)
 
 
 @router.get(
-    "/{serial}/measured-profiles", response_model=Page[registry.MeasuredProfilesRecord], responses=described(400, 404)
+    "/{serial}/measured-profiles", response_model=Page[common.MeasuredProfilesRecord], responses=described(400, 404)
 )
 def list_measured_profiles(asked: AskedListDep, serial: Serial) -> Response:
     """List when the profiles of the wheelset's wheels were measured, oldest first."""
     with asked.read() as unit:
         unit.registry.wheelset(serial)
         found = unit.registry.measured_profiles(serial)
-    return asked.numbered({"wheelset": serial}, found, lambda record: record.at_ns, registry.measured_profiles)
+    return asked.numbered({"wheelset": serial}, found, lambda record: record.at_ns, common.measured_profiles)
 
 
-@router.post("/{serial}/measured-profiles", response_model=registry.MeasuredProfilesRecord, **_CHANGE)
+@router.post("/{serial}/measured-profiles", response_model=common.MeasuredProfilesRecord, **_CHANGE)
 def add_measured_profiles(asked: ChangeDep, serial: Serial, body: NewMeasuredProfiles) -> Response:
     """Record the profiles of both wheels: the files of the gauge as text in JSON, both in one call.
 
@@ -266,14 +265,14 @@ def add_measured_profiles(asked: ChangeDep, serial: Serial, body: NewMeasuredPro
     left, right = _wheel(body.left, "left"), _wheel(body.right, "right")
     record = MeasuredProfiles(serial, body.measured_at, body.mileage_km, left, right, 1e-3 * body.std_mm)
 
-    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.MeasuredProfilesRecord:
+    def apply(unit: SqlUnitOfWork, decision: Decision) -> common.MeasuredProfilesRecord:
         if any(one.at_ns == record.at_ns for one in unit.registry.measured_profiles(serial)):
             reason = "profiles of this wheelset were measured at the same time on file; void them to enter others"
             raise ConflictError(reason, kind="wheelset", key=serial)
         change.enter(unit, decision, RegistryContents(measured_profiles=(record,)), BodySource({"at": "measured_at"}))
-        return registry.measured_profiles(record)
+        return common.measured_profiles(record)
 
-    return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)
+    return change.change(lambda unit: common.wheelset(unit.registry.wheelset(serial)), apply)
 
 
 def _wheel(file: ProfileFile, side: Literal["left", "right"]) -> Profile:
@@ -311,4 +310,4 @@ def add_sensor_change(asked: ChangeDep, code: Code, body: NewSensorChange) -> Re
         change.enter(unit, decision, RegistryContents(sensor_changes=(record,)), BodySource({"at": "worked_at"}))
         return SensorChangeRecord.made(record)
 
-    return change.change(lambda unit: registry.Vehicle.made(unit.registry.vehicle(code)), apply)
+    return change.change(lambda unit: common.Vehicle.made(unit.registry.vehicle(code)), apply)

@@ -27,7 +27,7 @@ from api.asking import (
 )
 from api.problems import ProblemError, described, invalid
 from api.routes import vehicles
-from api.schemas import registry
+from api.schemas import common
 from api.services import require_known, writer_slot
 from estimation.errors import ConflictError, InputError, NotFoundError
 from estimation.values.registry import SPEED_IN_FILES, VehicleRecord, WheelsetRecord
@@ -94,13 +94,13 @@ _put = partial(router.put, dependencies=_ADMIN, responses=described(404, 409, 41
 _VEHICLE_FIELDS = {"max_speed_km_h": "max_speed_m_s"}
 
 
-@_post("/vehicles", tags=["vehicles"], dependencies=_ADMIN, response_model=registry.Vehicle)
+@_post("/vehicles", tags=["vehicles"], dependencies=_ADMIN, response_model=common.Vehicle)
 def add_vehicle(asked: NewDep, body: NewVehicle) -> Response:
     """Enter a vehicle; recordings that came under its name before are decoded."""
     return _entered(asked, body, lambda: _vehicle(body.code, body), _shown_vehicle(body.code), ("vehicle", body.code))
 
 
-@_put("/vehicles/{code}", tags=["vehicles"], response_model=registry.Vehicle)
+@_put("/vehicles/{code}", tags=["vehicles"], response_model=common.Vehicle)
 def change_vehicle(asked: PutDep, code: Code, body: VehicleChange) -> Response:
     """Change a vehicle; its windows are made or estimated again where they rest on what has changed.
 
@@ -109,14 +109,14 @@ def change_vehicle(asked: PutDep, code: Code, body: VehicleChange) -> Response:
     return _entered(asked, body, lambda: _vehicle(code, body), _shown_vehicle(code))
 
 
-@_post("/wheelsets", tags=["wheelsets"], dependencies=_ADMIN, response_model=registry.Wheelset)
+@_post("/wheelsets", tags=["wheelsets"], dependencies=_ADMIN, response_model=common.Wheelset)
 def add_wheelset(asked: NewDep, body: NewWheelset) -> Response:
     """Enter a wheelset, which is mounted nowhere yet."""
     serial = body.serial
     return _entered(asked, body, lambda: _wheelset(serial, body), _shown_wheelset(serial), ("wheelset", serial))
 
 
-@_put("/wheelsets/{serial}", tags=["wheelsets"], response_model=registry.Wheelset)
+@_put("/wheelsets/{serial}", tags=["wheelsets"], response_model=common.Wheelset)
 def change_wheelset(asked: PutDep, serial: Serial, body: WheelsetChange) -> Response:
     """Change a wheelset; with another nominal radius its windows are estimated again.
 
@@ -171,11 +171,11 @@ def _entered(
 
 
 def _shown_vehicle(code: str) -> Show:
-    return lambda unit: registry.Vehicle.made(unit.registry.vehicle(code))
+    return lambda unit: common.Vehicle.made(unit.registry.vehicle(code))
 
 
 def _shown_wheelset(serial: str) -> Show:
-    return lambda unit: registry.wheelset(unit.registry.wheelset(serial))
+    return lambda unit: common.wheelset(unit.registry.wheelset(serial))
 
 
 def _vehicle(code: str, body: VehicleChange) -> RegistryContents:

@@ -17,7 +17,7 @@ from api.asking import CODE, TEXT, UNNAMED, AskedChange, AskedListDep, ChangeDep
 from api.problems import ProblemError, described, invalid
 from api.routes import tracks, vehicles
 from api.routes.dated_records import SensorChangeRecord
-from api.schemas import registry
+from api.schemas import common
 from api.schemas.common import Body, Derived, Page, Representation
 from api.services import writer_slot
 from api.times import Moment, Timestamp, to_rfc3339
@@ -61,11 +61,11 @@ class WheelsetValues(Derived, of=WheelsetRecord, without=("mounting", "reprofili
 
 
 Record = (
-    registry.MountingPeriod
-    | registry.ReprofilingRecord
-    | registry.MeasuredProfilesRecord
+    common.MountingPeriod
+    | common.ReprofilingRecord
+    | common.MeasuredProfilesRecord
     | WheelsetValues
-    | registry.Vehicle
+    | common.Vehicle
     | vehicles.VehicleClassRepresentation
     | tracks.TrackSection
     | SensorChangeRecord
@@ -116,22 +116,20 @@ def _record(kind: RecordKind, values: Mapping[str, Any] | None) -> Record | None
 def _represented(kind: RecordKind, values: dict[str, Any]) -> Record:  # noqa: PLR0911 - one line a kind
     match kind:
         case RecordKind.MOUNTING:
-            return registry.MountingPeriod.made(Mounting(**values))
+            return common.MountingPeriod.made(Mounting(**values))
         case RecordKind.REPROFILING:
-            return registry.ReprofilingRecord.made(Reprofiling(**values))
+            return common.ReprofilingRecord.made(Reprofiling(**values))
         case RecordKind.MEASUREMENT:
             left, right = unpack_wheel_pair(base64.b64decode(values["packed"]), where="history of the registry")
             measured = MeasuredProfiles(
                 values["wheelset"], values["at_ns"], values["mileage_km"], left, right, values["std_m"]
             )
-            return registry.measured_profiles(measured)
+            return common.measured_profiles(measured)
         case RecordKind.WHEELSET:
             names = ("serial", "fleet", "wheel_profile", "nominal_radius_m")
             return WheelsetValues.made(WheelsetRecord(**{name: values[name] for name in names}, mounting=None))
         case RecordKind.VEHICLE:
-            return registry.Vehicle.made(
-                VehicleRecord(**(values | {"axle_offsets_m": tuple(values["axle_offsets_m"])}))
-            )
+            return common.Vehicle.made(VehicleRecord(**(values | {"axle_offsets_m": tuple(values["axle_offsets_m"])})))
         case RecordKind.VEHICLE_CLASS:
             return vehicles.vehicle_class(ClassOnFile(class_of_document(values)))
         case RecordKind.SECTION:
@@ -206,9 +204,9 @@ def _decide(asked: AskedChange, body: RecordDecision, action: RecordAction) -> R
 
 def _asset(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:
     if key.kind in _OF_VEHICLE:
-        return registry.Vehicle.made(unit.registry.vehicle(key.subject))
+        return common.Vehicle.made(unit.registry.vehicle(key.subject))
     if key.kind not in _SHARED:
-        return registry.wheelset(unit.registry.wheelset(key.subject))
+        return common.wheelset(unit.registry.wheelset(key.subject))
     if key.kind is RecordKind.SECTION and any(one.code == key.subject for one in unit.tracks.sections()):
         return tracks.section(unit.tracks.section(key.subject))
     found = unit.registry.vehicle_class(key.subject) if key.kind is RecordKind.VEHICLE_CLASS else None

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from api.asking import AskedDep, AskedListDep, Code, FleetFilter
 from api.problems import described
-from api.schemas import registry
+from api.schemas import common
 from api.schemas.common import Derived, Links, Page, Representation, finite, segment
 from api.services import require_known
 from api.times import Timestamp, to_rfc3339
@@ -186,27 +186,27 @@ class Suspension(Representation):
 fleets_router = APIRouter(prefix="/v1/fleets", tags=["fleets"])
 
 
-@fleets_router.get("", response_model=Page[registry.Fleet], responses=described(400))
+@fleets_router.get("", response_model=Page[common.Fleet], responses=described(400))
 def list_fleets(asked: AskedListDep) -> Response:
     """List the fleets, by code."""
     with asked.read() as unit:
         found = unit.registry.fleets()
-    return asked.named(found, lambda record: record.code, registry.Fleet.made)
+    return asked.named(found, lambda record: record.code, common.Fleet.made)
 
 
-@fleets_router.get("/{code}", response_model=registry.Fleet, responses=described(404))
+@fleets_router.get("/{code}", response_model=common.Fleet, responses=described(404))
 def get_fleet(asked: AskedDep, code: Code) -> Response:
     """Return one fleet."""
     with asked.read() as unit:
         require_known(unit, fleet=code)
         (found,) = (record for record in unit.registry.fleets() if record.code == code)
-    return asked.answer(registry.Fleet.made(found))
+    return asked.answer(common.Fleet.made(found))
 
 
 router = APIRouter(prefix="/v1", tags=["vehicles"])
 
 
-@router.get("/vehicles", response_model=Page[registry.Vehicle], responses=described(400, 404))
+@router.get("/vehicles", response_model=Page[common.Vehicle], responses=described(400, 404))
 def list_vehicles(asked: AskedListDep, fleet: FleetFilter = None) -> Response:
     """List the vehicles, by code."""
     filters = {"fleet": fleet}
@@ -215,13 +215,13 @@ def list_vehicles(asked: AskedListDep, fleet: FleetFilter = None) -> Response:
         rows = unit.registry.vehicles_page(fleet, after, asked.limit + 1)
         if not rows:
             require_known(unit, fleet=fleet)
-    return asked.page(filters, rows, lambda record: record.code, registry.Vehicle.made)
+    return asked.page(filters, rows, lambda record: record.code, common.Vehicle.made)
 
 
-@router.get("/vehicles/{code}", response_model=registry.Vehicle, responses=described(404))
+@router.get("/vehicles/{code}", response_model=common.Vehicle, responses=described(404))
 def get_vehicle(asked: AskedDep, code: Code) -> Response:
     """Return one vehicle."""
-    return asked.one(lambda unit: registry.Vehicle.made(unit.registry.vehicle(code)))
+    return asked.one(lambda unit: common.Vehicle.made(unit.registry.vehicle(code)))
 
 
 @router.get("/vehicles/{code}/suspension", response_model=Suspension, responses=described(404))

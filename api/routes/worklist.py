@@ -14,7 +14,7 @@ from api import cursors
 from api.answers import payload_of
 from api.asking import CODE, AskedDep, AskedListDep, FleetFilter, Serial, VehicleFilter
 from api.problems import described
-from api.schemas import registry
+from api.schemas import common
 from api.schemas.alerts import AlertKind, KnownKind
 from api.schemas.common import Derived, Page, Representation, Uncertain
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
@@ -76,7 +76,7 @@ class WheelsetState(
     worst_severity: Severity | None = Field(description="Of the open alerts; null where none is open.")
 
 
-class WheelsetRow(registry.Wheelset):
+class WheelsetRow(common.Wheelset):
     """A wheelset with where it runs and how it is."""
 
     vehicle: str | None = Field(description="That it runs under now; null where it is not mounted.", examples=["V-101"])
@@ -93,7 +93,7 @@ def row_of_document(document: str) -> WheelsetRow:
     row = from_document(document)
     mounting, state = row.wheelset.mounting, row.state
     return WheelsetRow(
-        **dict(registry.wheelset(row.wheelset)),
+        **dict(common.wheelset(row.wheelset)),
         vehicle=None if mounting is None else mounting.vehicle,
         vehicle_class=row.vehicle_class,
         axle=None if mounting is None else mounting.axle,
@@ -180,7 +180,7 @@ def _place(key: object) -> WorklistPlace | None:
     raise cursors.refused()
 
 
-@router.get("/{serial}", response_model=registry.Wheelset, responses=described(404))
+@router.get("/{serial}", response_model=common.Wheelset, responses=described(404))
 def get_wheelset(asked: AskedDep, serial: Serial) -> Response:
     """Return one wheelset, with links to its bin table, its trend and its alerts."""
-    return asked.one(lambda unit: registry.wheelset(unit.registry.wheelset(serial)))
+    return asked.one(lambda unit: common.wheelset(unit.registry.wheelset(serial)))

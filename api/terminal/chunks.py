@@ -33,7 +33,7 @@ from api.terminal.ingest import vehicle_in_name
 from api.terminal.progress import counted
 from api.terminal.store import begun, store_once_it_answers
 from estimation.errors import InputError, MigrationError, ParameterError, PassingFaultError, StoppedError, StorageError
-from estimation.jobs.stop_signals import stop_on_signals
+from estimation.jobs.scheduler import stop_on_signals
 from fleet_db.keeping.checks import ScrubFault, ScrubPlan, scrub
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import DecodedChunks, decode_received

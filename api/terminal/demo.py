@@ -28,8 +28,7 @@ from api.terminal.progress import bar
 from api.terminal.simulate import simulate_with_progress
 from estimation.errors import StorageError
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.jobs.scheduler import serve_jobs
-from estimation.jobs.stop_signals import stop_on_signals
+from estimation.jobs.scheduler import serve_jobs, stop_on_signals
 from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.migrate import upgrade
 from fleet_db.storage import SqlStorage

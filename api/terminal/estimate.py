@@ -24,7 +24,7 @@ from api.times import from_rfc3339, to_rfc3339
 from estimation.errors import ParameterError
 from estimation.jobs.estimate_windows import REFUSED, refusals
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.jobs.stop_signals import stop_on_signals
+from estimation.jobs.scheduler import stop_on_signals
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger

@@ -22,7 +22,7 @@ from api.measures import counter, gauge, reference_measures
 from api.settings import Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes
-from estimation.jobs.stop_signals import stop_on_signals
+from estimation.jobs.scheduler import stop_on_signals
 from fleet_db.migrate import check_head
 from fleet_db.storage import SqlStorage
 from ingest.live.listening import BusSource, open_bus

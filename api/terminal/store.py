@@ -15,7 +15,7 @@ from api.factory import once_the_database_answers, open_store
 from api.logs import start_tracing
 from api.settings import Settings, load_settings
 from estimation.jobs.job import WorkExecutor
-from estimation.jobs.stop_signals import stop_on_signals
+from estimation.jobs.scheduler import stop_on_signals
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 NAMELESS = "command line"  # who is recorded where the user of the system has no name, as in a container

@@ -12,10 +12,9 @@ from functools import partial
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.stage import Counted, Outcome, Stage, part_of_result
-from estimation.jobs.steps.membership import membership
 from estimation.jobs.steps.rolled_geometries import SUMS_IN_MEMORY, RolledGeometries
 from estimation.jobs.steps.rolling import read_ahead, read_sums_ahead, rolled
-from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.steps.vehicle_classes import ClassLookup, membership
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import GEOMETRY as GEOMETRIES
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry, result_of_geometry

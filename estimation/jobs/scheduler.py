@@ -8,10 +8,12 @@ and none is ever dropped for being late.
 from __future__ import annotations
 
 import logging
+import signal
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from threading import Event
+from queue import SimpleQueue
+from threading import Event, Thread
 
 from apscheduler.events import (
     EVENT_JOB_ERROR,
@@ -52,7 +54,7 @@ def serve_jobs(
     """Run the jobs on their schedules until ``stop_event`` is set; a job that is running then ends at its next batch.
 
     Args:
-        stop_event: Set by whoever ends the service, see :func:`estimation.jobs.stop_signals.stop_on_signals`.
+        stop_event: Set by whoever ends the service, see :func:`estimation.jobs.scheduler.stop_on_signals`.
         holder: Name that the refusal of a second scheduler contains, such as host and process number.
         every_s: Interval of a job where the deployment sets it apart from the job's default.
         wait: Stand by while another scheduler is at work, and take its place when it has ended.
@@ -176,3 +178,23 @@ def _report(event: JobEvent) -> None:
         _log.warning("a run of job %s was missed", event.job_id)
     else:
         _log.info("job %s is still running; its next run waits", event.job_id)
+
+
+def stop_on_signals(stop_event: Event) -> None:
+    """Set ``stop_event`` on SIGTERM and SIGINT; for the main thread of a service.
+
+    The handler only leaves a note, in a queue that may be entered twice by one thread: it may run while the main thread
+    holds the lock of ``stop_event``, where to set it would wait for ever.
+
+    Args:
+        stop_event: Set soon after the signal, by a thread of its own.
+    """
+    notes: SimpleQueue[int] = SimpleQueue()
+
+    def stop() -> None:
+        notes.get()
+        stop_event.set()
+
+    Thread(target=stop, name="stopping", daemon=True).start()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda number, _frame: notes.put(number))

@@ -190,8 +190,7 @@ def _window(
         offset = lookup.vehicle.axle_offsets_m[axle - 1]
         distance = on_section(motion.distance, motion.forward, motion.section, number, offset)
         good &= ~np.isnan(distance[slot])
-    valid = np.zeros(len(motion.speed), dtype=np.bool_)
-    valid[slot[good]] = True
+    valid = np.bincount(slot[good], minlength=len(motion.speed)) > 0
     accelerations = gridded(node.values[span], slot, good, len(valid), len(ACCELERATIONS))
     for array in (accelerations, distance, valid):
         array.flags.writeable = False

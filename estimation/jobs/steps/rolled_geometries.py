@@ -21,9 +21,8 @@ from estimation.jobs.steps.estimated_geometry import (
     remembered,
     stated,
 )
-from estimation.jobs.steps.membership import CONTRADICTED, Membership, PassedOverWindows
 from estimation.jobs.steps.rolling import Part, Rolled, sums
-from estimation.jobs.steps.vehicle_classes import Assumed
+from estimation.jobs.steps.vehicle_classes import CONTRADICTED, Assumed, Membership, PassedOverWindows
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import weighted_sum
 from estimation.values.fields import JsonValue

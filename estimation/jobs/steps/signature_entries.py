@@ -13,8 +13,7 @@ from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelPair, 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
 from estimation.jobs.steps.identities import suspected
-from estimation.jobs.steps.membership import Baseline, baselines
-from estimation.jobs.steps.vehicle_classes import ClassLookup, VehicleLookup
+from estimation.jobs.steps.vehicle_classes import Baseline, ClassLookup, VehicleLookup, baselines
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, extrapolated

@@ -14,9 +14,8 @@ from threading import Event
 
 from estimation.errors import AlreadyRunningError
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.scheduler import serve_jobs
+from estimation.jobs.scheduler import serve_jobs, stop_on_signals
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.stop_signals import stop_on_signals
 from estimation.values.registry import FleetRecord
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage

@@ -14,7 +14,7 @@ ROUNDS = 1500
 PROGRAM = textwrap.dedent(
     """
     import random, signal, sys, threading
-    from estimation.jobs.stop_signals import stop_on_signals
+    from estimation.jobs.scheduler import stop_on_signals
 
     def work():
         while True:
