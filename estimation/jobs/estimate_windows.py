@@ -13,7 +13,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from estimation.errors import DamagedError, NotFoundError, PassingFaultError
-from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
@@ -29,6 +28,7 @@ from estimation.jobs.steps.load_window import (
     tracks_of_batch,
 )
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
+from estimation.jobs.work import fails_alone
 from estimation.motion.checks import away_from_low_adhesion, refused_for_low_adhesion
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.integration import WindowParameters

@@ -15,10 +15,9 @@ from functools import partial
 from itertools import dropwhile, islice
 
 from estimation.errors import ConflictError, NotFiniteError, StoppedError, TreadwatchError
-from estimation.jobs.hand_out import hand_out, unit_size
-from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import JobContext, Work
 from estimation.jobs.stage import AnyStage, Outcome, Part, made_from
+from estimation.jobs.work import Isolation, fails_alone, hand_out, unit_size
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import BinStatus, BinValues
 from estimation.values.quantities import Estimate, Status
