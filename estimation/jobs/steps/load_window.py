@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.errors import DamagedError, NotFoundError, PurgedError
-from estimation.jobs.isolation import fails_alone
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup, VehicleLookup
 from estimation.motion.axle_distance import (
     bogie_runs_backwards,
@@ -28,7 +27,7 @@ from estimation.values.opinions import FRICTION
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
 from estimation.values.runs import Facet, SubjectKind
-from estimation.values.track import AlignmentRecord, TrackAlignment, TrackLayout
+from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window, WindowKey, WindowPosition, WindowRecord
 from estimation.vehicle.vehicle_class import VehicleClass
 
@@ -184,6 +183,18 @@ class WindowInputs:
     partner: str | None  # digest of the window on the other axle of the bogie
     low_adhesion: tuple[tuple[float, float], ...] = ()  # m, stretches of its section that surely had little friction
 
+    @property
+    def mounted_reversed(self) -> bool:
+        """Whether the wheelset is mounted the other way round."""
+        return self.mounting is not None and self.mounting.reversed
+
+    def correction(self, record: WindowRecord) -> Correction | None:
+        """Return by what the position is corrected; None where it was not found from these samples."""
+        at = self.position
+        if at is None or at.content_digest != record.content_digest:
+            return None
+        return Correction(at.offset_m, at.scale, at.middle_m)
+
 
 @dataclass(frozen=True, slots=True)
 class Facts:
@@ -222,18 +233,7 @@ class BatchInputs:
     vehicles: VehicleLookup
     records: Mapping[WindowKey, WindowRecord]
     facts: Facts
-    _found: Mapping[WindowKey, WindowInputs | Exception]
-
-    def of(self, key: WindowKey) -> WindowInputs:
-        """Return what a window of the batch is estimated with.
-
-        Raises:
-            Exception: It could not be read for this window.
-        """
-        found = self._found[key]
-        if isinstance(found, Exception):
-            raise found
-        return found
+    found: Mapping[WindowKey, WindowInputs]
 
 
 def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: ClassLookup) -> BatchInputs:
@@ -249,21 +249,17 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
     layouts = {section: unit.tracks.layout_version(section) for section in sorted(filter(None, sections))}
     low = _low_adhesion(unit, records)
     classes.look_up([record.wheelset for record in records])
-    assumed = {record.key: _assumed(classes, record) for record in records}
-    partners = {record.key: _partner(vehicles, record, assumed[record.key]) for record in records}
+    assumed = {record.key: classes.assumed(record.vehicle, record.wheelset) for record in records}
+    partners = {record.key: _partner_key(vehicles, record, assumed[record.key]) for record in records}
     missing = sorted({key for key in partners.values() if key is not None} - {record.key for record in records})
     known = {record.key: record for record in [*records, *(unit.windows.several(missing) if missing else ())]}
-    found: dict[WindowKey, WindowInputs | Exception] = {}
+    found = {}
     for record in records:
-        key = record.key
-        of_vehicle, partner = assumed[key], partners[key]
-        if isinstance(of_vehicle, Exception):
-            found[key] = of_vehicle
-            continue
+        key, partner = record.key, partners[record.key]
         found[key] = WindowInputs(
             positions.get(key),
             None if record.track_section is None else layouts[record.track_section],
-            of_vehicle,
+            assumed[key],
             vehicles.mounting_at(record.vehicle, record.axle, record.start_ns),
             known[partner].content_digest if partner in known else None,
             low.get(key, ()),
@@ -287,19 +283,9 @@ def _low_adhesion(
     return found
 
 
-def _assumed(classes: ClassLookup, record: WindowRecord) -> Assumed | Reason | Exception:
-    """Return what is assumed of a window's vehicle, or what was raised: the other windows of the batch go on."""
-    try:
-        return classes.assumed(record.vehicle, record.wheelset)
-    except Exception as error:
-        if not fails_alone(error):
-            raise
-        return error
-
-
-def _partner(vehicles: VehicleLookup, record: WindowRecord, assumed: Assumed | Reason | Exception) -> WindowKey | None:
+def _partner_key(vehicles: VehicleLookup, record: WindowRecord, assumed: Assumed | Reason) -> WindowKey | None:
     """Return the key that the window on the other axle of the bogie has; None without one."""
-    axle = assumed.windows.vehicle_class.partner(record.axle) if isinstance(assumed, Assumed) else None
+    axle = None if isinstance(assumed, Reason) else assumed.windows.vehicle_class.partner(record.axle)
     mounting = None if axle is None else vehicles.mounting_at(record.vehicle, axle, record.start_ns)
     return None if mounting is None else (mounting.wheelset, record.start_ns)
 
@@ -314,23 +300,16 @@ class TrackLookup:
 
     unit: UnitOfWork
     versions: Mapping[WindowKey, int | None]
-    _in_force: dict[str, AlignmentRecord | None] = field(default_factory=dict)
 
-    def in_force(self, record: WindowRecord) -> AlignmentRecord | None:
-        """Return which alignment of a window's section is in force; None where none is, or the section is not known."""
+    def alignment(self, record: WindowRecord) -> TrackAlignment | None:
+        """Return the alignment that a window is estimated on, else the one in force; None where there is none."""
         section = record.track_section
         if section is None:
             return None
-        if section not in self._in_force:
-            self._in_force[section] = self.unit.tracks.in_force(section)
-        return self._in_force[section]
-
-    def alignment(self, record: WindowRecord) -> TrackAlignment | None:
-        """Return the alignment that a window is estimated on; None where there is none."""
-        section, version = record.track_section, self.versions.get(record.key)
-        if record.key not in self.versions and (now := self.in_force(record)) is not None:
-            version = now.version
-        return None if section is None or version is None else self.unit.tracks.alignment(section, version)
+        if record.key not in self.versions:
+            return self.unit.tracks.alignment(section)
+        version = self.versions[record.key]
+        return None if version is None else self.unit.tracks.alignment(section, version)
 
     def layout(self, record: WindowRecord) -> TrackLayout | None:
         """Return the layout of a window's section; None where there is none."""
