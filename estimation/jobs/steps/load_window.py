@@ -33,6 +33,7 @@ from estimation.vehicle.vehicle_class import VehicleClass
 
 FACETS = (Facet.REGISTRY, Facet.PLACES, Facet.WINDOWS, FRICTION)
 """Of wheelsets, vehicles and sections: one is raised with whatever a window is estimated with."""
+Stretches = tuple[tuple[float, float], ...]  # from and to, m
 KEPT = 4  # windows, of a megabyte each: both of a bogie need both
 
 
@@ -181,7 +182,7 @@ class WindowInputs:
     assumed: Assumed | Reason  # of its vehicle
     mounting: Mounting | None  # at its begin
     partner: str | None  # digest of the window on the other axle of the bogie
-    low_adhesion: tuple[tuple[float, float], ...] = ()  # m, stretches of its section that surely had little friction
+    low_adhesion: Stretches = ()  # stretches of its section that surely had little friction
 
     @property
     def mounted_reversed(self) -> bool:
@@ -267,20 +268,23 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
     return BatchInputs(vehicles, known, facts, found)
 
 
-def _low_adhesion(
-    unit: UnitOfWork, records: Sequence[WindowRecord]
-) -> Mapping[WindowKey, tuple[tuple[float, float], ...]]:
-    """Return where the sections of windows surely had little friction, m: one statement for each section."""
-    found: dict[WindowKey, tuple[tuple[float, float], ...]] = {}
+def _low_adhesion(unit: UnitOfWork, records: Sequence[WindowRecord]) -> Mapping[WindowKey, Stretches]:
+    """Return where the sections of windows surely had little friction: one statement for each section."""
+    found: dict[WindowKey, Stretches] = {}
     for section in sorted({record.track_section for record in records} - {None}, key=str):
         own = [record for record in records if record.track_section == section]
-        starts = [record.start_ns for record in own]
-        known = unit.adhesion.during(str(section), min(starts), max(starts))
-        for record in own:
-            hours = (one for one in known if one.from_ns <= record.start_ns <= one.to_ns)
-            newest = next(hours, None)
-            found[record.key] = () if newest is None else newest.certain_stretches
+        stretches = certain_stretches(unit, str(section), [record.start_ns for record in own])
+        found |= {record.key: stretches[record.start_ns] for record in own}
     return found
+
+
+def certain_stretches(unit: UnitOfWork, section: str, starts: Sequence[int]) -> Mapping[int, Stretches]:
+    """Return the stretches of certainly low friction of a section at some times."""
+    hours = unit.adhesion.during(section, min(starts), max(starts)) if starts else ()
+    return {
+        start_ns: next((one.certain_stretches for one in hours if one.from_ns <= start_ns <= one.to_ns), ())
+        for start_ns in starts
+    }
 
 
 def _partner_key(vehicles: VehicleLookup, record: WindowRecord, assumed: Assumed | Reason) -> WindowKey | None:
