@@ -265,6 +265,10 @@ class Membership:
         baseline = self.baselines[min(key.baseline, len(self.baselines) - 1)]
         return baseline.mileage_km + (key.interval + 1) * self.interval_km
 
+    def weight(self, key: RollUpKey, at_km: float) -> float:
+        """Return the weight with forgetting that the end of an interval has at a mileage."""
+        return float(0.5 ** ((at_km - self.end_km(key)) / self.half_life_km))
+
     def _side(self, start_ns: int) -> Side | None:
         if self.change is None:
             return Side.WHOLE
