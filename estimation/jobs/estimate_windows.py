@@ -18,9 +18,7 @@ from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.due_windows import JUDGE, OUTDATED
 from estimation.jobs.steps.load_window import (
-    BatchInputs,
     Facts,
-    TrackLookup,
     WindowInputs,
     WindowLoader,
     assemble_if_lost,
@@ -31,7 +29,6 @@ from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.jobs.work import fails_alone
 from estimation.motion.checks import away_from_low_adhesion, refused_for_low_adhesion
 from estimation.motion.hunting import in_place_of_quality
-from estimation.motion.integration import WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import cells_of_window
@@ -39,7 +36,7 @@ from estimation.values.geometry import FilledCells, WindowTable
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.roll_up import MOST_CHOSEN, RollingSums, WindowRollingSums
 from estimation.values.runs import FAILED, TRIED_AGAIN, Quarantined, SubjectKind, code_of_error, first_line
-from estimation.values.track import Correction, TrackAlignment, TrackLayout
+from estimation.values.track import TrackAlignment, TrackLayout
 from estimation.values.windows import (
     DueStage,
     Window,
@@ -112,19 +109,6 @@ class TableInputs:
     layout: TrackLayout | None = field(metadata={"made_from": False})
     rolls: bool
 
-    @property
-    def mounted_reversed(self) -> bool:
-        """Whether the wheelset is mounted the other way round."""
-        return self.inputs.mounting is not None and self.inputs.mounting.reversed
-
-
-@dataclass(frozen=True, slots=True)
-class Unreadable:
-    """A window of which something could not be read: it fails alone."""
-
-    record: WindowRecord
-    error: Exception
-
 
 @dataclass(frozen=True, slots=True)
 class Estimated:
@@ -134,10 +118,7 @@ class Estimated:
     rolling: tuple[RollingSums, ...] | None = None  # what it says of its rolling radius, where somebody will ask
 
 
-Made = tuple[TableInputs, Estimated | Reason]
-
-
-def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Mapping[str, TableInputs | Unreadable]:
+def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Mapping[str, TableInputs]:
     """Return windows that wait or failed, with what they are estimated with; the others are left out."""
     standing = unit.windows.several([key_of_text(key) for key in keys])
     waiting = (one for one in standing if one.state is WindowState.PENDING or code_of(one.reason) in FAILED)
@@ -148,115 +129,87 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
     tracks = tracks_of_batch(unit, records)
     batch = inputs_of_batch(unit, records, ClassLookup(unit, context.settings.estimation))
     loader = WindowLoader(unit, batch.vehicles, batch.records)
-    reading = _Reading(loader, batch, tracks, likely_chosen(unit, records))
-    return {text_of_key(*record.key): reading.of(record) for record in records}
+    chosen, inputs = likely_chosen(unit, records), {}
+    for record in records:
+        found = batch.found[record.key]
+        inputs[text_of_key(*record.key)] = TableInputs(
+            record=record,
+            inputs=found,
+            facts=batch.facts,
+            window=_window(loader, record, found.assumed),
+            track=tracks.alignment(record),
+            layout=tracks.layout(record),
+            rolls=record.key in chosen,
+        )
+    return inputs
 
 
-@dataclass(frozen=True, slots=True)
-class _Reading:
-    """Reads the windows of a batch, each alone."""
-
-    loader: WindowLoader
-    batch: BatchInputs
-    tracks: TrackLookup
-    chosen: set[WindowKey]
-
-    def of(self, record: WindowRecord) -> TableInputs | Unreadable:
-        try:
-            inputs = self.batch.of(record.key)
-            window, tracks = self._window(record, inputs), self.tracks
-            rolls = record.key in self.chosen
-            return TableInputs(
-                record, inputs, self.batch.facts, window, tracks.alignment(record), tracks.layout(record), rolls
-            )
-        except Exception as error:
-            if not fails_alone(error):
-                raise
-            return Unreadable(record, error)
-
-    def _window(self, record: WindowRecord, inputs: WindowInputs) -> Window | Reason:
-        if record.implausible is not None:
-            return record.implausible
-        if isinstance(inputs.assumed, Reason):
-            return inputs.assumed
-        try:
-            return self.loader.load(record, inputs.assumed.windows.vehicle_class)
-        except DamagedError as error:
-            return Reason(ReasonCode.FILE_DAMAGED, str(error))  # names the file; the other windows go on
+def _window(loader: WindowLoader, record: WindowRecord, assumed: Assumed | Reason) -> Window | Reason:
+    if record.implausible is not None:
+        return record.implausible
+    if isinstance(assumed, Reason):
+        return assumed
+    try:
+        return loader.load(record, assumed.windows.vehicle_class)
+    except DamagedError as error:
+        return Reason(ReasonCode.FILE_DAMAGED, str(error))  # names the file; the other windows go on
 
 
-def estimate(inputs: TableInputs | Unreadable) -> Outcome[Estimated | Reason]:
-    """Return the bin table of a window, or why it has none.
+def estimate(inputs: TableInputs) -> Outcome[Estimated | Reason]:
+    """Return the bin table of a window, without its samples on rails of low friction, or why it has none.
 
     Raises:
         PassingFaultError: It could not be found where it was, for now.
     """
-    if isinstance(inputs, Unreadable):
-        raise inputs.error
     return Outcome([Part(_estimated(inputs))])
 
 
 def _estimated(inputs: TableInputs) -> Estimated | Reason:
-    record, window, assumed, position = inputs.record, inputs.window, inputs.inputs.assumed, inputs.inputs.position
+    window, assumed, position = inputs.window, inputs.inputs.assumed, inputs.inputs.position
     if isinstance(window, Reason):
         return window
     if isinstance(assumed, Reason):
         return assumed
     if position is not None and position.reason is not None and position.reason.code in TRIED_AGAIN:
         raise PassingFaultError(position.reason.text, code=position.reason.code)  # it is looked for again, too
-    correction, misplaced = None, None
-    if position is not None and position.content_digest == record.content_digest:  # found from these samples
-        correction, misplaced = Correction(position.offset_m, position.scale, position.middle_m), position.reason
-    parameters = assumed.windows
-    cells = _cells(window, inputs, parameters, correction, misplaced)
-    if isinstance(cells, Reason):
-        return cells
-    rolling = rolling_sums(window, parameters.vehicle_class, parameters.signals) if inputs.rolls else None
-    return Estimated(cells, rolling)
-
-
-def _cells(
-    window: Window,
-    inputs: TableInputs,
-    parameters: WindowParameters,
-    correction: Correction | None,
-    misplaced: Reason | None,
-) -> FilledCells | Reason:
-    """Return the cells of a window's bin table without its samples on rails of low friction."""
+    correction, parameters = inputs.inputs.correction(inputs.record), assumed.windows
     kept = away_from_low_adhesion(window, inputs.inputs.low_adhesion, correction)
     if isinstance(kept, Reason):
         return kept
-    found = cells_of_window(
+    cells = cells_of_window(
         kept,
         inputs.track,
         parameters,
         correction,
-        misplaced,
-        mounted_reversed=inputs.mounted_reversed,
+        None if position is None or correction is None else position.reason,
+        mounted_reversed=inputs.inputs.mounted_reversed,
         layout=inputs.layout,
     )
-    return refused_for_low_adhesion(found, window, kept) if isinstance(found, Reason) else found
+    if isinstance(cells, Reason):
+        return refused_for_low_adhesion(cells, window, kept)
+    rolling = rolling_sums(window, parameters.vehicle_class, parameters.signals) if inputs.rolls else None
+    return Estimated(cells, rolling)
 
 
 def store_tables(
     unit: UnitOfWork,
     context: JobContext,
-    made: Mapping[str, tuple[TableInputs | Unreadable | None, Outcome[Estimated | Reason]]],
+    made: Mapping[str, tuple[TableInputs | None, Outcome[Estimated | Reason]]],
 ) -> Mapping[str, int]:
     """Store outcomes; windows that something has changed under since are due still: the next batch takes them."""
     found = [
         (inputs, part.value)
         for inputs, outcome in made.values()
         for part in outcome.parts
-        if isinstance(inputs, TableInputs) and part.value is not None
+        if inputs is not None and part.value is not None
     ]
     if not found:
         return {}
     now = {record.key: record for record in unit.windows.several([one.record.key for one, _ in found], held=True)}
-    batch = None
+    changed = {one.record.key for one, _ in found if not _same_samples(one.record, now.get(one.record.key))}
     if not found[0][0].facts.are_same(unit):
         batch = inputs_of_batch(unit, list(now.values()), ClassLookup(unit, context.settings.estimation))
-    changed = {one.record.key for one, _ in found if _changed(one, now.get(one.record.key), batch)}
+        changed |= {one.record.key for one, _ in found if batch.found.get(one.record.key) != one.inputs}
     same = [(inputs, outcome) for inputs, outcome in found if inputs.record.key not in changed]
     _store(unit, same, now)
     unit.due.list_again(DueStage.TABLES, sorted(changed))
@@ -268,19 +221,15 @@ def store_tables(
     return counts
 
 
-def _changed(inputs: TableInputs, now: WindowRecord | None, batch: BatchInputs | None) -> bool:
-    """Whether something that a window was estimated with is another by now.
-
-    Args:
-        batch: None where nothing is but what is of the window itself.
-    """
-    record = inputs.record
-    if now is None or now.content_digest != record.content_digest:
-        return True
-    return batch is not None and batch.of(record.key) != inputs.inputs
+def _same_samples(record: WindowRecord, now: WindowRecord | None) -> bool:
+    return now is not None and now.content_digest == record.content_digest
 
 
-def _store(unit: UnitOfWork, found: Sequence[Made], standing: Mapping[WindowKey, WindowRecord]) -> None:
+def _store(
+    unit: UnitOfWork,
+    found: Sequence[tuple[TableInputs, Estimated | Reason]],
+    standing: Mapping[WindowKey, WindowRecord],
+) -> None:
     tables, marks, refused, rolling = [], [], {}, []
     for inputs, outcome in found:
         record, version = inputs.record, inputs.track.version if inputs.track is not None else None

@@ -28,12 +28,10 @@ from estimation.values.opinions import (
     CELLS,
     SECTION_RAILS,
     WHEELSET_RAILS,
-    RailKey,
     RailPart,
     RailsApart,
     RailsFinding,
     StoredCell,
-    WheelKey,
     WheelsFinding,
 )
 from estimation.values.runs import EVERYTHING, Facet, Result, SubjectKind
@@ -89,7 +87,8 @@ def load_rails(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Mappi
     """Return what parting wheels and rails is made from."""
     parameters, cells = context.settings.rails.model, unit.rails.cells()
     on_file = anchor_inputs(unit, cells, context)
-    text = f"{[_stands_for(one) for one in cells]!r} {on_file.text} {parameters!r}"
+    stand_for = [(one.wheel, one.rail, one.digest, one.reason and str(one.reason.code)) for one in cells]
+    text = f"{stand_for!r} {on_file.text} {parameters!r}"
     usable = next((one.usable for one in cells if one.usable is not None), None)
     curve = context.settings.estimation.geometry.curve
     inputs = RailsInputs(
@@ -103,10 +102,6 @@ def load_rails(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Mappi
     return {EVERYTHING: inputs}
 
 
-def _stands_for(one: StoredCell) -> tuple[WheelKey, RailKey, str, str | None]:
-    return one.wheel, one.rail, one.digest, None if one.reason is None else str(one.reason.code)
-
-
 def part_rails(inputs: RailsInputs) -> Outcome[RailsFindings]:
     """Return what belongs to rails, and what belongs to wheels."""
     usable = [one.usable for one in inputs.cells if one.usable is not None]
@@ -114,25 +109,14 @@ def part_rails(inputs: RailsInputs) -> Outcome[RailsFindings]:
     apart = rails_apart(usable, inputs.amplitude, held, inputs.parameters)
     apart = with_refused(apart, inputs.cells)
     newest = {one.wheel.wheelset: one for one in apart.wheels}  # in the order of their keys
-    amplitude = tuple(apart.amplitude.tolist())
-    return Outcome(
-        [
-            Part(
-                RailsFindings(
-                    sections=_sections(apart, held.wheel.profile, inputs.parameters),
-                    wheelsets={
-                        serial: WheelsFinding(amplitude, one, apart.refused_wheels.get(serial))
-                        for serial, one in newest.items()
-                    },
-                    refused={
-                        **dict.fromkeys(held.missing, "not on file"),
-                        **{code: str(why) for code, why in apart.refused.items()},
-                    },
-                    refused_wheels={serial: str(why) for serial, why in apart.refused_wheels.items()},
-                )
-            )
-        ]
+    amplitude, refused_wheels = tuple(apart.amplitude.tolist()), apart.refused_wheels
+    findings = RailsFindings(
+        sections=_sections(apart, held.wheel.profile, inputs.parameters),
+        wheelsets={serial: WheelsFinding(amplitude, one, refused_wheels.get(serial)) for serial, one in newest.items()},
+        refused=dict.fromkeys(held.missing, "not on file") | {code: str(why) for code, why in apart.refused.items()},
+        refused_wheels={serial: str(why) for serial, why in refused_wheels.items()},
     )
+    return Outcome([Part(findings)])
 
 
 def _sections(apart: RailsApart, profile: str, parameters: RailsParameters) -> Mapping[str, RailsFinding]:
@@ -182,7 +166,7 @@ OF_WHEELSETS = Stage(
     job="refresh_rails",
     kind=SubjectKind.WHEELSET,
     facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage, TREND.head_facet),
-    settings=lambda settings: (CELL_VERSION, settings.estimation, settings.rails.period_days),
+    settings=lambda settings: (CELL_VERSION, settings.estimation, settings.rails.model.period_days),
     load=wheelset_cells,
     compute=make_cells,
     counted=Counted(looked="wheelsets", changed="cells"),

@@ -134,7 +134,7 @@ def _evaluate(
 
 def _then(history: History, at_ns: int) -> tuple[WheelsetRecord, VehicleRecord | None]:
     """Return the wheelset and its vehicle as the records had them at a time."""
-    mounted = [one for one in history.mountings if one.from_ns <= at_ns and (one.to_ns is None or at_ns < one.to_ns)]
+    mounted = [one for one in history.mountings if one.covers(at_ns)]
     mounting = replace(mounted[-1], to_ns=None) if mounted else None
     done = tuple(one for one in history.wheelset.reprofilings if one.at_ns <= at_ns)
     wheelset = replace(history.wheelset, mounting=mounting, reprofilings=done)

@@ -82,6 +82,10 @@ class Mounting:
     wheelset_mileage_km: Annotated[Kilometres, Served("Mileage of the wheelset at the time of mounting.")]
     reversed: Annotated[bool, Served("The left wheel runs on the right-hand side.")] = False
 
+    def covers(self, at_ns: int) -> bool:
+        """Return whether the wheelset was mounted at a time of the vehicle's clock."""
+        return self.from_ns <= at_ns and (self.to_ns is None or at_ns < self.to_ns)
+
     def of_file(self, _given: Collection[str]) -> Self:
         """Refuse an end before the start."""
         if self.to_ns is not None and self.to_ns <= self.from_ns:

@@ -8,7 +8,7 @@ is none to estimate again for, nor is a recording of the gauge alone.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.jobs.job import JobContext
@@ -50,25 +50,31 @@ Verdicts = Mapping[WindowKey, Reason | None]
 def load_readings(unit: UnitOfWork, serials: Sequence[str], _: JobContext) -> Mapping[str, Readings]:
     """Return the new readings of some wheelsets, or all where one is doubted or something speaks against a new one."""
     (due, doubted), mounted = unit.plausibility.due(serials), _mounted(unit, serials)
-    spans = {serial: _spans(serial, own) for serial, own in _starts(due).items() if serial not in doubted}
+    spans = _spans(key for key in due if key[0] not in doubted)
     around = unit.plausibility.readings_around([span for own in spans.values() for span in own])
     new: Mapping[str, Sequence[MileageReading]] = {
-        serial: [one for span in own for one in around[span] if _is_new(one, span, due)]
+        serial: [
+            one
+            for span in own
+            for one in around[span]
+            if span[1] <= one.start_ns <= span[2] and (serial, one.start_ns) in due
+        ]
         for serial, own in spans.items()
     }
     if sum(map(len, new.values())) < sum(serial in spans for serial, _ in due):  # some are gone
         new = unit.plausibility.new_readings(list(spans))
-        spans = {serial: _spans(serial, [one.start_ns for one in own]) for serial, own in new.items()}
+        spans = _spans((serial, one.start_ns) for serial, own in new.items() for one in own)
         around = unit.plausibility.readings_around([span for own in spans.values() for span in own])
     found = {}
     for serial in serials:
-        seen = {key: version for key, version in due.items() if key[0] == serial}
+        judged, against = new.get(serial, ()), mounted.get(serial, ())
         beside = [around[span] for span in spans.get(serial, ())]
-        if serial not in doubted and _without_doubt(beside, mounted.get(serial, ())):
-            found[serial] = Readings(serial, tuple(new.get(serial, ())), (), seen)
+        if serial not in doubted and _without_doubt(beside, against):
+            against = ()
         else:
-            every = tuple(unit.plausibility.readings(serial))
-            found[serial] = Readings(serial, every, mounted.get(serial, ()), seen)
+            judged = unit.plausibility.readings(serial)
+        seen = {key: version for key, version in due.items() if key[0] == serial}
+        found[serial] = Readings(serial, tuple(judged), against, seen)
     return found
 
 
@@ -76,7 +82,7 @@ def judge(inputs: Readings) -> Outcome[Verdicts]:
     """Return why windows of a wheelset are not believed, None for those that are, where that is new."""
     implausible: dict[int, Reason] = dict(implausible_places(inputs.judged))
     for mounting, max_speed in inputs.mounted:
-        if within := _within(inputs.judged, mounting):
+        if within := [one for one in inputs.judged if mounting.covers(one.start_ns)]:
             implausible.update(implausible_mileages(within, mounting, max_speed))
     verdicts = {
         (inputs.wheelset, one.start_ns): implausible.get(one.start_ns)
@@ -101,12 +107,6 @@ def store_verdicts(
     return {"mileages_judged": changed}
 
 
-def _is_new(reading: MileageReading, span: ReadingSpan, due: Collection[WindowKey]) -> bool:
-    """Return whether a reading in or beside a span is one of those that the span was made of."""
-    wheelset, from_ns, to_ns = span
-    return from_ns <= reading.start_ns <= to_ns and (wheelset, reading.start_ns) in due
-
-
 def _mounted(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, tuple[Mounted, ...]]:
     mountings = unit.registry.mountings_of(serials)
     vehicles = unit.registry.vehicles_of({one.vehicle for own in mountings.values() for one in own})
@@ -116,36 +116,25 @@ def _mounted(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, tuple[Mou
     }
 
 
-def _starts(due: Iterable[WindowKey]) -> Mapping[str, Sequence[int]]:
-    starts: defaultdict[str, list[int]] = defaultdict(list)
-    for serial, start_ns in due:
-        starts[serial].append(start_ns)
-    return starts
+def _spans(windows: Iterable[WindowKey]) -> Mapping[str, list[ReadingSpan]]:
+    """Return first and last start of groups of windows that are apart, by wheelset; each in order of time."""
+    spans: defaultdict[str, list[ReadingSpan]] = defaultdict(list)
+    for serial, start_ns in windows:
+        own = spans[serial]
+        if own and start_ns - own[-1][2] <= APART_NS:
+            own[-1] = (serial, own[-1][1], start_ns)
+        else:
+            own.append((serial, start_ns, start_ns))
+    return spans
 
 
 def _without_doubt(beside: Sequence[Sequence[MileageReading]], mounted: Sequence[Mounted]) -> bool:
     """Whether nothing speaks against new readings among those of before, of which none is doubted."""
     return all(
-        without_doubt(_within(readings, mounting), mounting, max_speed)
+        without_doubt([one for one in readings if mounting.covers(one.start_ns)], mounting, max_speed)
         for readings in beside
         for mounting, max_speed in mounted
     )
-
-
-def _spans(wheelset: str, starts: Sequence[int]) -> list[ReadingSpan]:
-    """Return first and last of starts in order of time in groups that are apart."""
-    spans: list[ReadingSpan] = []
-    for start_ns in starts:
-        if spans and start_ns - spans[-1][2] <= APART_NS:
-            spans[-1] = (wheelset, spans[-1][1], start_ns)
-        else:
-            spans.append((wheelset, start_ns, start_ns))
-    return spans
-
-
-def _within(readings: Sequence[MileageReading], mounting: Mounting) -> list[MileageReading]:
-    to_ns = mounting.to_ns
-    return [one for one in readings if mounting.from_ns <= one.start_ns and (to_ns is None or one.start_ns < to_ns)]
 
 
 JUDGE = Stage(
@@ -194,8 +183,8 @@ def _of_section(unit: UnitOfWork, classes: ClassLookup, code: str) -> Outdated:
         elif not isinstance(classes.of_vehicle(record.vehicle), Reason):
             classed.append(record.key)
     if aligned:
-        known = unit.tracks.in_force(code)
-        aligned = aligned if known is not None and known.status is Status.ESTIMATED else []
+        in_force = unit.tracks.in_force(code)
+        aligned = aligned if in_force is not None and in_force.status is Status.ESTIMATED else []
     changed = sorted({*unit.epochs.outdated([code]), *_made_otherwise(unit, classes, code)})
     return Outdated(changed, aligned, classed)
 
@@ -205,11 +194,6 @@ def _made_otherwise(unit: UnitOfWork, classes: ClassLookup, section: str) -> Ite
     for key in unit.tables.parameter_keys([section]):
         if key.parameter_key != classes.table_key(key.vehicle, key.wheelset):
             yield from unit.tables.made_with(key)
-
-
-def outcome_of(outdated: Outdated) -> Outcome[None]:
-    """Return no result: what follows is that windows wait. Those that do are not found again."""
-    return Outcome(more=bool(outdated.changed or outdated.aligned or outdated.classed))
 
 
 def let_wait(
@@ -234,7 +218,8 @@ OUTDATED = Stage(
     facets=(Facet.REGISTRY, Facet.ALIGNMENT, Facet.PLACES),
     settings=lambda settings: settings.estimation.as_json(),
     load=load_outdated,
-    compute=outcome_of,
+    # what follows is that windows wait; those that do are not found again
+    compute=lambda found: Outcome(more=bool(found.changed or found.aligned or found.classed)),
     counted=Counted(looked="looks", changed="results", more=("requeued", "passed_over")),
     store=let_wait,
 )

@@ -76,7 +76,7 @@ class FileLookup:
             for _, mileage_km, digest in found.measured
             if abs(mileage_km - record.mileage_km) <= self.settings.alignment.measured_km
         ]
-        turned = any(_covers(one, record.start_ns) for one in found.mountings if one.reversed)
+        turned = any(one.covers(record.start_ns) for one in found.mountings if one.reversed)
         text = f"{self.life(record)!r} {turned} {near!r} {record.axle} {found.assumed}"
         return EpochMember(record, found.digest, _digest(text))
 
@@ -88,10 +88,6 @@ class FileLookup:
             () if wheelset in self._unmeasured else _measured(self.unit, wheelset),
             self.classes.digest(vehicle, wheelset),
         )
-
-
-def _covers(mounting: Mounting, at_ns: int) -> bool:
-    return mounting.from_ns <= at_ns and (mounting.to_ns is None or at_ns < mounting.to_ns)
 
 
 def _measured(unit: UnitOfWork, wheelset: str) -> Sequence[tuple[int, float, str]]:

@@ -28,12 +28,13 @@ from estimation.values.opinions import FRICTION
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
 from estimation.values.runs import Facet, SubjectKind
-from estimation.values.track import AlignmentRecord, TrackAlignment, TrackLayout
+from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window, WindowKey, WindowPosition, WindowRecord
 from estimation.vehicle.vehicle_class import VehicleClass
 
 FACETS = (Facet.REGISTRY, Facet.PLACES, Facet.WINDOWS, FRICTION)
 """Of wheelsets, vehicles and sections: one is raised with whatever a window is estimated with."""
+Stretches = tuple[tuple[float, float], ...]  # from and to, m
 KEPT = 4  # windows, of a megabyte each: both of a bogie need both
 
 
@@ -182,7 +183,19 @@ class WindowInputs:
     assumed: Assumed | Reason  # of its vehicle
     mounting: Mounting | None  # at its begin
     partner: str | None  # digest of the window on the other axle of the bogie
-    low_adhesion: tuple[tuple[float, float], ...] = ()  # m, stretches of its section that surely had little friction
+    low_adhesion: Stretches = ()  # stretches of its section that surely had little friction
+
+    @property
+    def mounted_reversed(self) -> bool:
+        """Whether the wheelset is mounted the other way round."""
+        return self.mounting is not None and self.mounting.reversed
+
+    def correction(self, record: WindowRecord) -> Correction | None:
+        """Return by what the position is corrected; None where it was not found from these samples."""
+        at = self.position
+        if at is None or at.content_digest != record.content_digest:
+            return None
+        return Correction(at.offset_m, at.scale, at.middle_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,18 +235,7 @@ class BatchInputs:
     vehicles: VehicleLookup
     records: Mapping[WindowKey, WindowRecord]
     facts: Facts
-    _found: Mapping[WindowKey, WindowInputs | Exception]
-
-    def of(self, key: WindowKey) -> WindowInputs:
-        """Return what a window of the batch is estimated with.
-
-        Raises:
-            Exception: It could not be read for this window.
-        """
-        found = self._found[key]
-        if isinstance(found, Exception):
-            raise found
-        return found
+    found: Mapping[WindowKey, WindowInputs]
 
 
 def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: ClassLookup) -> BatchInputs:
@@ -249,21 +251,17 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
     layouts = {section: unit.tracks.layout_version(section) for section in sorted(filter(None, sections))}
     low = _low_adhesion(unit, records)
     classes.look_up([record.wheelset for record in records])
-    assumed = {record.key: _assumed(classes, record) for record in records}
-    partners = {record.key: _partner(vehicles, record, assumed[record.key]) for record in records}
+    assumed = {record.key: classes.assumed(record.vehicle, record.wheelset) for record in records}
+    partners = {record.key: _partner_key(vehicles, record, assumed[record.key]) for record in records}
     missing = sorted({key for key in partners.values() if key is not None} - {record.key for record in records})
     known = {record.key: record for record in [*records, *(unit.windows.several(missing) if missing else ())]}
-    found: dict[WindowKey, WindowInputs | Exception] = {}
+    found = {}
     for record in records:
-        key = record.key
-        of_vehicle, partner = assumed[key], partners[key]
-        if isinstance(of_vehicle, Exception):
-            found[key] = of_vehicle
-            continue
+        key, partner = record.key, partners[record.key]
         found[key] = WindowInputs(
             positions.get(key),
             None if record.track_section is None else layouts[record.track_section],
-            of_vehicle,
+            assumed[key],
             vehicles.mounting_at(record.vehicle, record.axle, record.start_ns),
             known[partner].content_digest if partner in known else None,
             low.get(key, ()),
@@ -271,35 +269,28 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
     return BatchInputs(vehicles, known, facts, found)
 
 
-def _low_adhesion(
-    unit: UnitOfWork, records: Sequence[WindowRecord]
-) -> Mapping[WindowKey, tuple[tuple[float, float], ...]]:
-    """Return where the sections of windows surely had little friction, m: one statement for each section."""
-    found: dict[WindowKey, tuple[tuple[float, float], ...]] = {}
+def _low_adhesion(unit: UnitOfWork, records: Sequence[WindowRecord]) -> Mapping[WindowKey, Stretches]:
+    """Return where the sections of windows surely had little friction: one statement for each section."""
+    found: dict[WindowKey, Stretches] = {}
     for section in sorted({record.track_section for record in records} - {None}, key=str):
         own = [record for record in records if record.track_section == section]
-        starts = [record.start_ns for record in own]
-        known = unit.adhesion.during(str(section), min(starts), max(starts))
-        for record in own:
-            hours = (one for one in known if one.from_ns <= record.start_ns <= one.to_ns)
-            newest = next(hours, None)
-            found[record.key] = () if newest is None else newest.certain_stretches
+        stretches = certain_stretches(unit, str(section), [record.start_ns for record in own])
+        found |= {record.key: stretches[record.start_ns] for record in own}
     return found
 
 
-def _assumed(classes: ClassLookup, record: WindowRecord) -> Assumed | Reason | Exception:
-    """Return what is assumed of a window's vehicle, or what was raised: the other windows of the batch go on."""
-    try:
-        return classes.assumed(record.vehicle, record.wheelset)
-    except Exception as error:
-        if not fails_alone(error):
-            raise
-        return error
+def certain_stretches(unit: UnitOfWork, section: str, starts: Sequence[int]) -> Mapping[int, Stretches]:
+    """Return the stretches of certainly low friction of a section at some times."""
+    hours = unit.adhesion.during(section, min(starts), max(starts)) if starts else ()
+    return {
+        start_ns: next((one.certain_stretches for one in hours if one.from_ns <= start_ns <= one.to_ns), ())
+        for start_ns in starts
+    }
 
 
-def _partner(vehicles: VehicleLookup, record: WindowRecord, assumed: Assumed | Reason | Exception) -> WindowKey | None:
+def _partner_key(vehicles: VehicleLookup, record: WindowRecord, assumed: Assumed | Reason) -> WindowKey | None:
     """Return the key that the window on the other axle of the bogie has; None without one."""
-    axle = assumed.windows.vehicle_class.partner(record.axle) if isinstance(assumed, Assumed) else None
+    axle = None if isinstance(assumed, Reason) else assumed.windows.vehicle_class.partner(record.axle)
     mounting = None if axle is None else vehicles.mounting_at(record.vehicle, axle, record.start_ns)
     return None if mounting is None else (mounting.wheelset, record.start_ns)
 
@@ -314,23 +305,16 @@ class TrackLookup:
 
     unit: UnitOfWork
     versions: Mapping[WindowKey, int | None]
-    _in_force: dict[str, AlignmentRecord | None] = field(default_factory=dict)
 
-    def in_force(self, record: WindowRecord) -> AlignmentRecord | None:
-        """Return which alignment of a window's section is in force; None where none is, or the section is not known."""
+    def alignment(self, record: WindowRecord) -> TrackAlignment | None:
+        """Return the alignment that a window is estimated on, else the one in force; None where there is none."""
         section = record.track_section
         if section is None:
             return None
-        if section not in self._in_force:
-            self._in_force[section] = self.unit.tracks.in_force(section)
-        return self._in_force[section]
-
-    def alignment(self, record: WindowRecord) -> TrackAlignment | None:
-        """Return the alignment that a window is estimated on; None where there is none."""
-        section, version = record.track_section, self.versions.get(record.key)
-        if record.key not in self.versions and (now := self.in_force(record)) is not None:
-            version = now.version
-        return None if section is None or version is None else self.unit.tracks.alignment(section, version)
+        if record.key not in self.versions:
+            return self.unit.tracks.alignment(section)
+        version = self.versions[record.key]
+        return None if version is None else self.unit.tracks.alignment(section, version)
 
     def layout(self, record: WindowRecord) -> TrackLayout | None:
         """Return the layout of a window's section; None where there is none."""

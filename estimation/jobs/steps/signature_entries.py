@@ -19,7 +19,7 @@ from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, extrapolated
 from estimation.values.geometry import KnownConicity, interval_conicities
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import Mounting, WheelsetRecord
+from estimation.values.registry import WheelsetRecord
 from estimation.values.signatures import ConicitySource, DesignPair, KnownSignatures, LibraryEntry, Place
 from estimation.values.track import TrackSectionRecord
 
@@ -111,7 +111,9 @@ class EntryReader:
             return ReasonCode.FILE_DAMAGED
         if label is None or isinstance(label, ReasonCode):
             return label or ReasonCode.SECTION_UNKNOWN
-        return self._entries(one, baseline, label)
+        conicity, std, source = label
+        shared, pair = self.sharing(one), self.pair(one)
+        return [LibraryEntry(item, baseline, conicity, std, source, shared, pair) for item in one.found.signatures]
 
     def baseline_at(self, wheelset: str, at_ns: int) -> Baseline:
         """Return the life of a wheelset's profile at a time."""
@@ -126,7 +128,8 @@ class EntryReader:
     def sharing(self, one: KnownSignatures) -> tuple[str, ...]:
         """Return the wheelsets whose samples are in a window's signatures: its own, and the other of its bogie."""
         found, on_file = one.found, self.classes.of_vehicle(one.found.vehicle)
-        mounting = next((m for m in self._mountings(found.wheelset) if _within(m, found.vehicle, found.start_ns)), None)
+        own = (one for one in self.unit.registry.mountings(found.wheelset) if one.vehicle == found.vehicle)
+        mounting = next((one for one in own if one.covers(found.start_ns)), None)
         if isinstance(on_file, Reason) or mounting is None:
             return (found.wheelset,)
         partner = on_file.vehicle_class.partner(mounting.axle)
@@ -139,9 +142,6 @@ class EntryReader:
         rail = None if section is None else f"{section.rail_profile} {section.rail_inclination:.6f}"
         return DesignPair(self.classes.wheelset(one.found.wheelset).wheel_profile, rail)
 
-    def _mountings(self, wheelset: str) -> Sequence[Mounting]:
-        return self.unit.registry.mountings(wheelset)
-
     def _section(self, one: KnownSignatures) -> TrackSectionRecord | None:
         place = one.found.signatures[0].place
         if place is None:
@@ -150,13 +150,6 @@ class EntryReader:
             self._sections.update({found.code: found for found in self.unit.tracks.sections()})
         return self._sections.get(place.section)
 
-    def _entries(
-        self, one: KnownSignatures, baseline: int, label: tuple[float, float, ConicitySource]
-    ) -> list[LibraryEntry]:
-        conicity, std, source = label
-        shared, pair = self.sharing(one), self.pair(one)
-        return [LibraryEntry(item, baseline, conicity, std, source, shared, pair) for item in one.found.signatures]
-
     def _label(
         self, one: KnownSignatures, baseline: int, section: TrackSectionRecord
     ) -> tuple[float, float, ConicitySource] | ReasonCode:
@@ -164,15 +157,13 @@ class EntryReader:
         measured, turned = self._of_measurement(one, baseline, section)
         if measured is not None:
             return (*measured, ConicitySource.MEASURED_PROFILES)
-        near = [item for item in self._estimates(one.found.wheelset, baseline) if self._is_near(item.mileage_km, one)]
-        if near:
-            best = min((item.at(one.mileage_km) for item in near), key=lambda known: known[1])
-            if best[1] <= self.parameters.most_std:
-                return (*best, ConicitySource.GEOMETRY)
+        far_km = self.parameters.most_mileage_km
+        labels = self._estimates(one.found.wheelset, baseline)
+        near = [label.at(one.mileage_km) for label in labels if abs(label.mileage_km - one.mileage_km) <= far_km]
+        best = min(near, key=lambda known: known[1], default=None)
+        if best is not None and best[1] <= self.parameters.most_std:
+            return (*best, ConicitySource.GEOMETRY)
         return ReasonCode.WHEELSET_TURNED if turned else ReasonCode.NO_CONICITY
-
-    def _is_near(self, mileage_km: float, one: KnownSignatures) -> bool:
-        return abs(mileage_km - one.mileage_km) <= self.parameters.most_mileage_km
 
     def _of_measurement(
         self, one: KnownSignatures, baseline: int, section: TrackSectionRecord
@@ -181,7 +172,8 @@ class EntryReader:
         wheelset = one.found.wheelset
         if wheelset not in self._measured:
             self._measured[wheelset] = self.unit.registry.measured_profiles(wheelset)
-        near = [item for item in self._measured[wheelset] if self._is_near(item.mileage_km, one)]
+        measured, far_km = self._measured[wheelset], self.parameters.most_mileage_km
+        near = [item for item in measured if abs(item.mileage_km - one.mileage_km) <= far_km]
         same = [item for item in near if self.baseline_at(wheelset, item.at_ns).number == baseline]
         rails = RailShare(section.rail_profile, section.rail_inclination, section.nominal_gauge_m, 1.0)
         for item in sorted(same, key=lambda item: abs(item.mileage_km - one.mileage_km)):
@@ -231,8 +223,3 @@ def at_limit(known: Sequence[KnownConicity]) -> tuple[float, float] | None:
     below = [one for one in known if one.amplitude < LIMIT_AMPLITUDE]
     found = extrapolated(below) if below else None
     return None if found is None else (found.value, found.std)
-
-
-def _within(mounting: Mounting, vehicle: str, at_ns: int) -> bool:
-    open_end = mounting.to_ns is None or at_ns < mounting.to_ns
-    return mounting.vehicle == vehicle and mounting.from_ns <= at_ns and open_end

@@ -151,10 +151,7 @@ class VehicleLookup:
         """
         if vehicle not in self._mountings:
             self._mountings[vehicle] = self.unit.registry.mountings_on(vehicle, 0, LATEST_NS)
-        for one in self._mountings[vehicle]:
-            if one.axle == axle and one.from_ns <= at_ns and (one.to_ns is None or at_ns < one.to_ns):
-                return one
-        return None
+        return next((one for one in self._mountings[vehicle] if one.axle == axle and one.covers(at_ns)), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +234,7 @@ class Membership:
         """Return a window as part of its roll-up."""
         record, at_ns = window.record, window.record.start_ns
         table = f"{window.parameter_key} {window.content_digest}"
-        if any(m.from_ns <= at_ns and (m.to_ns is None or at_ns < m.to_ns) for m in self.turned):
+        if any(mounting.covers(at_ns) for mounting in self.turned):
             table = f"{table} reversed"
         weight = float(0.5 ** ((self.end_km(key) - mileage_km) / self.half_life_km))
         line = f"{at_ns} {record.content_digest} {table} {window.track_version} {mileage_km!r} {weight!r}"
@@ -267,6 +264,10 @@ class Membership:
         """Return the mileage at which an interval ends."""
         baseline = self.baselines[min(key.baseline, len(self.baselines) - 1)]
         return baseline.mileage_km + (key.interval + 1) * self.interval_km
+
+    def weight(self, key: RollUpKey, at_km: float) -> float:
+        """Return the weight with forgetting that the end of an interval has at a mileage."""
+        return float(0.5 ** ((at_km - self.end_km(key)) / self.half_life_km))
 
     def _side(self, start_ns: int) -> Side | None:
         if self.change is None:

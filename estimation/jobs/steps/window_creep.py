@@ -141,7 +141,7 @@ class _Batch:
         return CreepInputs(record, found) if isinstance(found, Reason) else CreepInputs(record, None, found)
 
     def _run(self, record: WindowRecord) -> Run | Reason:
-        inputs = self.inputs.of(record.key)
+        inputs = self.inputs.found[record.key]
         section, assumed = self.sections.get(record.track_section or ""), inputs.assumed
         if isinstance(assumed, Reason):
             return assumed
@@ -151,12 +151,9 @@ class _Batch:
         window = self.loader.load(record, assumed.windows.vehicle_class)
         if isinstance(window, Reason):
             return window
-        position, correction = inputs.position, None
-        if position is not None and position.reason is not None:
-            return position.reason
-        if position is not None and position.content_digest == record.content_digest:
-            correction = Correction(position.offset_m, position.scale, position.middle_m)
-        turned = inputs.mounting is not None and inputs.mounting.reversed
+        if inputs.position is not None and inputs.position.reason is not None:
+            return inputs.position.reason
+        correction, turned = inputs.correction(record), inputs.mounted_reversed
         profile = self.classes.wheelset(record.wheelset).wheel_profile
         at = correction or Correction()
         own = AdhesionInputs(assumed.windows, geometry.geometry, profile, section, turned, at)

@@ -125,7 +125,7 @@ def test_windows_a_day_apart_are_read_for_themselves(storage: SqlStorage) -> Non
     put(storage, 8 * DAY_NS // WINDOW_NS + 1)
     with storage.read() as unit:
         new = unit.plausibility.new_readings(["W1"])["W1"]
-        spans = due_windows._spans("W1", [one.start_ns for one in new])
+        spans = due_windows._spans(("W1", one.start_ns) for one in new)["W1"]
         around = unit.plausibility.readings_around(spans)
     assert due_windows.APART_NS == DAY_NS
     assert [len(found) for found in around.values()] == [3, 2]

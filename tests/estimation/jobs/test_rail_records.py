@@ -23,6 +23,7 @@ from estimation.jobs.steps import rail_anchors, rail_cells
 from estimation.jobs.steps.rail_anchors import AnchorInputs, anchor_inputs, anchors
 from estimation.jobs.steps.rail_cells import LOST, wheelset_cells
 from estimation.jobs.steps.rolling import Part
+from estimation.jobs.steps.vehicle_classes import Membership
 from estimation.values.geometry import IntervalDigest
 from estimation.values.opinions import (
     SECTION_RAILS,
@@ -170,7 +171,7 @@ def by_now(
     place_of = {(part.roll_up.key.baseline, part.roll_up.key.interval): part for part in parts}
     intervals = {place: IntervalDigest("", 6, reason) for place in place_of}
     monkeypatch.setattr(rail_cells, "rolled", lambda *_: SimpleNamespace(parts=parts))
-    monkeypatch.setattr(rail_cells, "_chosen", lambda _, given: given)
+    monkeypatch.setattr(Membership, "assumed", lambda *_: "of the class still")
     monkeypatch.setattr("fleet_db.stores.geometries.GeometryStore.interval_digests", lambda *_: intervals)
     at = context(storage)
     with storage.read() as unit:

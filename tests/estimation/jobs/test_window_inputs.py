@@ -11,7 +11,6 @@ from bogie_run import of_bogie
 from executed_statements import executed_statements
 from test_load_window import SECOND, register, window
 
-from estimation.errors import NotFoundError
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import WindowInputs, WindowLoader, inputs_of_batch, tracks_of_batch
 from estimation.jobs.steps.vehicle_classes import ClassLookup, VehicleLookup
@@ -41,8 +40,7 @@ def bogie(sqlite_storage: SqlStorage) -> SqlStorage:
 def inputs(storage: SqlStorage) -> dict[WindowKey, WindowInputs]:
     with storage.read() as unit:
         records = unit.windows.several(KEYS)
-        batch = inputs_of_batch(unit, records, ClassLookup(unit, EstimationSettings()))
-        return {record.key: batch.of(record.key) for record in records}
+        return dict(inputs_of_batch(unit, records, ClassLookup(unit, EstimationSettings())).found)
 
 
 def test_inputs_are_those_of_each_window(bogie: SqlStorage) -> None:
@@ -97,16 +95,6 @@ def test_every_change_is_noticed_by_the_windows_that_it_concerns(
         change(unit)
     after = inputs(bogie)
     assert {key for key in KEYS if before[key] != after[key]} == noticed_by
-
-
-def test_what_fails_at_one_window_is_raised_there_alone(bogie: SqlStorage) -> None:
-    with bogie.read() as unit:
-        records = unit.windows.several(KEYS)
-        strange = [replace(records[0], vehicle="no such vehicle"), *records[1:]]
-        batch = inputs_of_batch(unit, strange, ClassLookup(unit, EstimationSettings()))
-        assert batch.of(KEYS[2]).mounting is not None
-        with pytest.raises(NotFoundError, match="no vehicle"):
-            batch.of(KEYS[0])
 
 
 def test_mountings_end_before_their_last_moment(bogie: SqlStorage) -> None:
