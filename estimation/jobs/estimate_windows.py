@@ -26,7 +26,6 @@ from estimation.jobs.steps.load_window import (
     tracks_of_batch,
 )
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
-from estimation.jobs.work import fails_alone
 from estimation.motion.checks import away_from_low_adhesion, refused_for_low_adhesion
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.rolling_sums import rolling_sums

@@ -13,7 +13,6 @@ import numpy as np
 
 from estimation.errors import DamagedError, NotFoundError, PurgedError
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup, VehicleLookup
-from estimation.jobs.work import fails_alone
 from estimation.motion.axle_distance import (
     bogie_runs_backwards,
     check_axle_distance,
