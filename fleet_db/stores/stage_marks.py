@@ -216,7 +216,7 @@ def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> 
         subject: ColumnElement[str] = SPANS.c.vehicle if of_vehicle else DUE.c.wheelset
         number: ColumnElement[Any] = func.max(SPANS.c.id) if of_vehicle else func.sum(DUE.c.version)
         nothing: list[ColumnElement[Any]] = [
-            cast(null(), kind).label(name) for name, kind in _DETAILS.items() if name not in _READ
+            cast(null(), _DETAILS[name]).label(name) for name in ("made_from", "again_ns", "come")
         ]
         columns = [subject.label("subject"), number.label("seen"), REGISTRY_VERSION.label("registry"), *nothing]
         statement = select(*columns).where(*given(subjects, subject.in_)).group_by(subject)
@@ -241,9 +241,6 @@ def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> 
         return statement.group_by(*marked).having(changed)
     statement = statement.where(VERSIONS.c.kind == inputs.kind.value, *given(subjects, VERSIONS.c.subject.in_))
     return statement.group_by(VERSIONS.c.subject, *marked).having(changed)
-
-
-_READ = {"subject", "registry"}
 
 
 @cache
