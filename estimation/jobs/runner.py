@@ -66,7 +66,7 @@ def run_all(stages: Iterable[AnyStage], context: JobContext, isolation: Isolatio
             tried = partial(_tried, stage.inputs(context))
             ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
             _try_again(stage, context, ready, isolation)
-            counts.update(_handed_out(stage, context, ready, due, isolation))
+            counts.update(_handed_out(stage, context, ready, len(due), isolation))
     counts["quarantined"] += isolation.quarantined
     return counts
 
@@ -113,25 +113,24 @@ def _try_again(stage: AnyStage, context: JobContext, ready: Collection[str], iso
             stage.again(unit, failed)
 
 
-def work_of(stage: AnyStage, isolation: Isolation | None = None, due: Mapping[str, Due] | None = None) -> Work:
+def work_of(stage: AnyStage, isolation: Isolation | None = None) -> Work:
     """Return the work of a stage in units, as it is handed out to processes.
 
     Args:
         isolation: Of the run, where this process does the work.
-        due: What was read a moment ago of the first unit, where this process does it.
     """
-    return Work(stage.name, partial(_work, stage, isolation, dict(due or {})), partial(_set_aside, stage))
+    return Work(stage.name, partial(_work, stage, isolation), partial(_set_aside, stage))
 
 
 def _handed_out(
-    stage: AnyStage, context: JobContext, ready: Sequence[str], due: Mapping[str, Due], isolation: Isolation
+    stage: AnyStage, context: JobContext, ready: Sequence[str], total: int, isolation: Isolation
 ) -> Counter[str]:
     if stage.here:
         context = replace(context, executor=None)
     # of a large batch by itself: a stop is looked for between units
     batches = 1 if stage.at_once is None else CLAIMED_TOGETHER
     size = unit_size(context, len(ready), batches * stage.batch(context))
-    done, total = len(due) - len(ready), len(due)
+    done = total - len(ready)
 
     def progress(more: int) -> None:
         nonlocal done
@@ -139,17 +138,13 @@ def _handed_out(
         context.checkpoint(done, total)
 
     context.checkpoint(done, total)
-    # what another process has done between this look and the claim is done again: the same comes of it
-    first = {subject: due[subject] for subject in ready[:size]} if context.executor is None else {}
-    return hand_out(context, work_of(stage, isolation, first), _batches(ready, size), progress)
+    return hand_out(context, work_of(stage, isolation), _batches(ready, size), progress)
 
 
-def _work(
-    stage: AnyStage, of_run: Isolation | None, due: dict[str, Due], context: JobContext, subjects: Sequence[str]
-) -> Mapping[str, int]:
+def _work(stage: AnyStage, of_run: Isolation | None, context: JobContext, subjects: Sequence[str]) -> Mapping[str, int]:
     """Do subjects that are claimed, some in a transaction."""
     isolation = Isolation(context, stage.job) if of_run is None else of_run.of_claims(context)
-    working = _Working(stage, context, stage.inputs(context), isolation, due)
+    working = _Working(stage, context, stage.inputs(context), isolation)
     for batch in _batches(subjects, stage.batch(context)):
         working.do(batch)
     working.counts["quarantined"] = working.isolation.quarantined
@@ -173,7 +168,6 @@ class _Working:
     context: JobContext
     inputs: StageInputs
     isolation: Isolation
-    due: dict[str, Due] = field(default_factory=dict)  # of what was looked at a moment ago
     counts: Counter[str] = field(default_factory=Counter)
     _stored: set[str] = field(default_factory=set)  # subjects of which a part was stored
 
@@ -190,16 +184,12 @@ class _Working:
     def _do(self, subjects: Sequence[str]) -> Sequence[str]:
         """Do subjects together; where that fails, each alone. Return those that are due still.
 
-        Versions are read in the snapshot in which the inputs are, or before: what is committed later leaves a subject
-        due.
+        Versions are read in the snapshot in which the inputs are: what is committed later leaves a subject due.
         """
-        due: Mapping[str, Due] = {subject: self.due.pop(subject) for subject in subjects if subject in self.due}
+        due: Mapping[str, Due] = {}
         try:
             with self.context.storage.read() as unit:
-                if len(due) == len(subjects):
-                    unit.marks.take_over(self.inputs, due)
-                else:
-                    due = unit.marks.due(self.inputs, self.context.clock.now_ns(), subjects)
+                due = unit.marks.due(self.inputs, self.context.clock.now_ns(), subjects)
                 self.isolation.read(unit)
                 if self.stage.kind is SubjectKind.WHEELSET:
                     unit.together.update(due)

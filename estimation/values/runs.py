@@ -270,7 +270,7 @@ class StageInputs:
 class Due:
     """A subject that a stage has not seen as it is now."""
 
-    seen: int  # sum of the versions of its facets, in the transaction that reads its inputs or before
+    seen: int  # sum of the versions of its facets, in the transaction that reads its inputs
     made_from: str | None = None  # digest of the inputs seen last; None where it is to compute whatever they are
     marked: bool = False  # it has seen the subject before
     again_ns: int | None = None  # our time from which the inputs that it has seen may say something else

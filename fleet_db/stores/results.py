@@ -46,7 +46,8 @@ class ResultStore:
         """Read with one statement what :meth:`in_force` is asked next.
 
         Args:
-            asked: Kinds, subjects of each, and parts: first and last; None is all.
+            asked: Kinds, subjects of each, and parts: first and last; None is all. Some hundreds at most, since SQLite
+                takes no deeper condition.
         """
         asked, wanted = list(asked), dict[tuple[str, str], list[tuple[Parts | None, list[Row[Any]]]]]()
         for kind, subjects, parts in asked:
@@ -166,6 +167,7 @@ class ResultStore:
     def replace_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> None:
         """Put all results that there are of a kind without history; those of other subjects are removed."""
         self.put_all(kind, results)
+        self._ahead.clear()
         known = self.connection.scalars(select(RESULTS.c.subject).where(RESULTS.c.stage == kind.stage).distinct())
         gone = set(known) - {result.subject for result in results}
         if gone:

@@ -18,6 +18,7 @@ from sqlalchemy import (
     String,
     and_,
     bindparam,
+    case,
     cast,
     delete,
     exists,
@@ -72,26 +73,27 @@ class StageMarkStore:
         """
         self.subjects.flush()
         if inputs.kind is SubjectKind.WINDOW:
-            return self.windows.due(inputs, subjects)
+            return self._with_registry(self.windows.due(inputs, subjects))
 
         def read(some: Collection[str] | None) -> Mapping[str, Due]:
             rows = self.connection.execute(_due(inputs, now_ns, some).order_by("subject"))
             return {row.subject: _as_due(row) for row in rows}
 
-        return read(None) if subjects is None else self.once.of(f"mark of {inputs.stage}", subjects, read)
+        return self._with_registry(
+            read(None) if subjects is None else self.once.of(f"mark of {inputs.stage}", subjects, read)
+        )
 
-    def take_over(self, inputs: StageInputs, due: Mapping[str, Due]) -> None:
-        """Go on with what a transaction before this one has read of subjects that are due.
-
-        What has changed since then lets them be due again.
-        """
-        self.once.remember(f"mark of {inputs.stage}", due)
+    def _with_registry(self, due: Mapping[str, Due]) -> Mapping[str, Due]:
+        """Return what is due; the version of the registry was read with it, in the same snapshot."""
         self.on_file.renew(next((one.registry for one in due.values()), None))
+        return due
 
     def versions(
         self, subjects: Collection[tuple[SubjectKind, str]], vehicles: Collection[str], facets: Collection[str]
-    ) -> int:
-        """Return the sum of the versions of some facets: it is another where one of them is.
+    ) -> tuple[int, int]:
+        """Return the sums of the versions of some facets, of subjects and of what was mounted on vehicles.
+
+        One of the two is another where a version is: of the subjects none is ever left out, and so theirs only grows.
 
         Records of the registry are read as they are now from here on.
 
@@ -103,10 +105,14 @@ class StageMarkStore:
         own = tuple_(facts.c.kind, facts.c.subject).in_(sorted(subjects))
         mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle.in_(vehicles))
         beside = and_(facts.c.kind == SubjectKind.WHEELSET.value, facts.c.subject.in_(mounted))
-        summed = select(func.sum(facts.c.version).label("now"), REGISTRY_VERSION.label("registry"))
+        summed = select(
+            func.sum(case((own, facts.c.version), else_=0)).label("own"),
+            func.sum(case((beside, facts.c.version), else_=0)).label("beside"),
+            REGISTRY_VERSION.label("registry"),
+        )
         row = self.connection.execute(summed.where(or_(own, beside), facts.c.facet.in_(facets))).one()
         self.on_file.renew(row.registry)
-        return int(row.now or 0)
+        return int(row.own or 0), int(row.beside or 0)
 
     def look(self, stages: Sequence[StageInputs], now_ns: int, counted: Collection[str], job: str) -> Look:
         """Return what is due of stages; one statement for all.

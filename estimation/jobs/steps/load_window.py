@@ -199,14 +199,14 @@ class WindowInputs:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Subjects of which something is read for windows of a batch, with the sum of their versions then.
+    """Subjects of which something is read for windows of a batch, with the sums of their versions then.
 
     Those of other wheelsets of the vehicles are counted as well: one may be on the other axle of a bogie.
     """
 
     subjects: frozenset[tuple[SubjectKind, str]]
     vehicles: frozenset[str]
-    versions: int
+    versions: tuple[int, int]
 
     def are_same(self, unit: UnitOfWork) -> bool:
         """Return whether nothing that was read is another by now."""

@@ -92,7 +92,7 @@ class _Read:
         vehicles, mounted = unit.registry.vehicles_of(codes), _by(unit.registry.mounted_on(codes), lambda m: m.vehicle)
         places = {code: [mounting.wheelset for mounting in own] for code, own in mounted.items()}
         books = {one.serial: _book(settings.rules, one, vehicles) for one in wheelsets}
-        unit.geometries.read_with(RESULTS, [*serials, *codes])
+        unit.geometries.read_with(RESULTS, dict.fromkeys([*serials, *codes]))
         trends = unit.trends.of(serials)
         steps = _steps_beside(unit, wheelsets, places, trends)
         results = unit.results
