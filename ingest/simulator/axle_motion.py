@@ -244,18 +244,6 @@ class DerailmentError(ScenarioError):
     axle: int = 0
 
 
-def wheelset_motion(
-    scenario: Scenario, track: TrackTruth, run: VehicleRun, axle: int, table: ContactTable | None = None
-) -> WheelsetMotion:
-    """Return the true motion of the wheelset at ``axle`` (from 0) over ``run``.
-
-    ``table`` is its contact geometry where that is at hand already; made here otherwise.
-    """
-    axles = together(scenario, run.vehicle, axle)
-    known = [table if place == axle else None for place in axles]
-    return axle_motions(scenario, track, run, axles, known)[axles.index(axle)]
-
-
 def together(scenario: Scenario, vehicle: VehiclePlan, axle: int) -> tuple[int, ...]:
     """Return the axles (from 0) that move together with ``axle``: those of its bogie, or itself alone."""
     if scenario.bogie is None:

@@ -29,7 +29,7 @@ from ingest.simulator.scenario import (
     generator,
     seed_of,
 )
-from ingest.simulator.sensor_errors import draw_node_errors
+from ingest.simulator.sensor_errors import SensorErrors, draw_node_errors
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
 from ingest.simulator.track import Surface, TrackRecipe, TrackTruth, from_zero, make_track, read_track
 
@@ -120,11 +120,6 @@ def seen_from_ahead(scenario: Scenario, vehicle: VehiclePlan) -> tuple[Scenario,
     )
     others = tuple(turned if item is vehicle else item for item in scenario.vehicles)
     return replace(scenario, vehicles=others), turned
-
-
-def as_measured(values: FloatArray) -> FloatArray:
-    """Return what the nodes measure (n, 4) of a motion in the axes of travel."""
-    return values * TURNED
 
 
 def _turned(wheelset: WheelsetPlan) -> WheelsetPlan:
@@ -243,7 +238,7 @@ def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: Whee
     offsets = draw_offsets(scenario.sensors, generator(scenario.seed, Stream.OFFSETS, order, axle))
     rng = generator(scenario.seed, Stream.SENSOR, order, axle, run.campaign)
     errors = None
-    if not scenario.sensors.errors.none:
+    if scenario.sensors.errors != SensorErrors():
         node = generator(scenario.seed, Stream.NODE_ERRORS, order, axle)
         temperature = generator(scenario.seed, Stream.TEMPERATURE, order, axle, run.campaign)
         errors = draw_node_errors(scenario.sensors.errors, node, temperature)

@@ -25,9 +25,6 @@ LEAST_RUN = 5.0  # of an inclination 1 in so many
 
 SideFiles = tuple[Path | None, Path | None]  # files of the left and of the right profile; None: the built-in one
 
-SideMirrors = tuple[bool | None, bool | None]
-"""Of left and right rail: whether the gauge side is at positive y of the file; None: the shape shows it."""
-
 
 def known(look_up: Callable[[str], Profile]) -> AfterValidator:
     """Return the check that a profile of a name is built in."""
@@ -88,7 +85,7 @@ class RailFiles:
         return self.rail_file or self.rail_left_file, self.rail_file or self.rail_right_file
 
     @property
-    def rail_mirrors(self) -> SideMirrors:
+    def rail_mirrors(self) -> tuple[bool | None, bool | None]:
         """Whether the gauge side is at positive y of the file, of left and right rail; None: the shape shows it."""
         if self.rail_file is not None:
             return self.rail_file_mirror, self.rail_file_mirror

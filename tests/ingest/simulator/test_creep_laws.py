@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from analytic_contact import HALF, RADIUS, cones, smooth_pair
 
-from estimation.errors import ParameterError
 from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
 from ingest.simulator.running import Creep, CreepLaw, share_of_linear
@@ -40,12 +39,6 @@ def test_polach_goes_from_the_weakened_linear_force_to_sliding_friction() -> Non
     e = 0.25 * math.pi * 5000.0 / bound
     expected = 2.0 * bound / math.pi * (0.6 * e / (1.0 + (0.6 * e) ** 2) + math.atan(0.2 * e))
     assert 5000.0 * share_of_linear(c, 5000.0, 1000.0, 2.0) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("values", [{"friction": 0.0}, {"slip": 0.9, "adhesion": 0.5}, {"decay": -1.0}])
-def test_impossible_constants_are_refused(values: dict[str, float]) -> None:
-    with pytest.raises(ParameterError):
-        Creep(CreepLaw.POLACH, **values)  # type: ignore[arg-type]
 
 
 def test_much_friction_is_the_linear_law_with_wheels_that_roll_freely() -> None:

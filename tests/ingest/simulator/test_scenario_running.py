@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scenario_text import SMALL
 
+from bench.wheelset_motion import wheelset_motion
 from estimation.errors import ScenarioError
-from ingest.simulator.axle_motion import averaged, axle_motions, contact_of, running_gear, wheelset_motion
+from ingest.simulator.axle_motion import averaged, axle_motions, contact_of, running_gear
 from ingest.simulator.campaign import friction_along, scenario_track, vehicle_run, with_stretches
 from ingest.simulator.running import STRETCH_END, CreepLaw, FrictionPlan, FrictionStretch, RunningPlan
 from ingest.simulator.scenario import Scenario
