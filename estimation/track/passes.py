@@ -306,7 +306,6 @@ class Group:
 @dataclass(slots=True)
 class _Journey:
     entries: list[Entry]
-    vehicle: str
     lives: set[ProfileLife]
 
     @property
@@ -318,11 +317,8 @@ class _Journey:
         return self.entries[-1][0].start_ns
 
 
-def first_epoch(
-    entries: Sequence[Entry], most_windows: int, most_wheelsets: int, parameters: PartitionParameters | None = None
-) -> Group:
+def first_epoch(entries: Sequence[Entry], most_windows: int, most_wheelsets: int, p: PartitionParameters) -> Group:
     """Return the windows of the first epoch of entries by start and wheelset; one journey may be more than the most."""
-    p = parameters or PartitionParameters()
     pause_ns, journey_ns = round(p.pause_h * 3600 * NANOSECONDS), round(p.journey_pause_s * NANOSECONDS)
     chosen: list[_Journey] = []
     count, end_ns, horizon_ns = 0, 0, OPEN_NS
@@ -353,7 +349,7 @@ def _journeys(entries: Sequence[Entry], pause_ns: int, most: int) -> list[_Journ
         journey = last.get(record.vehicle)
         together = journey is not None and record.start_ns - journey.last_ns <= pause_ns
         if journey is None or not together or (len(journey.entries) >= most and record.start_ns > journey.last_ns):
-            journey = _Journey([], record.vehicle, set())
+            journey = _Journey([], set())
             last[record.vehicle] = journey
             found.append(journey)
         journey.entries.append((record, life))

@@ -11,7 +11,7 @@ import numpy as np
 
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gauge.wheel_functions import contact_samples, gauge_sign, total_gauge_shifts
-from estimation.track.gridded_pass import GriddedPass, SectionGrid
+from estimation.track.gridded_pass import GriddedPass
 from estimation.track.iteration import Grouped, IterationResult, Setting, first_rounds
 from estimation.track.panel.basis import MeasuredCurve, Panel, unfiltered_residual
 from estimation.track.panel.instrumental_slope import PRIOR_STD
@@ -162,7 +162,10 @@ def merged_alignment(
     """Return the solution as an alignment, NaN where it is not known; places without a pass stay as they were."""
     grid = iterated.panel.grid
     found = long_wave_alignment(iterated.passes, iterated.solution, iterated.panel, p.cutoff_wavelength)
-    known = _nothing_known(grid) if prior is None else prior_on_grid(prior, grid, p.cutoff_wavelength)
+    zero = np.zeros(grid.points)
+    known = PriorAlignment(zero, np.full_like(zero, np.inf), zero, zero, zero, gauge_known=False)
+    if prior is not None:
+        known = prior_on_grid(prior, grid, p.cutoff_wavelength)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = (found.pass_std / known.std) ** 2
     weight = np.where(np.isfinite(known.std), np.fmin(ratio, p.iteration.most_weight), 0.0)
@@ -232,13 +235,6 @@ def _profile_uncertainty(iterated: IterationResult) -> tuple[float, float]:
     whole = sum(float(part @ part) for part in (item.difference[item.inside] for item in used))
     of_stiffness = PRIOR_STD * np.sqrt(stiffness / whole) if whole > 0.0 else 0.0
     return float(std), float(np.hypot(scale, of_stiffness))
-
-
-def _nothing_known(grid: SectionGrid) -> PriorAlignment:
-    zero = np.zeros(grid.points)
-    return PriorAlignment(
-        alignment=zero, std=np.full_like(zero, np.inf), passes=zero, gauge=zero, gauge_std=zero, gauge_known=False
-    )
 
 
 CORRELATED = 20.0  # m along the track over which the error of y - d - h(R) of a pass is one
