@@ -119,7 +119,7 @@ def _bin_tables() -> Iterator[FloatArray]:
         cells = fill_cells(motion, parameters)
         yield from (cells.weight, cells.lateral, cells.yaw)
         equations = regression(motion, parameters.vehicle)
-        yield from (equations.lateral_targets, equations.yaw_targets)
+        yield equations.yaw_targets
     yield group_of(block, 16).astype(float)
 
 
