@@ -184,7 +184,6 @@ class _Level:
 
     @property
     def runs(self) -> Runs:
-        """Which wheel ran where."""
         table, cells = self.table, self.cells
         known_rail = np.array([key in self.anchors.known_rails for key in table.rails], np.bool_)
         return Runs(table.wheel[cells], table.rail[cells], table.serial, known_rail, np.isfinite(self.known[0]))

@@ -187,7 +187,6 @@ class _Publisher:
         self.groups = 1 + max(1, int(solution.freedom))
 
     def rails(self) -> dict[RailKey, RailAt]:
-        """Return what is published of every rail."""
         component = self.component
         two_way, windows = component.two_way, component.table.windows[component.cells]
         count = np.bincount(two_way.rail, windows, minlength=len(component.rail))
@@ -197,7 +196,6 @@ class _Publisher:
         }
 
     def wheels(self) -> dict[WheelKey, WheelAt]:
-        """Return what is published of every wheel."""
         component = self.component
         windows = component.table.windows[component.cells]
         count = np.bincount(component.two_way.wheel, windows, minlength=len(component.wheel))

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from typing import Any, cast
 
 import numpy as np
 
@@ -87,29 +88,21 @@ class AlignmentReport:
 
     def as_json(self) -> Mapping[str, JsonValue]:
         """Return all of it as JSON; a number that is none is null."""
-        fields = _json(asdict(self))
-        assert isinstance(fields, dict)
-        return fields
+        return cast("dict[str, JsonValue]", _json(asdict(self)))
 
 
-def _json(value: object) -> JsonValue:
+def _json(value: Any) -> JsonValue:  # noqa: ANN401 - of any field
     if isinstance(value, dict):
-        whole = {str(name): _json(item) for name, item in value.items()}
-        if "reason" in whole:  # as the database has it: the sentence, and the code beside it
-            reason = value["reason"]
-            whole |= {
-                "reason": reason["text"] if reason else "",
-                "reason_code": str(reason["code"]) if reason else None,
-            }
+        whole = {name: _json(item) for name, item in value.items()}
+        if "reason" in value:  # as the database has it: the sentence, and the code beside it
+            reason = value["reason"] or {"text": "", "code": None}
+            whole |= {"reason": reason["text"], "reason_code": reason["code"] and str(reason["code"])}
         return whole
-    if isinstance(value, tuple | list):
+    if isinstance(value, tuple):
         return [_json(item) for item in value]
     if isinstance(value, StrEnum):
         return str(value)
-    if isinstance(value, bool | int | str) or value is None:
-        return value
-    assert isinstance(value, float)
-    return value if math.isfinite(value) else None
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def nothing(reason: Reason, evidence: tuple[str, ...] = ()) -> AlignmentReport:

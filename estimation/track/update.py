@@ -129,7 +129,6 @@ class _Epoch:
 
     @property
     def vehicles(self) -> dict[str, str]:
-        """Vehicle by serial of the wheelsets that passed."""
         return {item.wheelset: item.vehicle for item in self.screened.used}
 
     def estimate(self, prior: TrackAlignment | None) -> SectionEstimate:

@@ -179,22 +179,17 @@ def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, cam
         distance = travelled(speed, -LEAD_IN)
         end = scenario.section.recipe.length + vehicle.axle_offsets[-1] + RUN_OUT
         count = int(np.searchsorted(distance, end)) + 1
-        return _run(scenario, vehicle, campaign, speed[:count], distance[:count])
-    run = float(travelled(speed, 0.0)[-1])
-    first = float(track.s[0]) + vehicle.axle_offsets[-1] + 1.0 + scenario.position.largest_offset
-    room = float(track.s[-1]) - 1.0 - first - run
-    if room < 0.0:
-        raise ScenarioError(
-            f"campaign {campaign + 1} of {vehicle.code} needs {run:.0f} m, the section has {track.length:.0f} m",
-            field="sessions.minutes_each",
-        )
-    distance = travelled(speed, first + min(room, scenario.sessions.start_within) * float(rng.uniform()))
-    return _run(scenario, vehicle, campaign, speed, distance)
-
-
-def _run(
-    scenario: Scenario, vehicle: VehiclePlan, campaign: int, speed: FloatArray, distance: FloatArray
-) -> VehicleRun:
+        speed, distance = speed[:count], distance[:count]
+    else:
+        run = float(travelled(speed, 0.0)[-1])
+        first = float(track.s[0]) + vehicle.axle_offsets[-1] + 1.0 + scenario.position.largest_offset
+        room = float(track.s[-1]) - 1.0 - first - run
+        if room < 0.0:
+            raise ScenarioError(
+                f"campaign {campaign + 1} of {vehicle.code} needs {run:.0f} m, the section has {track.length:.0f} m",
+                field="sessions.minutes_each",
+            )
+        distance = travelled(speed, first + min(room, scenario.sessions.start_within) * float(rng.uniform()))
     if runs_rear_first(scenario, campaign):
         distance = distance - length_ahead(vehicle)  # the reference is at the other end of the train
     return VehicleRun(

@@ -177,18 +177,6 @@ class SectionPlan(RailFiles):
         """The inclination given to rails of which one or both are from files, as a tangent."""
         return self.inclination if self.built_inclination is None else self.built_inclination
 
-    @property
-    def stated_alignment_std(self) -> float:
-        """Standard deviation of the alignment that is on file, as the registry states it, m."""
-        stated = self.survey.stated_alignment_std
-        return self.survey_alignment_std if stated is None else stated
-
-    @property
-    def stated_gauge_std(self) -> float:
-        """The same of the gauge deviation, m."""
-        stated = self.survey.stated_gauge_std
-        return self.survey_gauge_std if stated is None else stated
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SectionTable(SectionPlan):
