@@ -14,7 +14,6 @@ from bench.adhesion_fleet import Fleet, SensedWindow
 from bench.adhesion_friction import STEP, compare
 from bench.adhesion_stored import StoredPasses, path_of, write_passes
 from estimation.adhesion.creep_forces import (
-    MOST_INNOVATION,
     ContactForces,
     FrictionParameters,
     forces_on,
@@ -197,14 +196,11 @@ def _passes(
 
 
 def contact_forces(
-    windows: Sequence[Window],
-    vehicle_class: VehicleClass,
-    signals: SignalParameters,
-    most_innovation: float = MOST_INNOVATION,
+    windows: Sequence[Window], vehicle_class: VehicleClass, signals: SignalParameters
 ) -> tuple[ContactForces, ...] | Reason:
     """Return the forces on each wheelset of a running gear, or why they cannot be had."""
     segments = gear_segments(windows, vehicle_class, signals)
-    return segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class, most_innovation)
+    return segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class)
 
 
 def _gears(windows: Sequence[SensedWindow]) -> list[list[int]]:

@@ -28,6 +28,7 @@ from api.factory import open_store
 from api.settings import Settings
 from bench.decision_cases import UNIT, Case, estimated, merged, moved, paper_bins, received, score
 from bench.results_page import write_page
+from bench.wheelset_motion import wheelset_motion
 from estimation.filters import remove_wander
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
@@ -40,7 +41,6 @@ from estimation.values.arrays import FloatArray
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, WheelsetGeometry
 from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
 from fleet_db.packed_values import pack_bin_table
-from ingest.simulator.axle_motion import wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
 from ingest.simulator.fleet import run_fleet
 from ingest.simulator.scenario_file import load_scenario

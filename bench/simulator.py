@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bench.report import BenchRow
-from ingest.simulator.axle_motion import wheelset_motion
+from bench.wheelset_motion import wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
 from ingest.simulator.scenario_file import load_scenario
 

@@ -16,12 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.wheelset_motion import wheelset_motion
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.vehicle_class import VehicleParameters
-from ingest.simulator.axle_motion import DerailmentError, contact_of, rails_of, wheel_in, wheelset_motion
+from ingest.simulator.axle_motion import DerailmentError, contact_of, rails_of, wheel_in
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.drawn_fleet import with_wheelset
 from ingest.simulator.scenario import Scenario, SectionPlan, Stream, generator

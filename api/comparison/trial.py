@@ -15,7 +15,7 @@ from api.factory import SystemClock, job_context, open_store, raw_store
 from api.settings import Settings
 from estimation.errors import PurgedError, TreadwatchError
 from estimation.estimators.catalogue import SHIPPED, estimator_named
-from estimation.estimators.interface import Estimator, EstimatorParameters, PublishedBins, geometry_from_motion
+from estimation.estimators.interface import Estimator, EstimatorParameters, geometry_from_motion
 from estimation.geometry.estimate import contradictions
 from estimation.jobs import estimate_windows, refresh_alignment, refresh_geometry
 from estimation.jobs.job import Job, JobContext, run_job
@@ -196,9 +196,8 @@ def _by_rival(unit: UnitOfWork, found: RolledGeometries, rival: Estimator[Any]) 
     if not parts:
         return None
     used = found.estimated_with(parts)
-    published = PublishedBins(used.bins.edges, f"{used.bins.key} {rival.name}")
-    parameters = parameters_of(used)
-    geometry = geometry_from_motion(rival, parameters, _weighted(unit, found, used, parts), published)
+    motions, key = _weighted(unit, found, used, parts), f"{used.bins.key} {rival.name}"
+    geometry = geometry_from_motion(rival, parameters_of(used), motions, used.bins.edges, key)
     for contradiction in contradictions(found.forgetting(parts), used.bins, used.uncertainty):
         geometry = geometry.against(contradiction)
     return geometry.against(found.contradiction(parts, (parts[0].roll_up.key.baseline, None)))

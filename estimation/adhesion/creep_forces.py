@@ -203,9 +203,7 @@ class ContactForces(FrozenArrays):
     smoothed: bool = False  # without vibration of the axle boxes, and what is as fast
 
 
-def forces_on(
-    gear: GearSegments, vehicle_class: VehicleClass, most_innovation: float = MOST_INNOVATION
-) -> tuple[ContactForces, ...] | Reason:
+def forces_on(gear: GearSegments, vehicle_class: VehicleClass) -> tuple[ContactForces, ...] | Reason:
     """Return the forces on each wheelset of a running gear, or why they cannot be had."""
     axles, usable = gear.axles, gear.usable
     values = np.full((axles, 4, len(usable)), np.nan)
@@ -214,11 +212,11 @@ def forces_on(
         named, innovation, vibrates = _smoothed(gear, segment, vehicle_class)
         values[:, :, segment.axles[0].part] = named
         worst, vibrating = max(worst, innovation), vibrating or vibrates
-    if not (np.isfinite(worst) and worst <= most_innovation):
+    if not (np.isfinite(worst) and worst <= MOST_INNOVATION):
         return Reason(
             ReasonCode.DIVERGED,
             f"the innovations of the filter are {np.sqrt(worst):.1f} times what the vehicle's class lets expect, at"
-            f" most {np.sqrt(most_innovation):.1f} times are believed; check class and sensors",
+            f" most {np.sqrt(MOST_INNOVATION):.1f} times are believed; check class and sensors",
         )
     return tuple(
         ContactForces(contact, moment, yaw_rate, roll, usable, worst, vibrating)

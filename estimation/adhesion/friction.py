@@ -8,13 +8,10 @@ grows with the force. Of a place 1/mu is known beforehand as ``usual`` with a wi
 passes say of each place, and what all of them have wrong (``common_std``), is put together along the track
 (``along_track``).
 
-Whether a section is slippery for the most part, or all its vehicles creep by more than their class.
-
-The level of creep is the same for both. More creep than two stds of what a class leaves open is unlikely for all
+The level of creep is the same whether a section is slippery for the most part or all vehicles creep by more than their
+class. More creep than two stds of what a class leaves open is unlikely for all
 vehicles alike; then the shape decides: an error of linear creep leaves squares that no friction takes up, slippery
 rails leave none of them.
-
-What of a window is on rails of low friction: creep is not linear there, and the geometry would be wrong.
 """
 
 from __future__ import annotations
@@ -68,6 +65,7 @@ def _left(sums: PassSums, creep: FloatArray, slope: FloatArray) -> float:
 LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of a place
 TINY = np.finfo(float).tiny
 MEDIAN_SQUARE = 0.4549  # of a standard normal variable
+NO_BOUND = Reason(ReasonCode.CREEP_TOO_SMALL, "creep shows no upper bound, and axle boxes that vibrate no lower one")
 
 
 def section_adhesion(
@@ -113,19 +111,25 @@ def _staying(passes: Sequence[WindowAdhesion], left_out: Sequence[LeftOut]) -> S
 
 
 def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> tuple[CellFriction, ...]:
-    left, counts, vehicles = _left_std(sums, found, parameters), sums.counts, sums.vehicles_of_places
-    mean, std = _along(sums, found, left, _scatter(sums, found, parameters), parameters)
+    counts, vehicles = sums.counts, sums.vehicles_of_places
+    # what noise and what is known beforehand leave to the passes of a place alone; about 1/mu g is in proportion to it
+    known = sums.by_place(sums.at(found.inverse)[1]) / np.maximum(found.inverse, TINY) ** 2 / max(found.noise, TINY)
+    left = np.asarray(1.0 / np.sqrt(known + 1.0 / parameters.usual_std**2))
+    mean, std = _along(sums, found, left, parameters)
     _, gg, gq, _ = sums.by_place(sums.at(mean).T).T
     slope = np.asarray(mean * gq / np.maximum(gg, TINY))
+    usual = slope[mean < 1.0 / parameters.low]
     by_creep = found.left_creep_std * slope
-    by_scale = parameters.file.creep_std * _everywhere(slope, mean, parameters)
+    # the scale of a sensor makes a b at every friction, as at usual places
+    by_scale = parameters.file.creep_std * (np.maximum(slope, np.median(usual)) if len(usual) else slope)
     smoothed = sums.by_place(sums.smoothed) > 0.0
     places = []
     for c, cell in enumerate(sums.cells):
         stds = float(std[c]), float(by_creep[c]), float(by_scale[c])
         place = _cell(int(cell), int(counts[c]), left[c], float(mean[c]), stds, parameters)
-        place = replace(place, vehicles=int(vehicles[c]))
-        places.append(_two_sided(place) if smoothed[c] else place)
+        if smoothed[c] and place.friction.value is None and place.at_least:  # such forces make the bound too high
+            place = replace(place, friction=Estimate.unknown(NO_BOUND, place.friction.count), at_least=0.0)
+        places.append(replace(place, vehicles=int(vehicles[c])))
     return tuple(places)
 
 
@@ -196,37 +200,19 @@ def _least(misfits: FloatArray) -> FloatArray:
     return np.asarray(np.where(inside, np.clip(lowest, x0, x2), INVERSE[least]))
 
 
-def _left_std(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> FloatArray:
-    """Return the std of 1/mu (c,) that noise and what is known beforehand leave to the passes of a place alone."""
-    # about 1/mu g is in proportion to it
-    gg = sums.by_place(sums.at(found.inverse)[1])
-    known = gg / np.maximum(found.inverse, TINY) ** 2 / max(found.noise, TINY)
-    return np.asarray(1.0 / np.sqrt(known + 1.0 / parameters.usual_std**2))
-
-
-def _scatter(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> FloatArray:
-    misfits = _misfits(sums, found.creep, found.slope, found.noise, parameters)
-    left_out = _least(sums.by_place(misfits)[sums.place] - misfits)
-    n = sums.counts
-    deviations = left_out - (sums.by_place(left_out) / n)[sums.place]
-    return np.asarray(np.sqrt((n - 1) / n * sums.by_place(deviations**2)))
-
-
 def _along(
-    sums: PassSums, found: _Solution, left: FloatArray, scatter: FloatArray, parameters: FrictionParameters
+    sums: PassSums, found: _Solution, left: FloatArray, parameters: FrictionParameters
 ) -> tuple[FloatArray, FloatArray]:
     """Return 1/mu of the places and its std; passes that scatter by more than the noise say less of their place."""
+    misfits = _misfits(sums, found.creep, found.slope, found.noise, parameters)
+    left_out, n = _least(sums.by_place(misfits)[sums.place] - misfits), sums.counts
+    deviations = left_out - (sums.by_place(left_out) / n)[sums.place]
+    scatter = np.sqrt((n - 1) / n * sums.by_place(deviations**2))
     widened = (left / np.maximum(scatter, left)) ** 2
     misfits = sums.by_place(_own_misfits(sums, found.creep, found.slope))
     smoothed = parameters.smoothed_std * sums.by_place(sums.smoothed) / sums.counts
     place_std = np.hypot(np.maximum(parameters.track_std, found.common_std), smoothed)
     return along_track(sums.cells, misfits * widened[:, None] / max(found.noise, TINY), place_std, parameters)
-
-
-def _everywhere(slope: FloatArray, inverse: FloatArray, parameters: FrictionParameters) -> FloatArray:
-    """Return by how much 1/mu (c,) falls as the scale of a sensor makes a b: at every friction as at usual places."""
-    usual = slope[inverse < 1.0 / parameters.low]
-    return np.maximum(slope, np.median(usual)) if len(usual) else slope
 
 
 def _cell(
@@ -251,14 +237,6 @@ def _cell(
         return CellFriction(cell, Estimate.unknown(small, float(n)), low, probability, n)
     value = Estimate(1.0 / inverse, std / inverse**2, low, high, float(n), Status.ESTIMATED)
     return CellFriction(cell, value, low, probability, n)
-
-
-def _two_sided(found: CellFriction) -> CellFriction:
-    """Return a place without its lower bound, where it has nothing else: smoothed forces make it too high."""
-    if found.friction.value is not None or not found.at_least:
-        return found
-    reason = Reason(ReasonCode.CREEP_TOO_SMALL, "creep shows no upper bound, and axle boxes that vibrate no lower one")
-    return replace(found, friction=Estimate.unknown(reason, found.friction.count), at_least=0.0)
 
 
 def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters) -> tuple[tuple[float, float], ...]:

@@ -289,14 +289,10 @@ def common_std(sums: PassSums, inverse: FloatArray, creep: FloatArray, slope: Fl
     one_pass = usual * np.sqrt(np.maximum(variance, 0.0) * sums.counts / (sums.by_place(gg) + TINY))
     level = sums.by_place(sums.squares[:, 1] - b * sums.squares[:, 2] - a * sums.squares[:, 4])
     by_level = usual * level / (sums.by_place(gq) + TINY)
-    return np.asarray(_common_share((by_level - BEST) / (one_pass + TINY)) * one_pass)
-
-
-def _common_share(beyond: FloatArray) -> float:
-    """Return the std of what is common, in parts of what one pass leaves, from where places (c,) seem to be."""
-    shown = max(-float(np.quantile(beyond, LOWEST)) / BELOW, LEAST_COMMON)
-    places = len(beyond)
-    return float(np.sqrt((places * shown**2 + PLACES_BEFORE) / (places + PLACES_BEFORE)))
+    # in parts of what one pass leaves, from where places seem to be
+    beyond = (by_level - BEST) / (one_pass + TINY)
+    shown, places = max(-float(np.quantile(beyond, LOWEST)) / BELOW, LEAST_COMMON), len(beyond)
+    return np.asarray(float(np.sqrt((places * shown**2 + PLACES_BEFORE) / (places + PLACES_BEFORE))) * one_pass)
 
 
 def _left(sums: PassSums, inverse: FloatArray, b: FloatArray, a: FloatArray) -> FloatArray:

@@ -12,10 +12,9 @@ derivative, a standard deviation and a time of change, and is zero on average. O
 Speeds differ little within a window; the gains are those of its mean speed. A fixed-interval smoother (Rauch, Tung and
 Striebel 1965) with stationary gains goes back over the window.
 
-Newton's equations of a running gear as linear equations of states, the forces at the contacts their inputs.
-
-Of each wheelset: what the rails do to it laterally, F (N), and the moment that they do about the vertical, M (N m).
-With (x_i) the place of an axle ahead of the middle of its bogie's frame (y_f, psi_f), and y_b the body::
+``gear_equations`` are Newton's, linear in the states, the forces at the contacts their inputs: what the rails do to it
+laterally, F (N), and the moment that they do about the vertical, M (N m). With (x_i) the place of an axle ahead of the
+middle of its bogie's frame (y_f, psi_f), and y_b the body::
 
     m y_i''     = F_i + ky (y_f + x_i psi_f - y_i) + fy (their rates)
     I psi_i''   = M_i - k_psi (psi_i - psi_f) - f_psi (their rates)

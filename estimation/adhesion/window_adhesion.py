@@ -1,12 +1,8 @@
 """Creep forces of a wheelset over one window, with std and status, and its sums of friction.
 
-By how much creepage exceeds the linear one at a force, of every sample at every friction, compiled.
-
-The law is that of Vermeulen and Johnson (1964), solved for the creepage. With t = T/(mu N), T the resultant creep force
-of a wheel and N its normal force, t = 1 - (1 - u/3)^3 gives the linear force that would act at the same creepage,
-u mu N = 3 (1 - (1 - t)^(1/3)) mu N. To first order it exceeds T by t/3 of it.
-
-The gravitational stiffness of a wheelset from its measured rolling radius difference and the profiles on file.
+The law of creep is that of Vermeulen and Johnson (1964), solved for the creepage. With t = T/(mu N), T the resultant
+creep force of a wheel and N its normal force, t = 1 - (1 - u/3)^3 gives the linear force that would act at the same
+creepage, u mu N = 3 (1 - (1 - t)^(1/3)) mu N. To first order it exceeds T by t/3 of it.
 
 The load stands on inclined contacts: gravity pushes a wheelset back by W (D/2 + phi), D = dL - dR. Where profiles have
 contact jumps D is a staircase of the displacement, so that a tenth of a millimetre of y - d decides over kilonewtons.

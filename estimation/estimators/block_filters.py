@@ -14,9 +14,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
@@ -33,7 +32,7 @@ from estimation.estimators.interface import (
     nothing,
     usable,
 )
-from estimation.estimators.series import GROUPS, SPACING, Basis, SeriesState, added, empty, misfit, shifts
+from estimation.estimators.series import GROUPS, SPACING, SeriesState, added, empty, misfit, shifts
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
@@ -67,9 +66,6 @@ class Posterior(NamedTuple):
     square: float  # mean of squared innovations over their variances
 
 
-BlockFilter = Callable[[Inputs, float], Posterior]  # of a block, and the std of y - d, m
-
-
 @dataclass(frozen=True, slots=True)
 class Prior:
     """Mean (m,) and std (m,) of the coefficients before a block."""
@@ -87,48 +83,6 @@ class FilterState(FrozenArrays):
     information: Annotated[FloatArray, "g", "m"]  # precision times mean
     blocks: int
     diverged: int
-
-
-def start(parameters: EstimatorParameters, coefficients: int) -> FilterState:
-    """Return the state before any block."""
-    m = coefficients
-    return FilterState(empty(parameters, m), np.zeros((GROUPS, m, m)), np.zeros((GROUPS, m)), 0, 0)
-
-
-def filtered(
-    state: FilterState, motion: Motion, basis: Basis, prior: Prior, block_filter: BlockFilter, weight: float
-) -> FilterState:
-    """Return the state with the blocks of ``motion`` added."""
-    if not motion.sample_interval_s > 0.0:
-        raise ParameterError("the interval between samples is not known", field="sample_interval_s")
-    keep = usable(motion)
-    precision, information = state.precision.copy(), state.information.copy()
-    blocks, diverged = state.blocks, state.diverged
-    parameters = state.series.parameters
-    of_sensors = math.sqrt(motion.displacement_noise)
-    noise = max(math.hypot(parameters.uncertainty.alignment_noise, of_sensors), LEAST_NOISE)
-    before = np.diag(prior.std**-2.0)
-    for block in np.unique(motion.block[keep]):
-        inputs = _inputs(motion, parameters, keep & (motion.block == block))
-        if len(inputs.yaw) < SHORTEST:
-            continue
-        found = block_filter(inputs, noise)
-        blocks += 1
-        if not follows(found):
-            diverged += 1
-            continue
-        group = int(group_of(np.array([block]), GROUPS)[0])
-        after = np.linalg.inv(found.covariance)
-        precision[group] += weight * (after - before)
-        information[group] += weight * (after @ found.mean - before @ prior.mean)
-    return replace(
-        state,
-        series=added(state.series, motion, basis, weight),
-        precision=precision,
-        information=information,
-        blocks=blocks,
-        diverged=diverged,
-    )
 
 
 LEAST_NOISE = 0.03e-3  # m, std of y - d
@@ -163,35 +117,6 @@ def _inputs(motion: Motion, parameters: EstimatorParameters, keep: BoolArray) ->
     return Inputs(step, V, motion.displacement[at], motion.yaw[at], rate + V / (2 * half * r0) * R, lateral)
 
 
-def solved(state: FilterState, basis: Basis, prior: Prior) -> CurveEstimate:
-    """Return the curve that all blocks tell; nothing where too many have diverged."""
-    series = state.series
-    span = covered_range(series.counts)
-    if isinstance(span, Reason):
-        return nothing(span, series.parameters, series.samples, series.stretches)
-    if state.diverged > MOST_DIVERGED * state.blocks:
-        text = f"the filter has diverged in {state.diverged} of {state.blocks} blocks of running"
-        reason = Reason(ReasonCode.DIVERGED, text)
-        return nothing(reason, series.parameters, series.samples, series.stretches)
-    present = np.flatnonzero(np.trace(state.precision, axis1=1, axis2=2) != 0.0)
-    if len(present) < FEWEST_GROUPS:
-        return nothing(too_few_blocks(len(present)), series.parameters, series.samples, series.stretches)
-    before = np.diag(prior.std**-2.0)
-    precision = before + state.precision.sum(axis=0)
-    information = before @ prior.mean + state.information.sum(axis=0)
-    x = np.linspace(*span, round((span[1] - span[0]) / SPACING) + 1)
-    functions = basis(x)
-    value = functions @ np.linalg.solve(precision, information)
-    left_out = [
-        functions @ np.linalg.solve(precision - state.precision[g], information - state.information[g]) for g in present
-    ]
-    own = functions @ np.linalg.cholesky(np.linalg.inv(precision))
-    unfollowed = value + misfit(series, x, value)
-    shifted = np.vstack([value + shifts(series, functions, ridge=1e-9), unfollowed])
-    curve = Replicates(x, value, np.array(left_out), shifted, series.samples, series.stretches, own.T)
-    return curve_estimate(curve, series.parameters)
-
-
 class BlockFilters(ABC):
     """An estimator by a filter of each block of running."""
 
@@ -208,16 +133,61 @@ class BlockFilters(ABC):
 
     def init(self, parameters: EstimatorParameters) -> FilterState:
         """Return the state before any block."""
-        return start(parameters, len(self.prior.mean))
+        m = len(self.prior.mean)
+        return FilterState(empty(parameters, m), np.zeros((GROUPS, m, m)), np.zeros((GROUPS, m)), 0, 0)
 
     def update(self, state: FilterState, motion: Motion, weight: float = 1.0) -> FilterState:
         """Return the state with the blocks of ``motion`` filtered and added, ``weight`` times."""
-        run = partial(self.filter_block, state.series.parameters.vehicle)
-        return filtered(state, motion, self.basis, self.prior, run, weight)
+        if not motion.sample_interval_s > 0.0:
+            raise ParameterError("the interval between samples is not known", field="sample_interval_s")
+        keep, parameters, prior = usable(motion), state.series.parameters, self.prior
+        precision, information = state.precision.copy(), state.information.copy()
+        blocks, diverged = state.blocks, state.diverged
+        of_sensors = math.sqrt(motion.displacement_noise)
+        noise = max(math.hypot(parameters.uncertainty.alignment_noise, of_sensors), LEAST_NOISE)
+        before = np.diag(prior.std**-2.0)
+        for block in np.unique(motion.block[keep]):
+            inputs = _inputs(motion, parameters, keep & (motion.block == block))
+            if len(inputs.yaw) < SHORTEST:
+                continue
+            found = self.filter_block(parameters.vehicle, inputs, noise)
+            blocks += 1
+            if not follows(found):
+                diverged += 1
+                continue
+            group = int(group_of(np.array([block]), GROUPS)[0])
+            after = np.linalg.inv(found.covariance)
+            precision[group] += weight * (after - before)
+            information[group] += weight * (after @ found.mean - before @ prior.mean)
+        return FilterState(added(state.series, motion, self.basis, weight), precision, information, blocks, diverged)
 
     def result(self, state: FilterState) -> CurveEstimate:
-        """Return the curve that all blocks tell."""
-        return solved(state, self.basis, self.prior)
+        """Return the curve that all blocks tell; nothing where too many have diverged."""
+        series = state.series
+        span = covered_range(series.counts)
+        if isinstance(span, Reason):
+            return nothing(span, series.parameters, series.samples, series.stretches)
+        if state.diverged > MOST_DIVERGED * state.blocks:
+            text = f"the filter has diverged in {state.diverged} of {state.blocks} blocks of running"
+            return nothing(Reason(ReasonCode.DIVERGED, text), series.parameters, series.samples, series.stretches)
+        present = np.flatnonzero(np.trace(state.precision, axis1=1, axis2=2) != 0.0)
+        if len(present) < FEWEST_GROUPS:
+            return nothing(too_few_blocks(len(present)), series.parameters, series.samples, series.stretches)
+        before = np.diag(self.prior.std**-2.0)
+        precision = before + state.precision.sum(axis=0)
+        information = before @ self.prior.mean + state.information.sum(axis=0)
+        x = np.linspace(*span, round((span[1] - span[0]) / SPACING) + 1)
+        functions = self.basis(x)
+        value = functions @ np.linalg.solve(precision, information)
+        left_out = [
+            functions @ np.linalg.solve(precision - state.precision[g], information - state.information[g])
+            for g in present
+        ]
+        own = functions @ np.linalg.cholesky(np.linalg.inv(precision))
+        unfollowed = value + misfit(series, x, value)
+        shifted = np.vstack([value + shifts(series, functions, ridge=1e-9), unfollowed])
+        curve = Replicates(x, value, np.array(left_out), shifted, series.samples, series.stretches, own.T)
+        return curve_estimate(curve, series.parameters)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,6 @@ The hidden displacement is a Markov chain on a grid. Forward-backward smoothing 
 averaged over what y - d then is expected to be, gives the next curve (expectation maximisation; Baum, Petrie, Soules
 and Weiss 1970). The curve is free in cells of ``CELL``; at the end contact jumps are set in one place each.
 
-Compiled steps of the estimator with a hidden slow displacement: forward-backward smoothing on a grid.
-
 Each run of samples is cut into chunks over which the hidden displacement is constant. From chunk to chunk it stays or
 moves to a neighbouring value, so that it is distributed as its prior in the long run.
 """
@@ -36,6 +34,7 @@ from estimation.estimators.interface import (
     covered_range,
     curve_estimate,
     nothing,
+    run_around_middle,
     usable,
 )
 from estimation.estimators.series import GROUPS
@@ -219,9 +218,12 @@ class HiddenDisplacement:
         first = np.flatnonzero(np.append(True, (np.diff(at) > 1) | (np.diff(block) != 0)))
         cell = np.floor((x + REACH) / (2 * REACH / CELLS)).astype(np.int64)
         derivatives = np.column_stack([np.bincount(cell, column, CELLS) for column in R[:, 1:].T])
+        if state.parameters.band_limited and not motion.sample_interval_s > 0.0:
+            raise ParameterError("the interval between samples is not known", field="sample_interval_s")
+        chunk = max(round(CHUNK_S / motion.sample_interval_s), 1) if state.parameters.band_limited else 1
         piece = HiddenPiece(
             x, R[:, 0], np.append(first, len(x)), group_of(block[first], GROUPS),
-            _chunk(motion, state.parameters), weight,
+            chunk, weight,
         )  # fmt: skip
         return HiddenState(
             state.parameters,
@@ -241,7 +243,8 @@ class HiddenDisplacement:
         if groups < FEWEST_GROUPS:
             return nothing(too_few_blocks(groups), state.parameters, samples, state.stretches)
         sums, counts = self._expected(state)
-        inside = _run(counts.sum(axis=0), span)
+        number = counts.sum(axis=0)
+        inside = run_around_middle((number >= LEAST_IN_CELL) & (span[0] < MIDDLES) & (span[1] > MIDDLES))
         middles = MIDDLES[inside]
         sums, counts = sums[:, inside], counts[:, inside]
         total, number = sums.sum(axis=0), counts.sum(axis=0)
@@ -262,14 +265,6 @@ class HiddenDisplacement:
             for _ in range(self.rounds):
                 sums, counts = _expectation(state, _filled(sums.sum(axis=0), counts.sum(axis=0)))
         return sums, counts
-
-
-def _chunk(motion: Motion, parameters: EstimatorParameters) -> int:
-    if not parameters.band_limited:
-        return 1
-    if not motion.sample_interval_s > 0.0:
-        raise ParameterError("the interval between samples is not known", field="sample_interval_s")
-    return max(round(CHUNK_S / motion.sample_interval_s), 1)
 
 
 def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArray, FloatArray]:
@@ -293,14 +288,6 @@ def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArr
 def _filled(sums: FloatArray, counts: FloatArray) -> FloatArray:
     known = counts >= min(LEAST_IN_CELL, counts.max())
     return np.asarray(np.interp(MIDDLES, MIDDLES[known], sums[known] / counts[known]))
-
-
-def _run(counts: FloatArray, span: tuple[float, float]) -> slice:
-    x, middle = MIDDLES, FINE // 2
-    enough = (counts >= LEAST_IN_CELL) & (x > span[0]) & (x < span[1])
-    right = middle + int(np.argmin(np.append(enough[middle:], False)))
-    left = middle - int(np.argmin(np.append(enough[:middle][::-1], False)))
-    return slice(left, right)
 
 
 def _systematic(x: FloatArray, curve: FloatArray, state: HiddenState) -> FloatArray:

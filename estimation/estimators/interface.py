@@ -122,13 +122,17 @@ def beside(x: FloatArray, value: FloatArray, sums: FloatArray, counts: FloatArra
 
 def covered_range(counts: FloatArray) -> tuple[float, float] | Reason:
     """Return from where to where, m, every cell has ``LEAST_SAMPLES``, zero inside; why not without such a run."""
-    enough = counts >= LEAST_SAMPLES
-    middle = CELLS // 2
-    right = middle + int(np.argmin(np.append(enough[middle:], False)))
-    left = middle - int(np.argmin(np.append(enough[:middle][::-1], False)))
-    if middle in {left, right}:
+    run = run_around_middle(counts >= LEAST_SAMPLES)
+    if CELLS // 2 in {run.start, run.stop}:
         return Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
-    return left * WIDTH - REACH, right * WIDTH - REACH
+    return run.start * WIDTH - REACH, run.stop * WIDTH - REACH
+
+
+def run_around_middle(enough: BoolArray) -> slice:
+    """Return the unbroken run on both sides of the middle of (n,); it ends there on a side that has none."""
+    middle = len(enough) // 2
+    right = middle + int(np.argmin(np.append(enough[middle:], False)))
+    return slice(middle - int(np.argmin(np.append(enough[:middle][::-1], False))), right)
 
 
 FEWEST_GROUPS = 4
@@ -139,7 +143,7 @@ class Replicates:
     """A curve over ``displacement``: from all data, with each group left out, shifted by each uncertainty.
 
     An estimator without groups gives none: then all that is uncertain is in ``shifted``, one standard deviation each.
-    What the scales of R and of y - d leave unknown is added to that for every estimator (``with_scales``).
+    What the scales of R and of y - d leave unknown is added to that for every estimator.
     ``own`` is a root of the covariance that the estimator itself states; it takes no part in the published intervals.
     """
 
@@ -178,7 +182,10 @@ def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveE
     g = len(curve.left_out)
     if 0 < g < FEWEST_GROUPS:
         return nothing(too_few_blocks(g), parameters, curve.samples, curve.stretches)
-    x, shifted = curve.displacement, with_scales(curve, parameters)
+    x, R, unknown = curve.displacement, curve.all_data, parameters.uncertainty
+    # R and y - d are larger by one std of their scales
+    stretch = np.hypot(SCALE_UNCERTAINTY if parameters.band_limited else 0.0, unknown.displacement)
+    shifted = np.vstack([curve.shifted, R * (1.0 + unknown.scale), np.interp(x / (1.0 + stretch), x, R)])
     rows = np.concatenate([curve.all_data[None], curve.left_out, shifted])
     amplitude = np.array(parameters.curve.amplitudes)
     values = np.stack([equivalent_conicity(x, row, amplitude) for row in rows])
@@ -209,13 +216,6 @@ def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveE
     )
 
 
-def with_scales(curve: Replicates, parameters: EstimatorParameters) -> FloatArray:
-    """Return what is uncertain of a curve (p + 2, n), m, with R and y - d larger by one std of their scales."""
-    x, R, unknown = curve.displacement, curve.all_data, parameters.uncertainty
-    stretch = np.hypot(SCALE_UNCERTAINTY if parameters.band_limited else 0.0, unknown.displacement)
-    return np.vstack([curve.shifted, R * (1.0 + unknown.scale), np.interp(x / (1.0 + stretch), x, R)])
-
-
 def _own_std(curve: Replicates, conicity: FloatArray, amplitude: FloatArray) -> FloatArray:
     if not len(curve.own):
         return np.full(len(amplitude), np.nan)
@@ -235,31 +235,27 @@ def _spread(rows: FloatArray, groups: int) -> FloatArray:
     return jackknife_std(rows[: groups + 1]) if groups else np.zeros(rows.shape[1:])
 
 
-@dataclass(frozen=True, slots=True)
-class PublishedBins:
-    """The bins in which the curve of an estimator is published, and the key of the parameters that shaped it."""
-
-    edges: FloatArray  # (b + 1,) m of y - d
-    parameter_key: str
-
-
 def geometry_from_motion(
     estimator: Estimator[Any],
     parameters: EstimatorParameters,
     motions: Iterable[tuple[float, Motion]],
-    bins: PublishedBins,
+    edges: FloatArray,
+    parameter_key: str,
 ) -> WheelsetGeometry:
-    """Return the geometry that ``estimator`` finds from weight (at most 1) and motion of each window, oldest first."""
+    """Return the geometry that ``estimator`` finds from weight (at most 1) and motion of each window, oldest first.
+
+    It is published in bins between ``edges`` (b + 1,), m of y - d.
+    """
     state = estimator.init(parameters)
-    samples = np.zeros(len(bins.edges) - 1)
+    samples = np.zeros(len(edges) - 1)
     for weight, motion in motions:
         state = estimator.update(state, motion, weight)
-        samples += weight * np.histogram(motion.displacement[usable(motion)], bins.edges)[0]
-    return geometry_from_curve(estimator.result(state), parameters, samples, bins)
+        samples += weight * np.histogram(motion.displacement[usable(motion)], edges)[0]
+    return geometry_from_curve(estimator.result(state), parameters, samples, edges, parameter_key)
 
 
 def geometry_from_curve(
-    curve: CurveEstimate, parameters: EstimatorParameters, samples: FloatArray, bins: PublishedBins
+    curve: CurveEstimate, parameters: EstimatorParameters, samples: FloatArray, edges: FloatArray, parameter_key: str
 ) -> WheelsetGeometry:
     """Return a curve as the geometry of a wheelset.
 
@@ -272,10 +268,10 @@ def geometry_from_curve(
     unknown = np.full(len(samples), np.nan)
     nothing = BinValues(unknown, unknown, (BinStatus.UNOBSERVABLE,) * len(samples))
     return WheelsetGeometry(
-        bin_edges=bins.edges,
+        bin_edges=edges,
         samples=samples,
         rolling_radius_sum=nothing,
-        rolling_radius_difference=_difference(curve, bins.edges),
+        rolling_radius_difference=_difference(curve, edges),
         contact_angle_sum=nothing,
         contact_angle_difference=nothing,
         amplitude=curve.amplitude,
@@ -285,7 +281,7 @@ def geometry_from_curve(
         nonlinearity=curve.nonlinearity,
         zero_crossing=curve.zero_crossing,
         windows=curve.stretches,
-        parameter_key=bins.parameter_key,
+        parameter_key=parameter_key,
         status=best.status,
         reason=best.reason,
     )

@@ -33,6 +33,7 @@ from estimation.estimators.interface import (
     counted,
     curve_estimate,
     nothing,
+    run_around_middle,
     usable,
 )
 from estimation.geometry.conicity import too_few_blocks
@@ -287,9 +288,9 @@ class PaperAlgorithm:
         """Return R of the bins that have started, in the unbroken run around zero."""
         p = state.parameters.vehicle
         per_unit = -p.yaw_inertia * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
-        run = self._run(np.isfinite(state.theta[:, 2]) & (state.count > self.threshold + REGRESSORS))
+        run = run_around_middle(np.isfinite(state.theta[:, 2]) & (state.count > self.threshold + REGRESSORS))
         samples = int(state.count.sum())
-        if run.stop - run.start < FEWEST_BINS:
+        if run.stop == self._half or run.stop - run.start < FEWEST_BINS:
             text = f"fewer than {FEWEST_BINS} bins around the centre have reached the threshold"
             return nothing(Reason(ReasonCode.TOO_FEW_BINS, text), state.parameters, samples, state.stretches)
         R = per_unit * state.theta[run, 2] / SCALE[2]
@@ -307,11 +308,6 @@ class PaperAlgorithm:
     @property
     def _half(self) -> int:
         return int(np.ceil(REACH / self.width))
-
-    def _run(self, started: BoolArray) -> slice:
-        after = int(np.argmin(np.append(started[self._half :], False)))
-        before = int(np.argmin(np.append(started[: self._half][::-1], False)))
-        return slice(self._half - before, self._half + after) if after else slice(0, 0)
 
 
 def _start(waiting: FloatArray) -> tuple[FloatArray, FloatArray, float]:

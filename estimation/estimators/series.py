@@ -56,16 +56,8 @@ class SeriesState(FrozenArrays):
 
 def empty(parameters: EstimatorParameters, functions: int) -> SeriesState:
     """Return empty sums for ``functions`` basis functions."""
-    return SeriesState(
-        parameters,
-        np.zeros((GROUPS, functions, functions)),
-        np.zeros((GROUPS, functions, len(YAW_TARGETS))),
-        0.0,
-        np.zeros(CELLS),
-        np.zeros(CELLS),
-        0,
-        0,
-    )
+    gram, cross = np.zeros((GROUPS, functions, functions)), np.zeros((GROUPS, functions, len(YAW_TARGETS)))
+    return SeriesState(parameters, gram, cross, 0.0, np.zeros(CELLS), np.zeros(CELLS), 0, 0)
 
 
 def grouped(
@@ -100,50 +92,11 @@ def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> Se
     )
 
 
-def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
-    """Return the curve of the series, its intervals from groups left out and parameters shifted.
-
-    ``ridge`` holds functions without data at zero: a share of the mean diagonal of the normal equations.
-    """
-    span = covered_range(state.counts)
-    if isinstance(span, Reason):
-        return nothing(span, state.parameters, state.samples, state.stretches)
-    present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
-    if len(present) < FEWEST_GROUPS:  # what is left without one of them may not determine the functions
-        return nothing(too_few_blocks(len(present)), state.parameters, state.samples, state.stretches)
-    low, high = span
-    x = np.linspace(low, high, round((high - low) / SPACING) + 1)
-    gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
-    small = _small(gram, ridge)
-    theta = np.linalg.solve(gram + small, cross[:, 0])
-    left_out = [np.linalg.solve(gram - state.gram[g] + small, cross[:, 0] - state.cross[g, :, 0]) for g in present]
-    functions = basis(x)
-    value = functions @ theta
-    # of least squares that takes every residual for independent
-    squares = max(float(state.squares - theta @ cross[:, 0]), 0.0)
-    count = max(float(state.counts.sum()) - len(theta), 1.0)
-    inverse = np.linalg.inv(gram + small)
-    covariance = 0.5 * (inverse + inverse.T) * max(squares / count, SMALLEST_VARIANCE)
-    own = functions @ np.linalg.cholesky(covariance)
-    return curve_estimate(
-        Replicates(
-            x,
-            value,
-            np.array(left_out) @ functions.T,
-            np.vstack([value + shifts(state, functions, ridge), value + misfit(state, x, value)]),
-            state.samples,
-            state.stretches,
-            own.T,
-        ),
-        state.parameters,
-    )
-
-
 class SeriesFit(ABC):
     """An estimator by least squares of a series of functions."""
 
     __slots__ = ()
-    ridge: ClassVar[float] = 0.0  # as of :func:`solved`
+    ridge: ClassVar[float] = 0.0  # of the mean diagonal of the normal equations: it holds what has no data at zero
 
     @abstractmethod
     def basis(self, x: FloatArray) -> FloatArray:
@@ -158,8 +111,31 @@ class SeriesFit(ABC):
         return added(state, motion, self.basis, weight)
 
     def result(self, state: SeriesState) -> CurveEstimate:
-        """Return the curve of the series and its conicity where there are data."""
-        return solved(state, self.basis, self.ridge)
+        """Return the curve where there are data, its intervals from groups left out and parameters shifted."""
+        span = covered_range(state.counts)
+        if isinstance(span, Reason):
+            return nothing(span, state.parameters, state.samples, state.stretches)
+        present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
+        if len(present) < FEWEST_GROUPS:  # what is left without one of them may not determine the functions
+            return nothing(too_few_blocks(len(present)), state.parameters, state.samples, state.stretches)
+        low, high = span
+        x = np.linspace(low, high, round((high - low) / SPACING) + 1)
+        gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
+        small = _small(gram, self.ridge)
+        theta = np.linalg.solve(gram + small, cross[:, 0])
+        left_out = [np.linalg.solve(gram - state.gram[g] + small, cross[:, 0] - state.cross[g, :, 0]) for g in present]
+        functions = self.basis(x)
+        value = functions @ theta
+        shifted = np.vstack([value + shifts(state, functions, self.ridge), value + misfit(state, x, value)])
+        # of least squares that takes every residual for independent
+        squares = max(float(state.squares - theta @ cross[:, 0]), 0.0)
+        count = max(float(state.counts.sum()) - len(theta), 1.0)
+        inverse = np.linalg.inv(gram + small)
+        covariance = 0.5 * (inverse + inverse.T) * max(squares / count, SMALLEST_VARIANCE)
+        own = (functions @ np.linalg.cholesky(covariance)).T
+        without = np.array(left_out) @ functions.T
+        curve = Replicates(x, value, without, shifted, state.samples, state.stretches, own)
+        return curve_estimate(curve, state.parameters)
 
 
 def shifts(state: SeriesState, functions: FloatArray, ridge: float) -> FloatArray:
@@ -261,20 +237,11 @@ class KnownIrregularity:
         unfollowed = value + beside(x, value, of_cell, state.counts)
         on_file = state.parameters.vehicle.longitudinal_creep_coefficient
         creep_differs = value * (theta[0, 0] / on_file)
-        rows = [_line(x, theta[:, 0] + change) for change in changes.T]
-        shifted = np.array([*rows, unfollowed, creep_differs])
-        return curve_estimate(
-            Replicates(
-                x,
-                value,
-                np.array([_line(x, one) for one in left_out]),
-                shifted,
-                state.samples,
-                state.stretches,
-                np.array([_line(x, theta[:, 0] + one) - value for one in own.T]),
-            ),
-            state.parameters,
-        )
+        shifted = np.array([*(_line(x, theta[:, 0] + change) for change in changes.T), unfollowed, creep_differs])
+        without = np.array([_line(x, one) for one in left_out])
+        stated = np.array([_line(x, theta[:, 0] + one) - value for one in own.T])
+        curve = Replicates(x, value, without, shifted, state.samples, state.stretches, stated)
+        return curve_estimate(curve, state.parameters)
 
 
 def equations(motion: Motion, vehicle: VehicleParameters) -> tuple[FloatArray, FloatArray]:
@@ -299,10 +266,9 @@ def _refusal(state: RecursionState, groups: int) -> Reason | None:
         return Reason(ReasonCode.NOT_FINITE, "yaw rate and displacement are proportional")
     creep = float(np.linalg.solve(gram, state.cross.sum(axis=0)[:, 0])[0])
     share = creep / state.parameters.vehicle.longitudinal_creep_coefficient
-    if not LEAST_STIFF < share < 1.0 / LEAST_STIFF:
-        text = f"the creep coefficient comes out as {share:.2f} times that on file"
-        return Reason(ReasonCode.DIVERGED, text)
-    return None
+    if LEAST_STIFF < share < 1.0 / LEAST_STIFF:
+        return None
+    return Reason(ReasonCode.DIVERGED, f"the creep coefficient comes out as {share:.2f} times that on file")
 
 
 def _line(x: FloatArray, theta: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from estimation.rails.component import Component, Runs, component, connected, is
 from estimation.rails.published import AtAmplitude, RailAt, TrendAt, WheelAt, parted, refusal
 from estimation.rails.two_way import Parted, part, with_known
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-from estimation.values.quantities import with_interval
+from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
 LARGEST_VARIANCE = 1.0  # of a conicity of which nothing is known
@@ -35,8 +35,7 @@ class Check:
 def checks(component: Component, wheel: ReferenceWheel, parameters: RailsParameters) -> dict[str, Check]:
     """Return by serial how far measured wheelsets are from what the others say; infinite stds where these say nothing.
 
-    Returns:
-        dict[str, Check]: None are said to differ at an amplitude at which nothing is published.
+    None are said to differ at an amplitude at which nothing is published.
     """
     known = np.isfinite(component.two_way.known_value)
     if not known.any():
@@ -141,7 +140,7 @@ def at_amplitude(table: CellTable, k: int, anchors: Anchors, parameters: RailsPa
         found.rails[key] = RailAt.unknown(refused.get(place, NOT_COVERED))
     for row in (~covered).nonzero()[0].tolist() + covered.nonzero()[0].tolist():  # what is known there comes last
         why = refused.get(int(table.rail[row]), NOT_COVERED) if covered[row] else NOT_COVERED
-        found.wheels[table.wheels[table.wheel[row]]] = WheelAt.unknown(why)
+        found.wheels[table.wheels[table.wheel[row]]] = WheelAt(None, Estimate.unknown(why))
     most = 0
     for one in level.components(groups.group):
         answer = parted(one, level.anchors.wheel, parameters)
@@ -153,7 +152,7 @@ def at_amplitude(table: CellTable, k: int, anchors: Anchors, parameters: RailsPa
         if len(one.cells) > most:
             most, found.interaction = len(one.cells), answer.interaction
     for place, why in sorted(refused.items()):
-        found.trends.setdefault(table.rails[place].section, TrendAt.unknown(why))
+        found.trends.setdefault(table.rails[place].section, TrendAt(Estimate.unknown(why)))
     return found
 
 
@@ -181,12 +180,10 @@ class _Level:
 
     @property
     def cells(self) -> IntArray:
-        """Numbers of the cells that are known."""
         return np.flatnonzero(self.given)
 
     @property
     def runs(self) -> Runs:
-        """Which wheel ran where."""
         table, cells = self.table, self.cells
         known_rail = np.array([key in self.anchors.known_rails for key in table.rails], np.bool_)
         return Runs(table.wheel[cells], table.rail[cells], table.serial, known_rail, np.isfinite(self.known[0]))
@@ -215,7 +212,6 @@ class _Level:
         return level, found
 
     def checks(self, parameters: RailsParameters) -> dict[str, Check]:
-        """Return by serial how far measured wheelsets are from what the others say."""
         found: dict[str, Check] = {}
         if np.isfinite(self.known[0]).any():
             apart = replace(self.runs, known_wheel=np.zeros(len(self.table.wheels), np.bool_))

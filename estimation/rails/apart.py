@@ -68,8 +68,13 @@ def confirmed(table: CellTable, anchors: Anchors, parameters: RailsParameters) -
 
 def _all_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, Check]:
     known = sorted({key.section for key in table.rails if key in anchors.known_rails})
-    sections = {_Witness(is_wheelset=False, name=one): _section_apart(one, table, anchors, parameters) for one in known}
-    return sections | _wheels_apart(table, anchors, parameters)
+    found = {_Witness(is_wheelset=False, name=one): _section_apart(one, table, anchors, parameters) for one in known}
+    for k in range(len(table.amplitude)) if anchors.known_wheels else ():
+        for serial, check in wheel_checks(table, k, anchors, parameters).items():
+            one = _Witness(is_wheelset=True, name=serial)
+            if one not in found or check.ratio > found[one].ratio:
+                found[one] = check
+    return found
 
 
 def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters: RailsParameters) -> Check:
@@ -88,16 +93,6 @@ def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters:
         if found:
             return max(found, key=lambda one: one.ratio)
     return NOTHING
-
-
-def _wheels_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, Check]:
-    found: dict[_Witness, Check] = {}
-    for k in range(len(table.amplitude)) if anchors.known_wheels else ():
-        for serial, check in wheel_checks(table, k, anchors, parameters).items():
-            one = _Witness(is_wheelset=True, name=serial)
-            if one not in found or check.ratio > found[one].ratio:
-                found[one] = check
-    return found
 
 
 def _connected(worst: _Witness, witnesses: Sequence[_Witness], table: CellTable, anchors: Anchors) -> list[_Witness]:
@@ -180,7 +175,7 @@ def _refuse_rises(levels: Sequence[AtAmplitude], amplitude: FloatArray, steepest
             if at.reference_wheel.value is not None:
                 nothing = Estimate.unknown(NEXT_TO_JUMP, at.reference_wheel.count)
                 level.rails[key] = replace(at, reference_wheel=nothing, excess=nothing)
-                level.trends[key.section] = TrendAt.unknown(NEXT_TO_JUMP)
+                level.trends[key.section] = TrendAt(Estimate.unknown(NEXT_TO_JUMP))
 
 
 def _rail_part(key: RailKey, own: Sequence[SectionConicity], levels: Sequence[AtAmplitude]) -> RailPart:
@@ -222,7 +217,7 @@ def _trends(
         if amplitude > most + SAME_AMPLITUDE:
             continue
         for section in {key.section for key in level.rails} - found.keys():
-            one = level.trends.get(section, TrendAt.unknown(NOT_COVERED))
+            one = level.trends.get(section, TrendAt(Estimate.unknown(NOT_COVERED)))
             if one.per_year.reason is not None:
                 why.setdefault(section, one.per_year.reason)
             elif section not in why or why[section].code is not ReasonCode.TREND_NOT_A_LINE:

@@ -56,7 +56,7 @@ def section_conicity(
         wheel=wheel,
         rail=rail,
         amplitude=found.amplitude,
-        conicity=np.array([_number(one) for one in found.conicity]),
+        conicity=np.array([np.nan if one.value is None else one.value for one in found.conicity]),
         sampled=normal_equivalent(sampled, groups),
         systematic=systematic,
         scale_std=scale_std,
@@ -64,10 +64,6 @@ def section_conicity(
         from_ns=span_ns[0],
         to_ns=span_ns[1],
     )
-
-
-def _number(estimate: Estimate) -> float:
-    return float("nan") if estimate.value is None else estimate.value
 
 
 Key = TypeVar("Key", bound=Hashable)

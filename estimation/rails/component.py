@@ -1,7 +1,5 @@
 """Cells that wheelsets connect, at one amplitude, as the mixed model takes them.
 
-Which rails are connected with each other, and with what is known, by more than one wheelset.
-
 Rails are nodes, and what is known is one; a wheel connects all rails that it ran on, and a wheel that is known itself
 connects them with what is known. Rails that one wheelset alone connects have no more than its word: where it was
 measured wrongly, or turned and nobody said so, all of them are off by that.

@@ -1,11 +1,10 @@
 """What of the solution of connected cells may be published: rails, wheels, and trends of sections.
 
-Where the wheel as designed is next to a contact jump: nothing follows for it there from worn wheels.
-
-At a jump the conicity changes steeply over the amplitude, and another gauge or wear of the rails moves the jump over
-the amplitude, which is no matter of adding a number. On the rails as on file the curve is known exactly, and any steep
-change counts. As found on worn rails a rise counts: where the motion begins to reach a jump, the conicity rises within
-a fraction of a millimetre; behind it it falls as the inverse of the amplitude, and that of worn wheels falls likewise.
+Where the wheel as designed is next to a contact jump, nothing follows for it from worn wheels. There the conicity
+changes steeply over the amplitude, and another gauge or wear of the rails moves the jump over the amplitude, which is
+no matter of adding a number. On the rails as on file the curve is known exactly, and any steep change counts. As found
+on worn rails a rise counts: where the motion begins to reach a jump, the conicity rises within a fraction of a
+millimetre; behind it it falls as the inverse of the amplitude, and that of worn wheels falls likewise.
 """
 
 from __future__ import annotations
@@ -36,11 +35,6 @@ class TrendAt:
     per_year: Estimate
     periods: int = 0
 
-    @staticmethod
-    def unknown(reason: Reason) -> TrendAt:
-        """Return that there is none, with the reason."""
-        return TrendAt(Estimate.unknown(reason))
-
 
 @dataclass(frozen=True, slots=True)
 class Line:
@@ -69,9 +63,7 @@ def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
     return Line(float(found[1]), float(np.sqrt(np.linalg.inv(matrix)[1, 1])), squares, len(at) - PARAMETERS)
 
 
-AS_ON_FILE = TrendAt.unknown(
-    Reason(ReasonCode.RAILS_ARE_REFERENCE, "the section is named as known: nothing is measured of its rails")
-)
+AS_ON_FILE = Reason(ReasonCode.RAILS_ARE_REFERENCE, "the section is named as known: nothing is measured of its rails")
 
 
 WITHIN = 0.25e-3  # m of amplitude
@@ -126,11 +118,6 @@ class WheelAt:
     reference: RailsReference | None
     conicity: Estimate
 
-    @staticmethod
-    def unknown(reason: Reason) -> WheelAt:
-        """Return that nothing is known, with the reason."""
-        return WheelAt(None, Estimate.unknown(reason))
-
 
 @dataclass(slots=True)
 class AtAmplitude:
@@ -150,8 +137,8 @@ def parted(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
         solved, _ = solution.reference_wheel(float(wheel.on_reference[component.k]))
         return AtAmplitude(
             {key: RailAt.unknown(refused, float(one)) for key, one in zip(component.rails, solved, strict=True)},
-            {key: WheelAt.unknown(refused) for key in component.wheels},
-            {key.section: TrendAt.unknown(refused) for key in component.rails},
+            {key: WheelAt(None, Estimate.unknown(refused)) for key in component.wheels},
+            {key.section: TrendAt(Estimate.unknown(refused)) for key in component.rails},
             interaction=solution.interaction,
         )
     publisher = _Publisher(component, solution, wheel, parameters)
@@ -200,7 +187,6 @@ class _Publisher:
         self.groups = 1 + max(1, int(solution.freedom))
 
     def rails(self) -> dict[RailKey, RailAt]:
-        """Return what is published of every rail."""
         component = self.component
         two_way, windows = component.two_way, component.table.windows[component.cells]
         count = np.bincount(two_way.rail, windows, minlength=len(component.rail))
@@ -210,7 +196,6 @@ class _Publisher:
         }
 
     def wheels(self) -> dict[WheelKey, WheelAt]:
-        """Return what is published of every wheel."""
         component = self.component
         windows = component.table.windows[component.cells]
         count = np.bincount(component.two_way.wheel, windows, minlength=len(component.wheel))
@@ -236,20 +221,20 @@ class _Publisher:
     def _trend(self, section: str, places: list[int]) -> TrendAt:
         unknown = [place for place in places if not self.component.two_way.known_rail[place]]
         if not unknown:
-            return AS_ON_FILE
+            return TrendAt(Estimate.unknown(AS_ON_FILE))
         why = {place: self._no_conclusion(place, section) for place in unknown}
         own = [place for place in unknown if why[place] is None]
         if len(own) < self.parameters.least_periods:
             text = f"{len(own)} period{'s' * (len(own) != 1)} of the section {'are' if len(own) != 1 else 'is'} known, "
             few = Reason(ReasonCode.TOO_FEW_PERIODS, f"{text}{self.parameters.least_periods} are needed")
-            return TrendAt.unknown(why[unknown[-1]] or few)
+            return TrendAt(Estimate.unknown(why[unknown[-1]] or few))
         at = self.component.by_rail(self.component.table.years[self.component.cells])
         covariance = self.covariance[np.ix_(own, own)] + self.solution.interaction**2 * np.eye(len(own))
         found = line(at[own], self.value[own], covariance)
         if not found.fits(self.solution.freedom):
             text = "is not on a line: the rails were ground or replaced, or wear unevenly"
-            why_not = Reason(ReasonCode.TREND_NOT_A_LINE, f"the excess of {len(own)} periods {text}")
-            return TrendAt.unknown(why_not)
+            bent = Reason(ReasonCode.TREND_NOT_A_LINE, f"the excess of {len(own)} periods {text}")
+            return TrendAt(Estimate.unknown(bent))
         systematic = self.shared * abs(found.slope)
         return TrendAt(with_interval(found.slope, found.std, systematic, self.groups, float(len(own))), len(own))
 

@@ -253,7 +253,6 @@ class _Solved:
         return residuals - (fitted - float(self.problem.before @ np.diag(self.covariance)) - conditions)
 
     def parted(self) -> Parted:
-        """Return it as others need it."""
         s, known, linear = len(self.problem.cells.known_rail), self.problem.known, self.linear
         moved = self.covariance @ -(linear.crossed.T @ (known / linear.own))
         return Parted(

@@ -1,13 +1,10 @@
 """A library: entries that may be learned from, the regression over them, and how far its answers were off.
 
-Entries of places whose track has changed since: found by their features, and retired with the reason.
-
-What the track of a place adds to features is what they have beyond the response to conicity and speed. Work on the
-track changes it for all that pass. So of every place each time between two passes is tried: what came before is
-compared with what came after, and the largest distance decides. Passes scatter about the mean of their side of that
-time: the change itself, which may be of a large part of a small library, is not in what it is compared with.
-
-Which library entries may be learned from when one wheelset is judged, and why the others may not.
+Entries of places whose track has changed since are retired. What the track of a place adds to features is what they
+have beyond the response to conicity and speed. Work on the track changes it for all that pass. So of every place each
+time between two passes is tried: what came before is compared with what came after, and the largest distance decides.
+Passes scatter about the mean of their side of that time: the change itself, which may be of a large part of a small
+library, is not in what it is compared with.
 
 A library for each wheelset would hold nearly the same each time. So wheelsets are judged in folds: all of one fold by
 one library, in which nothing of any of them is. While there are few wheelsets each is a fold of its own.

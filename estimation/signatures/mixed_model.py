@@ -111,6 +111,7 @@ def fitted(rows: Rows) -> MixedModel:
     of_level = level @ (effects - mean) / max(float(level @ level), RIDGE)
     around = effects - mean - level[:, None] * of_level
     by_section = _means(around, section)
+    bent = _bent(_means(rows.conicity[:, None], wheelset)[:, 0])
     of_place = _covariance(around - by_section[section], max(len(kept) - len(sections), 1))
     of_section = _covariance(by_section, max(len(sections) - 1, 1))
     return MixedModel(
@@ -122,7 +123,7 @@ def fitted(rows: Rows) -> MixedModel:
         rest=of_rest,
         of_wheelset=_less(of_own, _of_errors(rows, response, level[place])),
         of_fit=of_own,
-        leverage=_leverage(rows.conicity, wheelset),
+        leverage=np.asarray(np.linalg.pinv(bent.T @ bent)),
         of_place=_less(of_place, of_rest * _of_means(place)),
         of_section=_less(of_section, of_place * _of_means(section)),
     )
@@ -151,11 +152,6 @@ def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> Scatter
     rest = _covariance(residuals - own[wheelset], freedom)
     of_means = _covariance(own, max(len(own) - TERMS, 1))
     return Scatter(_less(of_means, rest * _of_means(wheelset)), rest)
-
-
-def _leverage(conicity: FloatArray, wheelset: IntArray) -> FloatArray:
-    terms_of = _bent(_means(conicity[:, None], wheelset)[:, 0])
-    return np.asarray(np.linalg.pinv(terms_of.T @ terms_of))
 
 
 def _bent(conicity: FloatArray) -> FloatArray:

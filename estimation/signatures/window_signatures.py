@@ -55,11 +55,6 @@ class SignatureParameters:
         """Number of bands of wavelength."""
         return len(self.wavelengths) - 1
 
-    @property
-    def wavenumbers(self) -> FloatArray:
-        """Ends of the bands (b + 1,), 1/m, increasing."""
-        return 1.0 / np.array(self.wavelengths)
-
 
 FOLDS = 6
 ALONE = 12  # families, up to which each of them is a fold of its own
@@ -110,7 +105,7 @@ def band_spectra(signals: FloatArray, parameters: SignatureParameters) -> tuple[
     total = sum((_products(signals[:, at : at + size]) for at in starts), np.zeros((SIGNALS, SIGNALS, size // 2 + 1)))
     mean = total / (len(starts) * np.sum(np.hanning(size) ** 2) / parameters.step)
     wavenumber = np.asarray(np.fft.rfftfreq(size, parameters.step), dtype=np.float64)
-    ends = parameters.wavenumbers
+    ends = 1.0 / np.array(parameters.wavelengths)
     inside = [(wavenumber >= low) & (wavenumber < high) for low, high in pairwise(ends)]
     bands = np.stack([mean[:, :, chosen].mean(axis=2) for chosen in inside])  # (b, 3, 3)
     columns = [bands[:, i, i].real for i in range(POWERS)]

@@ -163,11 +163,6 @@ def with_ratios(placed: Placed, ratios: Mapping[str, float], grid: SectionGrid) 
     }
 
 
-def all_passes(placed: Placed) -> list[GriddedPass]:
-    """Return the passes of all journeys in order."""
-    return [item for one in placed.values() for item in one.passes]
-
-
 def resampled(item: Pass, life: ProfileLife, step: float) -> Pass:
     """Return a pass on a grid, under the life of its wheelset's profile."""
     first, displacement, difference = gridded(item, step)

@@ -24,7 +24,7 @@ from estimation.track.gauge.wheel_functions import (
     remove_common_shift,
     total_gauge_shifts,
 )
-from estimation.track.gridded_pass import GriddedPass, Placed, all_passes, place, with_ratios
+from estimation.track.gridded_pass import GriddedPass, Placed, place, with_ratios
 from estimation.track.panel.basis import MeasuredCurve, Panel, PanelState, init, update
 from estimation.track.panel.instrumental_slope import (
     Ratio,
@@ -103,7 +103,7 @@ class IterationResult:
     @property
     def passes(self) -> list[GriddedPass]:
         """Passes of all journeys in order."""
-        return all_passes(self.placed)
+        return [item for one in self.placed.values() for item in one.passes]
 
     @property
     def corrections(self) -> dict[Journey, Correction]:

@@ -26,7 +26,7 @@ from estimation.motion.checks import (
     position_jumps,
     without_jumps,
 )
-from estimation.motion.integration import IntegratedWindow, SignalParameters, WindowParameters, bridged, integrate
+from estimation.motion.integration import IntegratedWindow, WindowParameters, bridged, integrate
 from estimation.motion.rolling_radius_difference import fuse, motion_signals
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode, combined
@@ -84,25 +84,14 @@ def gridded(item: Pass, step: float) -> tuple[int, FloatArray, FloatArray]:
 
 
 def passes(
-    window: Window,
-    vehicle: VehicleParameters,
-    parameters: SignalParameters,
-    *,
-    mounted_reversed: bool = False,
-    integrated: IntegratedWindow | None = None,
+    window: Window, integrated: IntegratedWindow, vehicle: VehicleParameters, *, mounted_reversed: bool
 ) -> list[Pass]:
     """Return the passes of a window: one for each uninterrupted stretch along which distance rises, or falls.
 
     A vehicle that runs the section the other way has its axes turned half round: what it measures to its left is to the
     section's right, and its left wheels run on the section's right rail. One that runs the other way with its rear end
-    first has not.
-
-    Args:
-        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
-        integrated: The moving samples of the window, integrated; by default that is done here.
+    first has not. Of a wheelset that is ``mounted_reversed`` the left wheel is on the vehicle's right-hand side.
     """
-    if integrated is None:
-        integrated = integrate(window, moving_samples(window, parameters), parameters)
     found = []
     for segment in integrated.segments:
         at = bridged(window.distance[segment.part], segment.known)
@@ -203,9 +192,7 @@ def examine(window: Window, parameters: WindowParameters, *, mounted_reversed: b
     if jumps:
         window = without_jumps(window, jumps)
         integrated = integrate(window, moving_samples(window, parameters.signals), parameters.signals)
-    found = passes(
-        window, parameters.vehicle, parameters.signals, mounted_reversed=mounted_reversed, integrated=integrated
-    )
+    found = passes(window, integrated, parameters.vehicle, mounted_reversed=mounted_reversed)
     if not found:
         least = f"no uninterrupted run of {parameters.signals.shortest_segment_s:g} s in one direction"
         return _examined(window, (), combined([jumps_reason(jumps), Reason(ReasonCode.INTERRUPTED, least)]))
@@ -306,7 +293,6 @@ class Group:
 @dataclass(slots=True)
 class _Journey:
     entries: list[Entry]
-    vehicle: str
     lives: set[ProfileLife]
 
     @property
@@ -318,11 +304,8 @@ class _Journey:
         return self.entries[-1][0].start_ns
 
 
-def first_epoch(
-    entries: Sequence[Entry], most_windows: int, most_wheelsets: int, parameters: PartitionParameters | None = None
-) -> Group:
+def first_epoch(entries: Sequence[Entry], most_windows: int, most_wheelsets: int, p: PartitionParameters) -> Group:
     """Return the windows of the first epoch of entries by start and wheelset; one journey may be more than the most."""
-    p = parameters or PartitionParameters()
     pause_ns, journey_ns = round(p.pause_h * 3600 * NANOSECONDS), round(p.journey_pause_s * NANOSECONDS)
     chosen: list[_Journey] = []
     count, end_ns, horizon_ns = 0, 0, OPEN_NS
@@ -353,7 +336,7 @@ def _journeys(entries: Sequence[Entry], pause_ns: int, most: int) -> list[_Journ
         journey = last.get(record.vehicle)
         together = journey is not None and record.start_ns - journey.last_ns <= pause_ns
         if journey is None or not together or (len(journey.entries) >= most and record.start_ns > journey.last_ns):
-            journey = _Journey([], record.vehicle, set())
+            journey = _Journey([], set())
             last[record.vehicle] = journey
             found.append(journey)
         journey.entries.append((record, life))

@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from typing import Any, cast
 
 import numpy as np
 
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gauge.wheel_functions import contact_samples, gauge_sign, total_gauge_shifts
-from estimation.track.gridded_pass import GriddedPass, SectionGrid
+from estimation.track.gridded_pass import GriddedPass
 from estimation.track.iteration import Grouped, IterationResult, Setting, first_rounds
 from estimation.track.panel.basis import MeasuredCurve, Panel, unfiltered_residual
 from estimation.track.panel.instrumental_slope import PRIOR_STD
@@ -87,29 +88,21 @@ class AlignmentReport:
 
     def as_json(self) -> Mapping[str, JsonValue]:
         """Return all of it as JSON; a number that is none is null."""
-        fields = _json(asdict(self))
-        assert isinstance(fields, dict)
-        return fields
+        return cast("dict[str, JsonValue]", _json(asdict(self)))
 
 
-def _json(value: object) -> JsonValue:
+def _json(value: Any) -> JsonValue:  # noqa: ANN401 - of any field
     if isinstance(value, dict):
-        whole = {str(name): _json(item) for name, item in value.items()}
-        if "reason" in whole:  # as the database has it: the sentence, and the code beside it
-            reason = value["reason"]
-            whole |= {
-                "reason": reason["text"] if reason else "",
-                "reason_code": str(reason["code"]) if reason else None,
-            }
+        whole = {name: _json(item) for name, item in value.items()}
+        if "reason" in value:  # as the database has it: the sentence, and the code beside it
+            reason = value["reason"] or {"text": "", "code": None}
+            whole |= {"reason": reason["text"], "reason_code": reason["code"] and str(reason["code"])}
         return whole
-    if isinstance(value, tuple | list):
+    if isinstance(value, tuple):
         return [_json(item) for item in value]
     if isinstance(value, StrEnum):
         return str(value)
-    if isinstance(value, bool | int | str) or value is None:
-        return value
-    assert isinstance(value, float)
-    return value if math.isfinite(value) else None
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def nothing(reason: Reason, evidence: tuple[str, ...] = ()) -> AlignmentReport:
@@ -162,7 +155,10 @@ def merged_alignment(
     """Return the solution as an alignment, NaN where it is not known; places without a pass stay as they were."""
     grid = iterated.panel.grid
     found = long_wave_alignment(iterated.passes, iterated.solution, iterated.panel, p.cutoff_wavelength)
-    known = _nothing_known(grid) if prior is None else prior_on_grid(prior, grid, p.cutoff_wavelength)
+    zero = np.zeros(grid.points)
+    known = PriorAlignment(zero, np.full_like(zero, np.inf), zero, zero, zero, gauge_known=False)
+    if prior is not None:
+        known = prior_on_grid(prior, grid, p.cutoff_wavelength)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = (found.pass_std / known.std) ** 2
     weight = np.where(np.isfinite(known.std), np.fmin(ratio, p.iteration.most_weight), 0.0)
@@ -232,13 +228,6 @@ def _profile_uncertainty(iterated: IterationResult) -> tuple[float, float]:
     whole = sum(float(part @ part) for part in (item.difference[item.inside] for item in used))
     of_stiffness = PRIOR_STD * np.sqrt(stiffness / whole) if whole > 0.0 else 0.0
     return float(std), float(np.hypot(scale, of_stiffness))
-
-
-def _nothing_known(grid: SectionGrid) -> PriorAlignment:
-    zero = np.zeros(grid.points)
-    return PriorAlignment(
-        alignment=zero, std=np.full_like(zero, np.inf), passes=zero, gauge=zero, gauge_std=zero, gauge_known=False
-    )
 
 
 CORRELATED = 20.0  # m along the track over which the error of y - d - h(R) of a pass is one

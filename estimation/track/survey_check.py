@@ -196,11 +196,9 @@ class GaugeLimits:
     stds: float = 3.0  # that count as beyond doubt
 
 
-def judge_gauge(
-    iterated: IterationResult | None, survey: TrackAlignment, *, converged: bool, limits: GaugeLimits | None = None
-) -> Reason | None:
+def judge_gauge(iterated: IterationResult | None, survey: TrackAlignment, *, converged: bool) -> Reason | None:
     """Return what is wrong with a surveyed gauge; None where nothing is, or what passes show is not certain yet."""
-    p = limits or GaugeLimits()
+    p = GaugeLimits()
     size = float(np.std(survey.gauge_deviation))
     if iterated is None or iterated.panel.gauge is None or not (converged and survey.gauge_known):
         return None

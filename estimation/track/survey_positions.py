@@ -46,16 +46,13 @@ class SurveyPositionParameters:
     most_apart: float = 2.0  # rms of y - d over that of y: a survey in another unit is no survey to be placed on
 
 
-def positions_on_survey(
-    placed: Placed, survey: PriorAlignment, grid: SectionGrid, parameters: SurveyPositionParameters | None = None
-) -> dict[Journey, Correction] | None:
+def positions_on_survey(placed: Placed, survey: PriorAlignment, grid: SectionGrid) -> dict[Journey, Correction] | None:
     """Return corrections of all journeys, placed within metres, on a survey; None where none of a vehicle is found."""
-    p = parameters or SurveyPositionParameters()
     found = {journey: one.correction for journey, one in placed.items()}
     vehicles = 0
     for vehicle in sorted({journey[0] for journey in placed}):
         members = {journey: one for journey, one in placed.items() if journey[0] == vehicle}
-        on_survey = _Vehicle.of(members, survey, grid, p)
+        on_survey = _Vehicle.of(members, survey, grid)
         moved = on_survey.moves() if on_survey.of_one_size() else None
         if moved is None:
             continue  # it keeps its places
@@ -87,15 +84,9 @@ class _Vehicle:
     parameters: SurveyPositionParameters
 
     @classmethod
-    def of(
-        cls,
-        members: Mapping[Journey, PlacedJourney],
-        survey: PriorAlignment,
-        grid: SectionGrid,
-        parameters: SurveyPositionParameters,
-    ) -> _Vehicle:
-        """Return the passes of a vehicle as they are compared."""
-        kernel = local_cubic_kernel(parameters.cutoff_wavelength, grid.step)
+    def of(cls, members: Mapping[Journey, PlacedJourney], survey: PriorAlignment, grid: SectionGrid) -> _Vehicle:
+        p = SurveyPositionParameters()
+        kernel = local_cubic_kernel(p.cutoff_wavelength, grid.step)
         lives: dict[ProfileLife, int] = {}
         covered = np.isfinite(survey.std)
         passes = []
@@ -108,7 +99,7 @@ class _Vehicle:
             y, R = high_pass(item.displacement, grid.kernel), high_pass(item.side * item.difference, kernel)
             life = lives.setdefault(item.life, len(lives))
             passes.append(_PassOnSurvey(number, life, at, y, R, valid_support(on, kernel)))
-        return cls(passes, len(members), len(lives), survey, grid, kernel, parameters)
+        return cls(passes, len(members), len(lives), survey, grid, kernel, p)
 
     def of_one_size(self) -> bool:
         """Whether the survey is not far larger than what the passes have measured."""

@@ -23,6 +23,7 @@ from estimation.track.panel.basis import Panel, unfiltered_residual
 from estimation.track.panel.instrumental_slope import error_of_difference
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.results import findings, position_std
+from estimation.track.section import MOST_DIFFERENCE_ERROR
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackAlignment
@@ -80,11 +81,11 @@ class SurveyBands:
         """Std that the passes show of the survey, m."""
         return float(np.sqrt(np.median(total_variance([one.survey_variance for one in self.bands]))))
 
-    def coherent_std(self, longest: float = EDGES[0]) -> float:
+    def coherent_std(self, longest: float) -> float:
         """Return the rms, m, of what followed the motion at wavelengths up to ``longest`` m."""
         return float(np.sqrt(total_variance([np.array([one.coherent**2]) for one in self.up_to(longest)])[0]))
 
-    def posterior_std(self, longest: float = EDGES[0]) -> FloatArray:
+    def posterior_std(self, longest: float) -> FloatArray:
         """Return the std (n,), m, of the mean of survey and passes at wavelengths up to ``longest`` m."""
         return np.sqrt(total_variance([one.variance for one in self.up_to(longest)]))
 
@@ -252,7 +253,6 @@ def total_variance(variances: Sequence[FloatArray]) -> FloatArray:
 
 STATED = EDGES[1]  # m, longest wavelength of the published std: longer ones are not in the motion
 INDEPENDENT = 5.0  # m along the track, of errors of a survey
-MOST_DIFFERENCE_ERROR = 0.08  # of rL - rR, by the stiffness ratio: beyond, it is as assumed
 
 
 @dataclass(frozen=True, slots=True)

@@ -125,16 +125,13 @@ class _Epoch:
 
     @property
     def parameters(self) -> SectionParameters:
-        """How an epoch of passes becomes an alignment."""
         return self.settings.section
 
     @property
     def vehicles(self) -> dict[str, str]:
-        """Vehicle by serial of the wheelsets that passed."""
         return {item.wheelset: item.vehicle for item in self.screened.used}
 
     def estimate(self, prior: TrackAlignment | None) -> SectionEstimate:
-        """Return what the passes and a prior alignment give."""
         return estimate_section(self.section, self.screened.used, prior, self.parameters, self.measured)
 
     def weigh(self, survey: TrackAlignment) -> Weighed:
@@ -190,12 +187,11 @@ class _Epoch:
         alignment: TrackAlignment | None,
         survey: Reason | None = None,
     ) -> AlignmentUpdate:
-        """Return the update with the outcomes of the passes."""
         return AlignmentUpdate(outcome, estimate, alignment, self.screened.outcomes, survey)
 
 
 def _without_surveyed_alignment(
-    epoch: _Epoch, in_force: TrackAlignment | None, *, survey_checked: bool = False
+    epoch: _Epoch, in_force: TrackAlignment | None, *, survey_checked: bool
 ) -> AlignmentUpdate:
     surveyed = in_force is not None and in_force.source == AlignmentSource.RECORDED
     cutoff = epoch.parameters.cutoff_wavelength

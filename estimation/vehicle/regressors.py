@@ -182,12 +182,10 @@ def yaw_regressors(signals: Signals, k: Coefficients, i: int, row: FloatArray) -
 
 
 @compiled(nogil=True, error_model="numpy")
-def write_equations(signals: Signals, k: Coefficients, lateral: FloatArray, yaw: FloatArray) -> None:
-    """Write x1, x2 and targets of Eq. 1 (n, 9), regressors and targets of Eq. 2 (n, 2 or 4, and 8) of all samples."""
+def write_equations(signals: Signals, k: Coefficients, yaw: FloatArray) -> None:
+    """Write regressors and targets of Eq. 2 (n, 2 or 4, and 8) of all samples."""
     for i in range(len(signals.speed)):
-        lateral_equation(signals, k, i, lateral[i])
-        before_c = yaw_regressors(signals, k, i, yaw[i])
-        yaw_targets(signals, k, i, yaw[i], before_c)
+        yaw_targets(signals, k, i, yaw[i], yaw_regressors(signals, k, i, yaw[i]))
 
 
 LATERAL_TARGETS = ("z1", "lateral_creep", "spin_creep", "mass", "load", "lateral_stiffness", "lateral_damping")
@@ -202,10 +200,8 @@ SMALLEST_FACTOR = 1e-6  # N; in place of zero, with which the data say nothing o
 
 @dataclass(frozen=True, slots=True)
 class Regression:
-    """Regressors and targets of both equations for n samples."""
+    """Regressors and targets of Eq. 2 for n samples."""
 
-    lateral: FloatArray  # (n, 2) x1, x2
-    lateral_targets: FloatArray  # (n, 7), see LATERAL_TARGETS
     yaw: FloatArray  # (n, 2) (l W/2) psi, c; in a bogie (n, 4) the shared regressors, c
     yaw_targets: FloatArray  # (n, 8), see YAW_TARGETS
 
@@ -229,13 +225,12 @@ def angle_difference_derivatives(parameters: VehicleParameters) -> FloatArray:
 def regression(
     motion: Motion, parameters: VehicleParameters, difference_noise: float = 0.0, wheelbase: float = 1.0
 ) -> Regression:
-    """Return regressors and targets of Eq. 1 and Eq. 2 for every sample; the motion's stiffness ratio counts."""
+    """Return regressors and targets of Eq. 2 for every sample; the motion's stiffness ratio counts."""
     signals, k = signals_of(motion), coefficients(motion, parameters, difference_noise, wheelbase)
     before_c = SHARED_IN_BOGIE if k.in_bogie else 1
-    lateral = np.empty((len(motion), 2 + len(LATERAL_TARGETS)))
     yaw = np.empty((len(motion), before_c + 1 + len(YAW_TARGETS)))
-    write_equations(signals, k, lateral, yaw)
-    return Regression(lateral[:, :2], lateral[:, 2:], yaw[:, : before_c + 1], yaw[:, before_c + 1 :])
+    write_equations(signals, k, yaw)
+    return Regression(yaw[:, : before_c + 1], yaw[:, before_c + 1 :])
 
 
 def coefficients(

@@ -24,9 +24,10 @@ from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, 
 from ingest.profiles.files import read_profile, read_wheel_profile
 from ingest.simulator.campaign import VehicleRun, friction_factor, with_stretches
 from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
+from ingest.simulator.gear_rates import ROUND, Wheels
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 from ingest.simulator.running import CONTACT_STEP
-from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, WheelsetPlan, generator
 from ingest.simulator.section import MGT_OF_GROWTH, SectionPlan
 from ingest.simulator.track import TrackTruth
@@ -244,18 +245,6 @@ class DerailmentError(ScenarioError):
     axle: int = 0
 
 
-def wheelset_motion(
-    scenario: Scenario, track: TrackTruth, run: VehicleRun, axle: int, table: ContactTable | None = None
-) -> WheelsetMotion:
-    """Return the true motion of the wheelset at ``axle`` (from 0) over ``run``.
-
-    ``table`` is its contact geometry where that is at hand already; made here otherwise.
-    """
-    axles = together(scenario, run.vehicle, axle)
-    known = [table if place == axle else None for place in axles]
-    return axle_motions(scenario, track, run, axles, known)[axles.index(axle)]
-
-
 def together(scenario: Scenario, vehicle: VehiclePlan, axle: int) -> tuple[int, ...]:
     """Return the axles (from 0) that move together with ``axle``: those of its bogie, or itself alone."""
     if scenario.bogie is None:
@@ -314,7 +303,7 @@ def running_gear(scenario: Scenario, run: VehicleRun, axles: Sequence[int]) -> R
         parameters=parameters,
         bogie=bogie,
         creep=replace(running.creep, friction=min(factor * running.creep.friction, 1.0)),
-        wheels=tuple(_wheels(scenario, run, axle) for axle in axles) if running.out_of_round else (),
+        wheels=_wheels(scenario, run, axles) if running.out_of_round else ROUND,
         traction=tuple(shares[axle] for axle in axles) if running.traction else None,
         braking=(1.0,) * len(axles) if running.traction else None,
         nominal_radii=tuple(run.vehicle.wheelsets[axle].nominal_radius for axle in axles),
@@ -334,11 +323,11 @@ def true_suspension(
     return parameters, replace(bogie, secondary_lateral_damping=weak.share * bogie.secondary_lateral_damping)
 
 
-def _wheels(scenario: Scenario, run: VehicleRun, axle: int) -> tuple[Wheel, Wheel]:
-    order = scenario.vehicles.index(run.vehicle)
-    phases = generator(scenario.seed, Stream.OUT_OF_ROUND, order, axle, run.campaign).uniform(0.0, 2.0 * np.pi, 2)
-    left, right = (Wheel(scenario.running.out_of_round, float(phase)) for phase in phases)
-    return left, right
+def _wheels(scenario: Scenario, run: VehicleRun, axles: Sequence[int]) -> Wheels:
+    key = scenario.seed, Stream.OUT_OF_ROUND, scenario.vehicles.index(run.vehicle)
+    drawn = [generator(*key, axle, run.campaign).uniform(0.0, 2.0 * np.pi, 2) for axle in (axles[0], axles[-1])]
+    a, b, c, d = np.concatenate(drawn).tolist()
+    return Wheels((scenario.running.out_of_round,) * 4, (a, b, c, d))
 
 
 def averaged(table: ContactTable, half_width: float) -> ContactTable:

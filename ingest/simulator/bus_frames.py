@@ -5,13 +5,12 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import ScenarioError
-from estimation.values.arrays import BoolArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, IntArray
 from estimation.values.windows import ACCELERATIONS
 from ingest import catalogue as kinds
 from ingest.catalogue import Catalogue, MessagePlan, sync_counter, time_of_day
@@ -28,20 +27,8 @@ FRAME_BITS = 47  # base format, with the space between frames
 STUFFING = 1.035  # a bit in 29: recorded traffic has less than the one in 5 that is possible
 
 
-@dataclass(frozen=True, slots=True)
-class BusTiming:
-    """When frames end on the bus after their SYNC is due, over a second, with which everything repeats."""
-
-    delay_ns: Mapping[int, IntArray]  # by arbitration id: (ticks of a second,)
-
-    def __post_init__(self) -> None:
-        frozen = {key: frozen_array(value, (None,), np.int64, name="delay_ns") for key, value in self.delay_ns.items()}
-        object.__setattr__(self, "delay_ns", MappingProxyType(frozen))
-
-    def delays(self, arbitration_id: int, tick: IntArray) -> IntArray:
-        """Return the delays (n,), ns, of the frames of one message at SYNC numbers (n,)."""
-        of_second = self.delay_ns[arbitration_id]
-        return of_second[tick % len(of_second)]
+BusTiming = Mapping[int, IntArray]
+"""By arbitration id the delays (ticks,), ns, from SYNC to the end of the frame; with so many ticks they repeat."""
 
 
 def bus_timing(bus: BusPlan, messages: Sequence[MessagePlan], interval_ns: int) -> BusTiming:
@@ -50,7 +37,7 @@ def bus_timing(bus: BusPlan, messages: Sequence[MessagePlan], interval_ns: int) 
         return _arbitrated(bus, messages, interval_ns)
     slot_ns = min(SLOT_NS, int(0.75 * interval_ns / (len(messages) + 1)))
     sent = sorted(plan.arbitration_id for plan in messages)
-    return BusTiming({identifier: np.array([slot_ns * (1 + slot)]) for slot, identifier in enumerate(sent)})
+    return {identifier: np.array([slot_ns * (1 + slot)]) for slot, identifier in enumerate(sent)}
 
 
 def frame_ns(length: int, bit_rate: float) -> int:
@@ -87,7 +74,7 @@ def _arbitrated(bus: BusPlan, messages: Sequence[MessagePlan], interval_ns: int)
             f"which comes every {interval_ns / 1e6:g} ms",
             field="bus.bitrate_kbit_s",
         )
-    return BusTiming({identifier: delay[ticks:] for identifier, delay in delays.items()})
+    return {identifier: delay[ticks:] for identifier, delay in delays.items()}
 
 
 def _ready_ns(bus: BusPlan, plan: MessagePlan) -> int:
@@ -124,11 +111,8 @@ class _Ticks:
 
     def stamps(self, plan: MessagePlan, at: IntArray) -> IntArray:
         """Return the time stamps of the frames of ``plan`` sent after the SYNCs ``at``."""
-        stamps = (
-            self.t_ns[at]
-            + self.late_ns[at]
-            + self.timing.delays(plan.arbitration_id, self.t_ns[at] // self.interval_ns)
-        )
+        delays = self.timing[plan.arbitration_id]
+        stamps = self.t_ns[at] + self.late_ns[at] + delays[self.t_ns[at] // self.interval_ns % len(delays)]
         if self.stamp_jitter_ns > 0.0:
             normal = np.clip(self.rng.standard_normal(len(at)), -NORMAL_REACH, NORMAL_REACH)
             stamps = stamps + np.rint(self.stamp_jitter_ns * normal).astype(np.int64)

@@ -29,7 +29,7 @@ from ingest.simulator.scenario import (
     generator,
     seed_of,
 )
-from ingest.simulator.sensor_errors import draw_node_errors
+from ingest.simulator.sensor_errors import SensorErrors, draw_node_errors
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
 from ingest.simulator.track import Surface, TrackRecipe, TrackTruth, from_zero, make_track, read_track
 
@@ -122,11 +122,6 @@ def seen_from_ahead(scenario: Scenario, vehicle: VehiclePlan) -> tuple[Scenario,
     return replace(scenario, vehicles=others), turned
 
 
-def as_measured(values: FloatArray) -> FloatArray:
-    """Return what the nodes measure (n, 4) of a motion in the axes of travel."""
-    return values * TURNED
-
-
 def _turned(wheelset: WheelsetPlan) -> WheelsetPlan:
     return replace(
         wheelset,
@@ -184,22 +179,17 @@ def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, cam
         distance = travelled(speed, -LEAD_IN)
         end = scenario.section.recipe.length + vehicle.axle_offsets[-1] + RUN_OUT
         count = int(np.searchsorted(distance, end)) + 1
-        return _run(scenario, vehicle, campaign, speed[:count], distance[:count])
-    run = float(travelled(speed, 0.0)[-1])
-    first = float(track.s[0]) + vehicle.axle_offsets[-1] + 1.0 + scenario.position.largest_offset
-    room = float(track.s[-1]) - 1.0 - first - run
-    if room < 0.0:
-        raise ScenarioError(
-            f"campaign {campaign + 1} of {vehicle.code} needs {run:.0f} m, the section has {track.length:.0f} m",
-            field="sessions.minutes_each",
-        )
-    distance = travelled(speed, first + min(room, scenario.sessions.start_within) * float(rng.uniform()))
-    return _run(scenario, vehicle, campaign, speed, distance)
-
-
-def _run(
-    scenario: Scenario, vehicle: VehiclePlan, campaign: int, speed: FloatArray, distance: FloatArray
-) -> VehicleRun:
+        speed, distance = speed[:count], distance[:count]
+    else:
+        run = float(travelled(speed, 0.0)[-1])
+        first = float(track.s[0]) + vehicle.axle_offsets[-1] + 1.0 + scenario.position.largest_offset
+        room = float(track.s[-1]) - 1.0 - first - run
+        if room < 0.0:
+            raise ScenarioError(
+                f"campaign {campaign + 1} of {vehicle.code} needs {run:.0f} m, the section has {track.length:.0f} m",
+                field="sessions.minutes_each",
+            )
+        distance = travelled(speed, first + min(room, scenario.sessions.start_within) * float(rng.uniform()))
     if runs_rear_first(scenario, campaign):
         distance = distance - length_ahead(vehicle)  # the reference is at the other end of the train
     return VehicleRun(
@@ -243,7 +233,7 @@ def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: Whee
     offsets = draw_offsets(scenario.sensors, generator(scenario.seed, Stream.OFFSETS, order, axle))
     rng = generator(scenario.seed, Stream.SENSOR, order, axle, run.campaign)
     errors = None
-    if not scenario.sensors.errors.none:
+    if scenario.sensors.errors != SensorErrors():
         node = generator(scenario.seed, Stream.NODE_ERRORS, order, axle)
         temperature = generator(scenario.seed, Stream.TEMPERATURE, order, axle, run.campaign)
         errors = draw_node_errors(scenario.sensors.errors, node, temperature)

@@ -22,7 +22,7 @@ from estimation.values.registry import MAX_AXLES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, GRAVITY, Arrangement, BogieParameters, VehicleParameters
 from ingest.file_value import FileBeside, IncreasingPlaces, Inline, between, taken
 from ingest.input_file import NotNegative, Positive, Text, field_error
-from ingest.simulator.drawn_plan import DrawnFleet, ProfilePair, WearDistribution
+from ingest.simulator.drawn_plan import DrawnFleet, ProfilePair, Wear, WearDistribution
 from ingest.simulator.scenario import (
     Fault,
     Scenario,
@@ -209,7 +209,6 @@ def _wheel_files(pair: ProfilePair, seed: int, rank: int) -> SideFiles:
 ROUNDING = 1e-3  # m, of axle offsets
 FLANGE_SHARE = 0.6
 Rate = Annotated[float, between(0.0, 20.0), FileUnit("_mm_per_100000_km", 1e-3 / 1e8)]
-Wear = Annotated[float, between(0.0, 5.0), MM]
 
 
 def impossible_bogies(offsets: Sequence[float], wheelbase: float) -> str | None:

@@ -32,7 +32,7 @@ from ingest.simulator.axle_motion import (
 )
 from ingest.simulator.bus_frames import vehicle_frames
 from ingest.simulator.campaign import (
-    as_measured,
+    TURNED,
     failed,
     length_ahead,
     runs_rear_first,
@@ -259,7 +259,7 @@ def _group(
         for found, axle, motion, works in zip(records, group, motions, working, strict=True):
             if works:
                 record = wheelset_record(scenario, run, axle, motion)
-                found[campaign] = replace(record, values=as_measured(record.values)) if back else record
+                found[campaign] = replace(record, values=record.values * TURNED) if back else record
     truths = (true_geometry(scenario, *pair) for pair in zip(wheelsets, contacts, strict=True))
     return [_Axle(*pair) for pair in zip(records, truths, strict=True)]
 

@@ -72,10 +72,16 @@ class GearConstants(NamedTuple):
 
 
 class Wheels(NamedTuple):
-    """Out-of-roundness of the wheels of two axles: left and right wheel of the first, then of the second."""
+    """Out-of-roundness of the wheels of two axles: left and right wheel of the first, then of the second.
+
+    Their radii vary once per revolution.
+    """
 
     amplitude: tuple[float, float, float, float]  # m
-    phase: tuple[float, float, float, float]  # rad
+    phase: tuple[float, float, float, float]  # rad, where the run begins to count distance
+
+
+ROUND = Wheels((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
 
 
 class GearOnTrack(NamedTuple):

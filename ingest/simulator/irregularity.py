@@ -1,12 +1,9 @@
 """An irregularity of the track as a sum of parts, each with its band of wavelengths and its standard deviation.
 
-Track irregularities from power spectral densities: the German / ERRI B176 forms, by random phases.
-
-Densities are one-sided over angular wavenumber W (rad/m): the variance is their integral over W > 0. Recorded lines
-have far more gauge variation than the German gauge spectrum gives, so the level is set by standard deviation and
-only the *form* is taken from the spectrum. Random phases make the values Gaussian; ``kurtosis`` changes that.
-
-Irregularities that are not Gaussian: more kurtosis at the same spectrum and standard deviation.
+Its form is that of the German / ERRI B176 power spectral densities, by random phases. They are one-sided over angular
+wavenumber W (rad/m): the variance is their integral over W > 0. Recorded lines have far more gauge variation than the
+German gauge spectrum gives, so the level is set by standard deviation and only the *form* is taken from the spectrum.
+Random phases make the values Gaussian; ``kurtosis`` changes that.
 
 Recorded lines have a kurtosis of 6 to 9 where random phases give 3. An irregularity is changed by iteration between
 two demands (amplitude-adjusted surrogates, Schreiber and Schmitz, Phys. Rev. Lett. 77 (1996) 635): its values, in their
@@ -40,16 +37,16 @@ Irregularity = Literal["alignment", "gauge"]
 CRITICAL_WAVENUMBER = 0.8246  # Wc, rad/m
 LOW_WAVENUMBER = 0.0206  # Wr, rad/m
 GAUGE_WAVENUMBER = 0.4380  # Ws, rad/m
-ALIGNMENT_LEVEL = {"low": 2.119e-7, "high": 6.125e-7}  # A, m2 rad/m
+ALIGNMENT_LEVEL = 2.119e-7  # A of the low level, m2 rad/m
 
 
-def density(kind: Irregularity, wavenumber: FloatArray, level: float = ALIGNMENT_LEVEL["low"]) -> FloatArray:
+def density(kind: Irregularity, wavenumber: FloatArray) -> FloatArray:
     """Return the one-sided power spectral density (n,), m2/(rad/m), of an irregularity.
 
     Alignment: S = A Wc^2 / ((W^2 + Wr^2)(W^2 + Wc^2)). Gauge, as cross level: the same times W^2 / (W^2 + Ws^2).
     """
     w2 = np.asarray(wavenumber, dtype=np.float64) ** 2
-    S = level * CRITICAL_WAVENUMBER**2 / ((w2 + LOW_WAVENUMBER**2) * (w2 + CRITICAL_WAVENUMBER**2))
+    S = ALIGNMENT_LEVEL * CRITICAL_WAVENUMBER**2 / ((w2 + LOW_WAVENUMBER**2) * (w2 + CRITICAL_WAVENUMBER**2))
     return S * w2 / (w2 + GAUGE_WAVENUMBER**2) if kind == "gauge" else S
 
 

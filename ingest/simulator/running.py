@@ -25,7 +25,6 @@ from typing import Annotated, NamedTuple, Self
 import numpy as np
 from annotated_types import Interval
 
-from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from estimation.values.fields import MM, PERCENT, FileDefault, Key, M
 from ingest.file_value import Counted, between, written
@@ -79,16 +78,6 @@ class Creep:
     slip: Annotated[Share, Key("slip_factor")] = 1.0  # kS
     residual: Annotated[Share, Key("sliding_friction_share")] = 1.0  # A
     decay: Annotated[NotNegative, Key("sliding_decay_s_m")] = 0.0  # B, s/m
-
-    def __post_init__(self) -> None:
-        positive = (("friction", self.friction), ("adhesion", self.adhesion), ("slip", self.slip))
-        for name, value in (*positive, ("residual", self.residual)):
-            if not (math.isfinite(value) and 0.0 < value <= 1.0):
-                raise ParameterError(f"{value!r} is not above 0 and at most 1", field=name)
-        if self.slip > self.adhesion:
-            raise ParameterError(f"{self.slip:g} is above that of adhesion, {self.adhesion:g}", field="slip")
-        if not (math.isfinite(self.decay) and self.decay >= 0.0):
-            raise ParameterError(f"{self.decay!r} is not a possible value", field="decay")
 
     def constants(self) -> CreepConstants:
         """Return the law as the compiled loop takes it."""

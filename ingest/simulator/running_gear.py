@@ -22,6 +22,7 @@ from ingest.simulator.gear_rates import (
     GEAR_OUTPUTS,
     GEAR_STATES,
     PATH,
+    ROUND,
     GearConstants,
     GearOnTrack,
     Wheels,
@@ -96,14 +97,6 @@ ROLLING_LIMIT = 2.0  # as RATE_LIMIT, of the wheels' angular velocity: it follow
 
 
 @dataclass(frozen=True, slots=True)
-class Wheel:
-    """How far a wheel is from a circle: its radius varies once per revolution."""
-
-    amplitude: float = 0.0  # m
-    phase: float = 0.0  # rad, where the run begins to count distance
-
-
-@dataclass(frozen=True, slots=True)
 class RunningGear:
     """One or two wheelsets with what is above them, and how their wheels roll.
 
@@ -115,7 +108,7 @@ class RunningGear:
     parameters: VehicleParameters
     bogie: BogieParameters | None = None
     creep: Creep = field(default_factory=Creep)
-    wheels: tuple[tuple[Wheel, Wheel], ...] = ()  # left and right of each axle; empty: round
+    wheels: Wheels = ROUND
     nominal_radii: tuple[float, ...] = ()  # m, of each axle; empty: those of ``parameters``
     traction: tuple[float, ...] | None = None
     braking: tuple[float, ...] | None = None
@@ -179,12 +172,10 @@ class RunningGear:
 
 
 def _on_track(gear: RunningGear, tables: Sequence[PreparedTable], track: TrackTruth) -> GearOnTrack:
-    axles = gear.wheels or ((Wheel(), Wheel()),)
-    (a, b), (c, d) = axles[0], axles[-1]
     return GearOnTrack(
         gear.constants(),
         gear.creep.constants()._replace(free_rolling=gear.free_rolling),
-        Wheels((a.amplitude, b.amplitude, c.amplitude, d.amplitude), (a.phase, b.phase, c.phase, d.phase)),
+        gear.wheels,
         (tables[0].nodes, tables[-1].nodes),
         (tables[0].grid(track), tables[-1].grid(track)),
         track.spline_coefficients(),

@@ -25,9 +25,6 @@ LEAST_RUN = 5.0  # of an inclination 1 in so many
 
 SideFiles = tuple[Path | None, Path | None]  # files of the left and of the right profile; None: the built-in one
 
-SideMirrors = tuple[bool | None, bool | None]
-"""Of left and right rail: whether the gauge side is at positive y of the file; None: the shape shows it."""
-
 
 def known(look_up: Callable[[str], Profile]) -> AfterValidator:
     """Return the check that a profile of a name is built in."""
@@ -88,7 +85,7 @@ class RailFiles:
         return self.rail_file or self.rail_left_file, self.rail_file or self.rail_right_file
 
     @property
-    def rail_mirrors(self) -> SideMirrors:
+    def rail_mirrors(self) -> tuple[bool | None, bool | None]:
         """Whether the gauge side is at positive y of the file, of left and right rail; None: the shape shows it."""
         if self.rail_file is not None:
             return self.rail_file_mirror, self.rail_file_mirror
@@ -179,18 +176,6 @@ class SectionPlan(RailFiles):
     def file_inclination(self) -> float:
         """The inclination given to rails of which one or both are from files, as a tangent."""
         return self.inclination if self.built_inclination is None else self.built_inclination
-
-    @property
-    def stated_alignment_std(self) -> float:
-        """Standard deviation of the alignment that is on file, as the registry states it, m."""
-        stated = self.survey.stated_alignment_std
-        return self.survey_alignment_std if stated is None else stated
-
-    @property
-    def stated_gauge_std(self) -> float:
-        """The same of the gauge deviation, m."""
-        stated = self.survey.stated_gauge_std
-        return self.survey_gauge_std if stated is None else stated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -49,11 +49,6 @@ class SensorErrors:
     scale_drift: float = 0.0  # relative, from begin to end of a campaign, per channel
     vibration: Vibration | None = None
 
-    @property
-    def none(self) -> bool:
-        """Whether there are none."""
-        return self == SensorErrors()
-
 
 @dataclass(frozen=True, slots=True)
 class NodeErrors(FrozenArrays):

@@ -18,7 +18,6 @@ import numpy as np
 import scipy.signal
 from pydantic import AfterValidator
 
-from estimation.errors import ParameterError
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.fields import MS, PERCENT, FileUnit, Key
 from estimation.values.windows import ACCELERATIONS
@@ -75,10 +74,6 @@ class SensorNode:
     errors: SensorErrors = field(default_factory=SensorErrors)
     measures_gravity: bool = False
     on_mass: bool = True  # whether there is a sensor on the suspended mass
-
-    def __post_init__(self) -> None:
-        if self.rate_hz <= 0 or FULL_RATE_HZ % self.rate_hz:
-            raise ParameterError(f"{self.rate_hz} Hz does not divide {FULL_RATE_HZ} Hz", field="rate_hz")
 
     @property
     def channels(self) -> tuple[Channel, Channel, Channel, Channel]:

@@ -170,9 +170,11 @@ def _section(section: SectionPlan, length: float, track_file: str) -> JsonValue:
         entry["tonnage_mgt_per_year"] = section.tonnage
     if section.surveyed or section.gauge_surveyed:
         known: dict[str, JsonValue] = {"file": track_file}
+        alignment_std, gauge_std = section.survey.stated_alignment_std, section.survey.stated_gauge_std
         if section.surveyed:
-            known["alignment_std_mm"] = 1e3 * section.stated_alignment_std
-        entry["alignment"] = known | {"gauge_deviation_std_mm": 1e3 * section.stated_gauge_std}
+            known["alignment_std_mm"] = 1e3 * (section.survey_alignment_std if alignment_std is None else alignment_std)
+        known["gauge_deviation_std_mm"] = 1e3 * (section.survey_gauge_std if gauge_std is None else gauge_std)
+        entry["alignment"] = known
     return entry
 
 

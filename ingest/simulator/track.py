@@ -64,10 +64,6 @@ class Curve:
             raise field_error(f"{self.length:g} m is no longer than both transitions", "length_m")
         return self
 
-    def __post_init__(self) -> None:
-        if not (self.radius and self.transition > 0 and self.length > 2 * self.transition):
-            raise ParameterError("a curve needs a radius and more length than its two transitions", field="curves")
-
 
 @dataclass(frozen=True, slots=True)
 class Curves(FrozenArrays):
@@ -257,11 +253,11 @@ def _irregularity(
         raise ParameterError(error.reason, field=field) from error
 
 
-def read_track(path: Path, interval: float | None = None) -> TrackTruth:
+def read_track(path: Path) -> TrackTruth:
     """Read a recorded track (CSV with header ``s_m, alignment_mm, gauge_deviation_mm``, and curves where it has them).
 
-    Distances must increase; uneven spacing is resampled by cubic spline every ``interval`` m (the median spacing
-    by default). Gaps of more than 2 m and values in another unit are refused.
+    Distances must increase; uneven spacing is resampled by cubic spline at the median spacing. Gaps of more than 2 m
+    and values in another unit are refused.
     """
     try:
         table = read_track_columns(path)
@@ -270,7 +266,7 @@ def read_track(path: Path, interval: float | None = None) -> TrackTruth:
         raise ScenarioError(error.reason, file=error.file, line=error.line, field=error.field) from error
     s = table[:, 0]
     _check_recorded(path, table)
-    spacing = float(np.median(np.diff(s))) if interval is None else interval
+    spacing = float(np.median(np.diff(s)))
     grid = s[0] + spacing * np.arange(math.floor((s[-1] - s[0]) / spacing * (1 + 1e-12)) + 1)
     if len(grid) < FEWEST_POINTS:
         raise ScenarioError(f"{len(grid)} points are no track", file=path, field="s_m")

@@ -20,7 +20,6 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import SHIPPED, estimators
 from estimation.estimators.interface import (
     EstimatorParameters,
-    PublishedBins,
     Replicates,
     curve_estimate,
     geometry_from_curve,
@@ -150,9 +149,9 @@ def test_errors_are_those_of_the_amplitudes_that_are_estimated() -> None:
     x = np.linspace(-2.1e-3, 2.1e-3, 85)
     curve = Replicates(x, 0.44 * x, np.empty((0, 85)), 0.45 * x[None], 100, 1)
     parameters = EstimatorParameters(curve=replace(EstimatorParameters().curve, amplitudes=(0.5e-3, *AMPLITUDES)))
-    bins = PublishedBins(BinParameters().edges, "key")
-    samples = np.zeros(len(bins.edges) - 1)
-    found = geometry_from_curve(curve_estimate(curve, parameters), parameters, samples, bins)
+    edges = BinParameters().edges
+    samples = np.zeros(len(edges) - 1)
+    found = geometry_from_curve(curve_estimate(curve, parameters), parameters, samples, edges, "key")
     compared = conicity_errors(found, truth())
     assert [item is None for item in compared] == 5 * [False] + 4 * [True]  # 1.0 to 2.0 mm; the curve ends at 2.1
     assert [item[0] for item in compared if item] == pytest.approx([0.02] * 5, rel=1e-3)

@@ -44,9 +44,10 @@ from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
 from ingest.catalogue import default_catalogue
 from ingest.codec import decode, encode
 from ingest.frames import batch_of, concatenate
+from ingest.simulator.gear_rates import Wheels
 from ingest.simulator.motion import simulate_wheelset
 from ingest.simulator.running import Creep, CreepLaw
-from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import Curves, Surface, TrackTruth
 
 Results = dict[str, list[FloatArray]]
@@ -119,7 +120,7 @@ def _bin_tables() -> Iterator[FloatArray]:
         cells = fill_cells(motion, parameters)
         yield from (cells.weight, cells.lateral, cells.yaw)
         equations = regression(motion, parameters.vehicle)
-        yield from (equations.lateral_targets, equations.yaw_targets)
+        yield equations.yaw_targets
     yield group_of(block, 16).astype(float)
 
 
@@ -227,7 +228,7 @@ def _running_gears() -> Iterator[FloatArray]:
     track = TrackTruth(s, 2e-3 * np.sin(s / 2.0), 1e-3 * np.cos(s / 3.0), curves, surface)
     speed, cones = np.concatenate([np.zeros(4), np.linspace(0.0, 12.0, 40)]), Cones(np.zeros(1))
     bogie = BogieParameters(2.5, frame_mass=2e3, frame_yaw_inertia=2e3, body_mass=1e4)
-    wheels = ((Wheel(1e-4, 1.0), Wheel()),) * 2
+    wheels = Wheels((1e-4, 0.0) * 2, (1.0, 0.0) * 2)
     for law in CreepLaw:
         gear = RunningGear(VehicleParameters(), bogie, Creep(law), wheels, traction=(1.0, 1.0), braking=(1.0, 1.0))
         for motion in simulate_gear(gear, [cones, cones], track, speed, 5.0):

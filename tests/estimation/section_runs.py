@@ -8,10 +8,10 @@ from functools import cache
 
 import numpy as np
 from smooth_wheelset import SmoothTable, mems_windows, run, track
+from window_passes import window_passes
 
 from estimation.jobs.settings import EstimationSettings
-from estimation.motion.integration import SignalParameters
-from estimation.track.passes import Pass, passes
+from estimation.track.passes import Pass
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
@@ -52,7 +52,7 @@ def made(found: Sequence[Window], *, mounted_reversed: bool = False) -> list[Pas
     return [
         item
         for window in found
-        for item in passes(window, VehicleParameters(), SignalParameters(), mounted_reversed=mounted_reversed)
+        for item in window_passes(window, VehicleParameters(), mounted_reversed=mounted_reversed)
     ]
 
 

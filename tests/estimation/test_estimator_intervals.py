@@ -16,7 +16,6 @@ from estimation.estimators.interface import (
     CurveEstimate,
     Estimator,
     EstimatorParameters,
-    PublishedBins,
     geometry_from_curve,
     nothing,
 )
@@ -86,8 +85,6 @@ def test_the_paper_with_too_few_blocks_states_no_interval() -> None:
 def test_a_geometry_without_a_curve_gives_the_curves_own_reason() -> None:
     parameters, edges = EstimatorParameters(), np.linspace(-5e-3, 5e-3, 21)
     diverged = Reason(ReasonCode.DIVERGED, "the filter has diverged in 9 of 9 blocks of running")
-    found = geometry_from_curve(
-        nothing(diverged, parameters, 100, 3), parameters, np.zeros(20), PublishedBins(edges, "k")
-    )
+    found = geometry_from_curve(nothing(diverged, parameters, 100, 3), parameters, np.zeros(20), edges, "k")
     assert found.reason == found.equivalent_conicity.reason == diverged
     assert found.status is Status.UNESTIMATED

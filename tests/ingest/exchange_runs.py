@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import firwin
 
+from bench.wheelset_motion import wheelset_motion
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
 from estimation.vehicle.vehicle_class import SensorLayout
-from ingest.simulator.axle_motion import wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.motion import STEP
 from ingest.simulator.scenario_file import read_scenario

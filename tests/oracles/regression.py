@@ -2,19 +2,47 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Motion
-from estimation.vehicle.regressors import Regression, angle_difference_factor
+from estimation.vehicle.regressors import (
+    LATERAL_TARGETS,
+    Regression,
+    angle_difference_factor,
+    coefficients,
+    lateral_equation,
+    signals_of,
+)
+from estimation.vehicle.regressors import regression as yaw_regression
 from estimation.vehicle.vehicle_class import VehicleParameters
+
+
+@dataclass(frozen=True, slots=True)
+class BothEquations(Regression):
+    """Regressors and targets of Eq. 1 and Eq. 2 for n samples."""
+
+    lateral: FloatArray  # (n, 2) x1, x2
+    lateral_targets: FloatArray  # (n, 7)
+
+
+def both_equations(
+    motion: Motion, parameters: VehicleParameters, difference_noise: float = 0.0, wheelbase: float = 1.0
+) -> BothEquations:
+    """Return regressors and targets of both equations as the product has them."""
+    signals, k = signals_of(motion), coefficients(motion, parameters, difference_noise, wheelbase)
+    lateral = np.empty((len(motion), 2 + len(LATERAL_TARGETS)))
+    for i, row in enumerate(lateral):
+        lateral_equation(signals, k, i, row)
+    of_yaw = yaw_regression(motion, parameters, difference_noise, wheelbase)
+    return BothEquations(of_yaw.yaw, of_yaw.yaw_targets, lateral[:, :2], lateral[:, 2:])
 
 
 def regression(
     motion: Motion, parameters: VehicleParameters, difference_noise: float = 0.0, wheelbase: float = 1.0
-) -> Regression:
+) -> BothEquations:
     """Return regressors and targets of Eq. 1 and Eq. 2 for every sample, as the product's own does."""
     f11 = parameters.longitudinal_creep_coefficient / motion.stiffness_ratio
     p = replace(parameters, longitudinal_creep_coefficient=f11)
@@ -53,9 +81,7 @@ def regression(
             (p.yaw_stiffness / wheelbase) * motion.frame_displacement,
             _moment_of_roll(motion, p),
         ]
-    return Regression(
-        np.column_stack([x1, x2]),
-        np.column_stack([z1, (2 * f22 / V) * rolling_slip, spin, inertia, weight, spring, damper]),
+    return BothEquations(
         np.column_stack([*first, c]),
         np.column_stack(
             [
@@ -63,6 +89,8 @@ def regression(
                 *(c * difference_noise / V**3, c * motion.displacement_noise),
             ]
         ),
+        np.column_stack([x1, x2]),
+        np.column_stack([z1, (2 * f22 / V) * rolling_slip, spin, inertia, weight, spring, damper]),
     )
 
 

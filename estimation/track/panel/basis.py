@@ -10,7 +10,7 @@ the filter's weights at these alone, instead of filtering every function over th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Annotated, Any, TypeVar
@@ -353,7 +353,11 @@ def _extended(sums: npt.NDArray[Precision], axis: int, new: int) -> npt.NDArray[
 
 def _add(sums: PanelState, w: int, rows: PassRows, weight: float) -> None:
     at, y, R = rows.points, rows.displacement, rows.difference
-    for group, B_there, y_there in _by_block(rows, sums.panel):
+    block = _block_of(at, sums.panel)
+    ends = np.flatnonzero(np.diff(block)) + 1
+    for start, end in pairwise((0, *ends.tolist(), len(block))):
+        group = int(block[start]) % sums.panel.parameters.groups
+        B_there, y_there = rows.design[:, start:end], y[start:end]
         sums.gram[group, w] += weight * (B_there @ B_there.T)
         sums.cross[group, w] += weight * (B_there @ y_there)
         sums.square[group] += weight * (y_there @ y_there)
@@ -363,14 +367,6 @@ def _add(sums: PanelState, w: int, rows: PassRows, weight: float) -> None:
     sums.count[at] += 1
     sums.difference[0, at] += weight * R
     sums.difference[1, at] += weight * R * R
-
-
-def _by_block(rows: PassRows, panel: Panel) -> Iterator[tuple[int, npt.NDArray[np.float32], FloatArray]]:
-    block = _block_of(rows.points, panel)
-    ends = np.flatnonzero(np.diff(block)) + 1
-    for start, end in pairwise((0, *ends.tolist(), len(block))):
-        group = int(block[start]) % panel.parameters.groups
-        yield group, rows.design[:, start:end], rows.displacement[start:end]
 
 
 def groups_of(at: IntArray, panel: Panel) -> IntArray:

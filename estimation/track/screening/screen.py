@@ -117,11 +117,6 @@ class Comparison:
     reason: Reason | None
     link: Link
 
-    @property
-    def agrees(self) -> bool:
-        """Whether both may be of one place."""
-        return self.reason is None
-
 
 def compare_pairs(
     filtered: Mapping[int, FilteredPass], journey_of: IntArray, p: ScreeningParameters
@@ -131,15 +126,13 @@ def compare_pairs(
     The cost is linear in the number of passes. Those of one journey (``journey_of`` (n,)) share their errors.
     """
     pairs = {(min(i, j), max(i, j)) for i in filtered for j in _peers(i, filtered, journey_of, p.peers)}
-    comparisons = (_compare(i, j, filtered, p) for i, j in sorted(pairs))
-    return [one for one in comparisons if one is not None]
-
-
-def _compare(i: int, j: int, filtered: Mapping[int, FilteredPass], p: ScreeningParameters) -> Comparison | None:
-    found = agreement(filtered[i], filtered[j], p.positions.largest_offset, p.cutoff_wavelength)
-    if found.samples < p.least_samples and found.log10_chance > p.log10_chance:
-        return None
-    return Comparison(i, j, disagreement(found, 1.0, p, "other passes of the place"), Link(i, j, found.shift))
+    comparisons = []
+    for i, j in sorted(pairs):
+        found = agreement(filtered[i], filtered[j], p.positions.largest_offset, p.cutoff_wavelength)
+        if found.samples >= p.least_samples or found.log10_chance <= p.log10_chance:
+            reason = disagreement(found, 1.0, p, "other passes of the place")
+            comparisons.append(Comparison(i, j, reason, Link(i, j, found.shift)))
+    return comparisons
 
 
 def _peers(i: int, filtered: Mapping[int, FilteredPass], journey_of: IntArray, wanted: int) -> list[int]:
@@ -201,7 +194,7 @@ def _camps(comparisons: Sequence[Comparison], count: int) -> IntArray:
         return i
 
     for c in comparisons:
-        if c.agrees:
+        if c.reason is None:
             first, second = sorted((head(c.first), head(c.second)))
             camp[second] = first
     return np.array([head(i) for i in range(count)], dtype=np.int64)
@@ -209,14 +202,10 @@ def _camps(comparisons: Sequence[Comparison], count: int) -> IntArray:
 
 @dataclass(frozen=True, slots=True)
 class Screened:
-    """The passes that may be used, and what became of all of them in the order given.
-
-    ``known_contradicted``: most passes contradict the known alignment; then it was left out of the judgement.
-    """
+    """The passes that may be used, and what became of all of them in the order given."""
 
     used: tuple[Pass, ...]
     outcomes: tuple[PassOutcome, ...]
-    known_contradicted: bool
 
 
 def screen(
@@ -235,7 +224,7 @@ def screen(
     }
     filtered = {i: one for i, one in enumerate(signals) if one is not None}
     agreed, contradicting = _against_known(filtered, known, p)
-    known_contradicted = len(contradicting) > len(agreed)
+    known_contradicted = len(contradicting) > len(agreed)  # by most passes: it is left out of the judgement
     if not known_contradicted:
         refused |= contradicting
     grouped = journeys(passes, p.positions).values()
@@ -244,7 +233,7 @@ def screen(
     comparable = {i: one for i, one in filtered.items() if i not in refused}
     comparisons = compare_pairs(comparable, journey_of, p)
     refused |= minority(comparisons, journey_of, frozenset() if known_contradicted else agreed)
-    links = [c.link for c in comparisons if c.agrees and not {c.first, c.second} & refused.keys()]
+    links = [c.link for c in comparisons if c.reason is None and not {c.first, c.second} & refused.keys()]
     middle = np.array([0.5 * (item.at[0] + item.at[-1]) for item in passes])
     for i, apart in misplaced(links, journey_of, middle, p.misplaced).items():
         refused[i] = Reason(
@@ -255,11 +244,7 @@ def screen(
         status = PassStatus.REFUSED if i in refused else PassStatus.USED
         status = status if i in filtered else PassStatus.TOO_SHORT
         outcomes.append(PassOutcome(item.wheelset, item.vehicle, item.start_ns, status, refused.get(i)))
-    return Screened(
-        tuple(item for i, item in enumerate(passes) if i not in refused),
-        tuple(outcomes),
-        known_contradicted,
-    )
+    return Screened(tuple(item for i, item in enumerate(passes) if i not in refused), tuple(outcomes))
 
 
 def _against_known(

@@ -30,7 +30,7 @@ def journey(begin_ns: int, windows: int, wheelset: str = "W", vehicle: str = "V"
 
 def first(entries: Sequence[Entry], most_windows: int = 480, most_wheelsets: int = 48) -> Group:
     ordered = sorted(entries, key=lambda one: (one[0].start_ns, one[0].wheelset))
-    return first_epoch(ordered, most_windows, most_wheelsets)
+    return first_epoch(ordered, most_windows, most_wheelsets, PartitionParameters())
 
 
 def test_the_limits_are_these() -> None:

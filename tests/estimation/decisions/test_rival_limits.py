@@ -10,7 +10,7 @@ import pytest
 from smooth_wheelset import ideal, run
 
 from estimation.estimators import block_filters, series
-from estimation.estimators.block_filters import Inputs, Posterior, Prior, filtered, start
+from estimation.estimators.block_filters import BlockFilters, Inputs, Posterior, Prior
 from estimation.estimators.hidden_displacement import stepped
 from estimation.estimators.interface import (
     CELLS,
@@ -28,9 +28,26 @@ from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import Motion
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 SURE = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
-PRIOR = Prior(np.zeros(2), np.ones(2))
+
+
+class Noting(BlockFilters):
+    """A filter of a line that notes the noise that it is given."""
+
+    prior = Prior(np.zeros(2), np.ones(2))
+
+    def __init__(self) -> None:
+        self.noises: list[float] = []
+
+    def basis(self, x: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.ones(len(x)), x])
+
+    def filter_block(self, vehicle: VehicleParameters, inputs: Inputs, noise: float) -> Posterior:
+        del vehicle, inputs
+        self.noises.append(noise)
+        return Posterior(np.zeros(2), np.eye(2), 1.0)
 
 
 @cache
@@ -40,12 +57,6 @@ def motion() -> Motion:
 
 def blocks(samples: int, alignment: float = 0.0, sensors: float = 0.0) -> tuple[int, list[float]]:
     """Return how many blocks are filtered of one that a filter takes so many samples of, and the noise it is given."""
-    noises: list[float] = []
-
-    def noting(_: Inputs, noise: float) -> Posterior:
-        noises.append(noise)
-        return Posterior(np.zeros(2), np.eye(2), 1.0)
-
     parameters = replace(SURE, uncertainty=replace(SURE.uncertainty, alignment_noise=alignment))
     stride = max(round(block_filters.STEP_S / motion().sample_interval_s), 1)
     first = np.arange(len(motion())) < 1 + stride * (samples - 1)
@@ -55,11 +66,8 @@ def blocks(samples: int, alignment: float = 0.0, sensors: float = 0.0) -> tuple[
         block=np.zeros(len(motion()), dtype=np.int64),
         displacement_noise=sensors**2,
     )
-
-    def basis(x: np.ndarray) -> np.ndarray:
-        return np.column_stack([np.ones(len(x)), x])
-
-    return filtered(start(parameters, 2), one, basis, PRIOR, noting, 1.0).blocks, noises
+    noting = Noting()
+    return noting.update(noting.init(parameters), one).blocks, noting.noises
 
 
 @pytest.mark.parametrize(("samples", "of_it"), [(99, 0), (100, 1)])

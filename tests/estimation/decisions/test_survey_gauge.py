@@ -11,6 +11,7 @@ from gauge_passes import LENGTH, Section, passes, section
 from test_survey_limits import D, N, track
 from test_update_limits import CERTAIN, FLEET, OFF, RIGHT, SHIFT, WRONG, Solved, epoch
 
+from estimation.track import survey_check
 from estimation.track.gauge.wheel_functions import contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import PanelParameters
@@ -68,7 +69,10 @@ def judged(limits: GaugeLimits | None = None, gauge: FloatArray | None = None, *
     """Return the code for the right gauge, with something of the rounds changed."""
     iterated = replace(right(), **changes)  # type: ignore[arg-type]
     on_file = survey(place().gauge if gauge is None else gauge)
-    return code_of(judge_gauge(iterated, on_file, converged=True, limits=limits))
+    with pytest.MonkeyPatch.context() as patch:
+        if limits is not None:
+            patch.setattr(survey_check, "GaugeLimits", lambda: limits)
+        return code_of(judge_gauge(iterated, on_file, converged=True))
 
 
 def test_a_right_gauge_is_used() -> None:
@@ -225,7 +229,7 @@ def test_a_refused_gauge_without_alignment_is_not_carried_on(
     alone: TrackAlignment | None, outcome: UpdateOutcome
 ) -> None:
     with_gauge = replace(CERTAIN, findings=SHIFT)
-    found = _without_surveyed_alignment(refusing(alone, with_gauge), GAUGE_ALONE)
+    found = _without_surveyed_alignment(refusing(alone, with_gauge), GAUGE_ALONE, survey_checked=False)
     assert (found.outcome, found.alignment, found.survey) == (outcome, alone, BAD)
     later = _without_surveyed_alignment(epoch(alone, with_gauge), GAUGE_ALONE, survey_checked=True)
     assert (later.outcome, later.alignment) == (outcome, alone)

@@ -249,7 +249,7 @@ def test_the_mirror_image_of_a_track_of_one_wavelength_is_called_so() -> None:
     place = 1e-3 * np.sin(2.0 * np.pi * s / 18.0 + 2.5 * ELSEWHERE / np.max(np.abs(ELSEWHERE)))
     passes = [replace(a_pass(k, place, start_ns=k), vehicle=f"V{k % 2}") for k in range(4)]
     survey = replace(prior(), alignment=place[200 : 200 + LENGTH + 1])
-    epoch = _Epoch("S", Screened(tuple(passes), (), known_contradicted=False), AlignmentSettings(section=P), None)
+    epoch = _Epoch("S", Screened(tuple(passes), ()), AlignmentSettings(section=P), None)
     for sign, code in ((1.0, ReasonCode.SURVEY_CONFIRMED), (-1.0, ReasonCode.SURVEY_MIRRORED)):
         turned = replace(survey, alignment=sign * survey.alignment)
         on_survey = epoch.weigh(turned)

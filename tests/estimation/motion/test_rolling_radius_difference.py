@@ -10,11 +10,11 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.signal import butter, sosfilt
 from smooth_wheelset import mems_windows, run
 from whole_runs import whole_runs
+from window_passes import window_passes
 
 from estimation.filters import high_pass, local_cubic_kernel
-from estimation.motion.integration import SignalParameters
 from estimation.motion.rolling_radius_difference import MotionSignals, _sampled, _shortest
-from estimation.track.passes import Pass, passes
+from estimation.track.passes import Pass
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import VehicleParameters
@@ -23,7 +23,7 @@ VEHICLE = VehicleParameters()
 
 
 def _pass(window: Window) -> Pass:
-    (found,) = passes(window, VEHICLE, SignalParameters())
+    (found,) = window_passes(window, VEHICLE)
     return found
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.regression import both_equations
 from oracles.regression import regression as plain_regression
 from same_values import same_values
 
@@ -16,7 +17,7 @@ from estimation.tables import bin_table
 from estimation.tables.bin_table import LATERAL_COLUMNS, NOISE, BinParameters, fill_cells, group_of
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.windows import OF_FRAME, Motion
-from estimation.vehicle.regressors import LATERAL_TARGETS, YAW_TARGET_COLUMNS, YAW_TARGETS, Signals, regression
+from estimation.vehicle.regressors import LATERAL_TARGETS, YAW_TARGET_COLUMNS, YAW_TARGETS, Signals
 from fleet_db.packed_values import pack_bin_table
 
 SINGLE = BinParameters(difference_noise=1e-9)
@@ -52,7 +53,7 @@ def plain_moments(motion: Motion, parameters: BinParameters) -> tuple[FloatArray
     index = np.where(inside, position, 0.0).astype(np.int64)
     u = position - index - 0.5
     cell = np.where(inside, plain_group(motion.block, parameters.groups) * bins + index, -1)
-    equations = regression(motion, parameters.vehicle, parameters.difference_noise, parameters.wheelbase or 1.0)
+    equations = both_equations(motion, parameters.vehicle, parameters.difference_noise, parameters.wheelbase or 1.0)
     x1, x2 = equations.lateral.T
     *first, c = equations.yaw.T
     targets = equations.yaw_targets.copy()
@@ -84,7 +85,7 @@ def test_filled_cells_have_the_sums_of_plain_arrays(seed: int, n: int, *, in_bog
 def test_equations_are_those_of_plain_arrays(seed: int, n: int, *, in_bogie: bool) -> None:
     motion = motion_of(seed, n, in_bogie=in_bogie)
     arguments = (motion, SINGLE.vehicle, 3e-9, 2.5)
-    found, expected = regression(*arguments), plain_regression(*arguments)
+    found, expected = both_equations(*arguments), plain_regression(*arguments)
     for name in ("lateral", "lateral_targets", "yaw", "yaw_targets"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-12, err_msg=name)
 

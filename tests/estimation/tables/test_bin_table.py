@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.regression import both_equations
 from same_values import same_values
 from smooth_wheelset import SmoothTable, ideal, run
 
@@ -32,7 +33,7 @@ def _slice(motion: Motion, part: slice) -> Motion:
 def test_the_equations_hold_on_the_true_geometry() -> None:
     """Regressors times the true S, D, A, R give the targets, sample by sample."""
     m = run(60)
-    eq = regression(ideal(m), VehicleParameters())
+    eq = both_equations(ideal(m), VehicleParameters())
     S, R = m.rolling_radius_left + m.rolling_radius_right, m.rolling_radius_left - m.rolling_radius_right
     A, D = m.contact_angle_left + m.contact_angle_right, m.contact_angle_left - m.contact_angle_right
     lateral = eq.lateral_targets[:, 0] - S * eq.lateral[:, 0] - D * eq.lateral[:, 1]
@@ -45,13 +46,13 @@ def test_the_equations_hold_on_the_true_geometry() -> None:
 def test_sensitivities_are_derivatives_by_the_logarithm_of_the_parameter() -> None:
     motion = ideal(run(20))
     p = VehicleParameters()
-    base = regression(motion, p)
+    base = both_equations(motion, p)
     h = 1e-6
     for column, name in ((4, "load"), (5, "lateral_stiffness"), (6, "lateral_damping"), (3, "wheelset_mass")):
-        moved = regression(motion, replace(p, **{name: getattr(p, name) * (1 + h)}))
+        moved = both_equations(motion, replace(p, **{name: getattr(p, name) * (1 + h)}))
         change = (moved.lateral_targets[:, 0] - base.lateral_targets[:, 0]) / h
         np.testing.assert_allclose(change, base.lateral_targets[:, column], rtol=1e-3, atol=1e-2)
-    moved = regression(motion, replace(p, yaw_stiffness=p.yaw_stiffness * (1 + h)))
+    moved = both_equations(motion, replace(p, yaw_stiffness=p.yaw_stiffness * (1 + h)))
     change = (moved.yaw_targets[:, 0] - base.yaw_targets[:, 0]) / h
     np.testing.assert_allclose(change, base.yaw_targets[:, 2], rtol=1e-3, atol=1e-2)
 

@@ -11,15 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from smooth_wheelset import SmoothTable, mems_windows, run, track
 from whole_runs import whole_runs
+from window_passes import window_passes
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
-from estimation.motion.integration import SignalParameters
 from estimation.track.gridded_pass import grid_pass
 from estimation.track.panel.basis import Panel, PanelParameters, PanelState, basis_functions, init, update
 from estimation.track.panel.solution import PanelSolution, result
-from estimation.track.passes import Pass, ProfileLife, gridded, passes
+from estimation.track.passes import Pass, ProfileLife, gridded
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.vehicle.vehicle_class import VehicleParameters
@@ -39,7 +39,7 @@ def fleet_passes(seed: int = 1, alike: bool = False) -> tuple[Pass, ...]:  # noq
         name = f"cone {cone}" + (f" {number}" if alike else "")
         found += [
             replace(item, life=ProfileLife(name), vehicle=f"{speed:g} m/s")
-            for item in passes(window, VehicleParameters(), SignalParameters())
+            for item in window_passes(window, VehicleParameters())
         ]
     return tuple(found)
 
@@ -80,7 +80,7 @@ def test_hats_add_up_to_one_and_reproduce_straight_lines(R: list[float]) -> None
 def test_the_radius_difference_of_a_pass_is_the_true_one() -> None:
     m = run(120, seed=1, cone=0.10, speed=20.0)
     window = mems_windows(m, seed=0, density=0.0)[0]
-    (found,) = passes(window, VehicleParameters(), SignalParameters())
+    (found,) = window_passes(window, VehicleParameters())
     weights = local_cubic_kernel(30.0, 0.5)
     first, _, difference = gridded(found, 0.5)
     grid = (first + np.arange(len(difference))) * 0.5

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_panel import PANEL, fleet_passes
 
-from estimation.track.gridded_pass import all_passes, place
+from estimation.track.gridded_pass import place
 from estimation.track.panel.basis import init, update
 from estimation.track.panel.solution import result
 from estimation.track.passes import Journey, Pass, PositionParameters, journeys
@@ -47,7 +47,7 @@ def test_offsets_and_scales_are_found_by_correlation_and_refined_by_the_panel() 
     assert np.abs(coarse).max() < 2.0
     for _ in range(4):
         placed = place(grouped, corrections, {}, PANEL.grid)
-        solution = result(update(init(PANEL), all_passes(placed)))
+        solution = result(update(init(PANEL), [item for one in placed.values() for item in one.passes]))
         corrections = refine(placed, solution, PANEL)
     fine = _left_over(corrections)
     assert np.sqrt((fine**2).mean()) < 0.1

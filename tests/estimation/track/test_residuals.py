@@ -10,10 +10,10 @@ import pytest
 from smooth_wheelset import SmoothTable, mems_windows, track
 from test_panel import PARAMETERS
 from whole_runs import whole_runs
+from window_passes import window_passes
 
 from estimation.filters import high_pass, local_cubic_kernel
-from estimation.motion.integration import SignalParameters
-from estimation.track.passes import Pass, ProfileLife, passes
+from estimation.track.passes import Pass, ProfileLife
 from estimation.track.section import LEAST_USUAL, USUAL_FACTOR, Residuals, SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters
 from estimation.vehicle.vehicle_class import VehicleParameters
@@ -38,7 +38,7 @@ def one_pass(name: str, cone: float, speed: float) -> tuple[Pass, ...]:
     (window,) = whole_runs(mems_windows(m, seed=ord(name[0])))
     return tuple(
         replace(item, life=ProfileLife(name), vehicle=f"V {name}")
-        for item in passes(window, VehicleParameters(), SignalParameters())
+        for item in window_passes(window, VehicleParameters())
     )
 
 

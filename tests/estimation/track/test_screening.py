@@ -111,7 +111,6 @@ def test_one_alone_and_nothing_are_left_to_the_panel() -> None:
 def test_an_alignment_that_most_contradict_does_not_decide() -> None:
     wrong = replace(KNOWN, alignment=KNOWN.alignment[::-1])
     screened = screen(list(valid_passes()), wrong)
-    assert screened.known_contradicted
     assert len(screened.used) == len(valid_passes())
 
 

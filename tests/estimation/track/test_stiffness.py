@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from smooth_wheelset import mems_windows, run
 from whole_runs import whole_runs
+from window_passes import window_passes
 
-from estimation.motion.integration import SignalParameters
 from estimation.track.gridded_pass import grid_pass, with_ratio
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
 from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.instrumental_slope import PRIOR_STD, SYSTEMATIC_STD, Ratio, with_ratio_std
-from estimation.track.passes import Pass, PositionParameters, journeys, passes
+from estimation.track.passes import Pass, PositionParameters, journeys
 from estimation.track.results import findings
 from estimation.vehicle.vehicle_class import VehicleParameters
 
@@ -34,7 +34,7 @@ def assumed_stiffness(share: float) -> tuple[Pass, ...]:
         vehicle = replace(truth, yaw_stiffness=share * truth.yaw_stiffness) if speed == SOFT else truth
         (window,) = whole_runs(mems_windows(run(120, seed=1, cone=cone, speed=speed), seed=10 + number))
         named = replace(window, wheelset=f"{cone} of {speed:g}", vehicle=f"{speed:g}")
-        found += passes(named, vehicle, SignalParameters())
+        found += window_passes(named, vehicle)
     return tuple(found)
 
 

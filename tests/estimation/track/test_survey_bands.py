@@ -106,7 +106,7 @@ def test_both_together_are_no_worse_than_the_better_one(std: float) -> None:
 
 def test_what_follows_the_motion_is_taken_off_the_passes_and_is_no_error_of_the_survey() -> None:
     made = posterior(0.1e-3, 0.1e-3, follows=0.1)
-    assert made.bands.coherent_std() == pytest.approx(0.12e-3, rel=0.25)
+    assert made.bands.coherent_std(120.0) == pytest.approx(0.12e-3, rel=0.25)
     assert made.bands.survey_std < 0.15e-3
     assert error(made.alignment.alignment) < 0.08e-3
 
@@ -140,7 +140,7 @@ def test_where_both_differ_more_than_elsewhere_neither_is_believed() -> None:
     tamped = np.where((np.arange(N) > 700) & (np.arange(N) < 900), waves(9, N, 3.0, 1e-3), 0.0)
     bands = survey_bands(found.iterated, replace(on_file, alignment=on_file.alignment + tamped), 0.02e-3)
     assert bands is not None
-    std = bands.posterior_std()
+    std = bands.posterior_std(120.0)
     assert np.median(std[750:850]) > 4.0 * np.median(std[300:600])
 
 

@@ -10,6 +10,7 @@ from smooth_wheelset import track
 from test_panel import PANEL, fleet_passes
 
 from estimation.filters import high_pass, local_cubic_kernel
+from estimation.track import survey_positions
 from estimation.track.gridded_pass import Placed, place
 from estimation.track.iteration import IterationParameters, iterate
 from estimation.track.panel.solution import PriorAlignment
@@ -86,8 +87,14 @@ def test_a_journey_whose_short_waves_say_nothing_stays_where_it_was() -> None:
     assert found is not None
     moves = [abs(found[journey].offset - one.correction.offset) for journey, one in on_grid.items()]
     assert max(moves) < 0.6
-    bold = positions_on_survey(on_grid, survey(), GRID, SurveyPositionParameters(place_std=100.0))
+    bold = searched_with(SurveyPositionParameters(place_std=100.0), on_grid)
     assert bold is None or max(abs(bold[j].offset - on_grid[j].correction.offset) for j in on_grid) > max(moves)
+
+
+def searched_with(parameters: SurveyPositionParameters, on_grid: Placed) -> dict[Journey, Correction] | None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(survey_positions, "SurveyPositionParameters", lambda: parameters)
+        return positions_on_survey(on_grid, survey(), GRID)
 
 
 def test_a_journey_too_short_to_say_anything_keeps_its_place() -> None:
@@ -101,13 +108,13 @@ def test_a_journey_too_short_to_say_anything_keeps_its_place() -> None:
 
 def test_a_journey_is_not_moved_to_another_wave_of_the_track() -> None:
     near = SurveyPositionParameters(farthest=1.0)
-    assert positions_on_survey(placed(moved(0.0)), survey(), GRID, near) is None
+    assert searched_with(near, placed(moved(0.0))) is None
     assert SurveyPositionParameters().farthest == 3.0
 
 
 def test_what_does_not_come_to_rest_is_not_found() -> None:
     once = SurveyPositionParameters(rounds=1)
-    assert positions_on_survey(placed(moved(0.0)), survey(), GRID, once) is None
+    assert searched_with(once, placed(moved(0.0))) is None
 
 
 def test_the_rounds_on_a_survey_end_at_these_positions() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bogie_run import COACH, SOFT, WHEELBASE, ideal_in_bogie, motions, wheelset
+from oracles.regression import both_equations
 from smooth_wheelset import SmoothTable, ideal, run, track
 
 from estimation.geometry.uncertainty import ParameterUncertainty
@@ -54,7 +55,7 @@ def test_the_stiffness_ratio_goes_with_one_over_the_creep_coefficient() -> None:
     """Softer creep and stiffer springs answer alike: the ratio means both."""
     motion = ideal(run(20))
     softer = replace(ASSUMED, longitudinal_creep_coefficient=ASSUMED.longitudinal_creep_coefficient / STIFFER)
-    ours, theirs = regression(replace(motion, stiffness_ratio=STIFFER), ASSUMED), regression(motion, softer)
+    ours, theirs = both_equations(replace(motion, stiffness_ratio=STIFFER), ASSUMED), both_equations(motion, softer)
     for name in ("lateral", "lateral_targets", "yaw", "yaw_targets"):
         np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-12)
 
@@ -161,7 +162,7 @@ def test_the_equations_hold_in_a_bogie_on_the_true_geometry(yaw_stiffness: float
     """The spring is tied to the frame, sample by sample; without the frame's yaw the moment is another."""
     m, p = motions(yaw_stiffness)[axle], wheelset(yaw_stiffness)
     motion = ideal_in_bogie(m)
-    equation = regression(motion, p, wheelbase=WHEELBASE)
+    equation = both_equations(motion, p, wheelbase=WHEELBASE)
     R, A = m.rolling_radius_left - m.rolling_radius_right, m.contact_angle_left + m.contact_angle_right
     S, D = m.rolling_radius_left + m.rolling_radius_right, m.contact_angle_left - m.contact_angle_right
     z1, z2 = equation.lateral_targets[:, 0], equation.yaw_targets[:, 0]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scenario_text import SMALL
 
+from bench.wheelset_motion import wheelset_motion
 from estimation.errors import InputError
 from estimation.values.arrays import FloatArray
-from ingest.simulator.axle_motion import wheelset_motion
 from ingest.simulator.campaign import _with_blows, scenario_track, vehicle_run
 from ingest.simulator.running import blow
 from ingest.simulator.scenario import Scenario

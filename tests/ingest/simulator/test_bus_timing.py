@@ -35,7 +35,7 @@ def bus(**changes: float) -> BusPlan:
 
 def test_without_a_bit_rate_every_message_has_a_slot_in_three_quarters_of_a_cycle() -> None:
     timing = bus_timing(bus(), MESSAGES, INTERVAL_NS)
-    delays = [int(timing.delays(plan.arbitration_id, np.array([7]))[0]) for plan in MESSAGES]
+    delays = [int(timing[plan.arbitration_id][0]) for plan in MESSAGES]
     assert len(set(delays)) == len(MESSAGES)
     assert max(delays) <= 0.75 * INTERVAL_NS
 
@@ -44,16 +44,14 @@ def test_at_a_bit_rate_frames_follow_each_other_by_identifier() -> None:
     timing = bus_timing(bus(bit_rate=500e3), MESSAGES, INTERVAL_NS)
     sync, frame = frame_ns(1, 500e3), frame_ns(8, 500e3)
     assert (sync, frame) == (113_850, 229_770)
-    usual = np.array([7])
-    assert timing.delays(SYNC, usual) == sync
-    assert timing.delays(FIRST, usual) == sync + frame
-    assert timing.delays(LAST, usual) == sync + 8 * frame
+    assert timing[SYNC][7] == sync
+    assert timing[FIRST][7] == sync + frame
+    assert timing[LAST][7] == sync + 8 * frame
 
 
 def test_the_frames_of_a_full_second_hold_the_position_back_until_after_the_next_sync() -> None:
     timing = bus_timing(bus(bit_rate=500e3), MESSAGES, INTERVAL_NS)
-    ticks = np.arange(0, 250, 25)
-    delays = timing.delays(POSITION, ticks)
+    delays = timing[POSITION][::25]
     assert (delays[1:] == delays[1]).all()
     assert delays[1] < INTERVAL_NS < delays[0] < 2 * INTERVAL_NS
 

@@ -14,13 +14,13 @@ import pytest
 from same_values import same_values
 from scenario_text import SMALL
 
+from bench.wheelset_motion import wheelset_motion
 from estimation.errors import ScenarioError
 from estimation.values.windows import ACCELERATIONS
 from ingest.catalogue import default_catalogue, vehicle_time_ns
 from ingest.codec import Decoded, decode
 from ingest.frames import FrameBatch
 from ingest.logs import read_log
-from ingest.simulator.axle_motion import wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
 from ingest.simulator.fleet import FleetReport, prepare, run_fleet, simulate_campaign, transmit
 from ingest.simulator.scenario import PositionErrors, Scenario

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.wheelset_motion import wheelset_motion
 from estimation.contact.profiles import wheel_profile
 from estimation.contact.wear import TreadWear, worn
 from ingest.registry_file import read_registry
-from ingest.simulator.axle_motion import wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.fleet import prepare
 from ingest.simulator.scenario_file import read_scenario

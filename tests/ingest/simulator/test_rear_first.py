@@ -10,7 +10,7 @@ from scenario_text import SMALL
 
 from estimation.values.arrays import FloatArray
 from ingest.simulator.campaign import (
-    as_measured,
+    TURNED,
     length_ahead,
     runs_rear_first,
     scenario_track,
@@ -56,7 +56,7 @@ def test_left_and_right_of_a_turned_wheelset_are_exchanged(scenario: Scenario) -
 
 def test_a_node_turned_half_round_about_the_vertical_measures_yaw_alone_as_it_is() -> None:
     values: FloatArray = np.ones((2, 4))
-    assert as_measured(values).tolist() == [[-1.0, 1.0, -1.0, -1.0]] * 2
+    assert (values * TURNED).tolist() == [[-1.0, 1.0, -1.0, -1.0]] * 2
 
 
 def test_a_rear_first_run_has_frames_of_every_node(scenario: Scenario) -> None:

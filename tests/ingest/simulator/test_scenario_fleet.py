@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scenario_text import SMALL
 
+from bench.wheelset_motion import wheelset_motion
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.wear import TreadWear, worn
 from estimation.errors import ScenarioError
-from ingest.simulator.axle_motion import axle_motions, contact_of, rails_of, together, wheelset_motion
+from ingest.simulator.axle_motion import axle_motions, contact_of, rails_of, together
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.drawn_fleet import impossible_bogies, shares_of_wear, with_seed
 from ingest.simulator.fleet import prepare, run_fleet, simulate_campaign

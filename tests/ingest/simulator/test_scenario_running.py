@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scenario_text import SMALL
 
+from bench.wheelset_motion import wheelset_motion
 from estimation.errors import ScenarioError
-from ingest.simulator.axle_motion import averaged, axle_motions, contact_of, running_gear, wheelset_motion
+from ingest.simulator.axle_motion import averaged, axle_motions, contact_of, running_gear
 from ingest.simulator.campaign import friction_along, scenario_track, vehicle_run, with_stretches
 from ingest.simulator.running import STRETCH_END, CreepLaw, FrictionPlan, FrictionStretch, RunningPlan
 from ingest.simulator.scenario import Scenario
@@ -58,8 +59,8 @@ def test_every_key_gets_into_the_running_gear_and_the_track(tmp_path: Path) -> N
     gears = [running_gear(scenario, vehicle_run(scenario, track, vehicle, campaign), (1,)) for campaign in (0, 1)]
     assert gears[0].creep.law is CreepLaw.VERMEULEN_JOHNSON
     assert gears[0].creep.friction != gears[1].creep.friction
-    assert [wheel.amplitude for wheel in gears[0].wheels[0]] == [1e-4, 1e-4]
-    assert gears[0].wheels[0][0].phase != gears[0].wheels[0][1].phase
+    assert gears[0].wheels.amplitude == (1e-4,) * 4
+    assert gears[0].wheels.phase[0] != gears[0].wheels.phase[1]
     assert (gears[0].traction, gears[0].braking) == ((3.0,), (1.0,))
     run = vehicle_run(scenario, track, vehicle, 0)
     motion = wheelset_motion(scenario, track, run, 0)

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scenario_text import SMALL
 
+from bench.wheelset_motion import wheelset_motion
 from estimation.errors import ScenarioError
 from ingest.registry_file import read_registry
-from ingest.simulator.axle_motion import contact_of, displacement_limit, gauge_grid, wheelset_motion
+from ingest.simulator.axle_motion import contact_of, displacement_limit, gauge_grid
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.fleet import prepare, surveyed
 from ingest.simulator.irregularity import IsolatedKind

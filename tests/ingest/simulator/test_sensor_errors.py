@@ -216,7 +216,7 @@ gyroscopes = false"""
     assert errors.mounting == pytest.approx(np.pi / 90.0)
     np.testing.assert_allclose(errors.offset_slope, [9.80665e-4, 0.01, 0.01, 9.80665e-4])
     assert errors.vibration == Vibration(10.0, 3.0)
-    assert scenario_with(tmp_path).sensors.errors.none
+    assert scenario_with(tmp_path).sensors.errors == SensorErrors()
     with pytest.raises(ScenarioError, match="vibration_to_hz"):
         scenario_with(tmp_path, "vibration_from_hz = 100.0\nvibration_to_hz = 50.0")
 

@@ -10,7 +10,6 @@ from analytic_contact import smooth_pair
 from scipy.interpolate import CubicSpline
 from scipy.signal import welch
 
-from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.vehicle_class import VehicleParameters
@@ -137,8 +136,3 @@ def test_the_same_seed_gives_the_same_samples(motion: WheelsetMotion) -> None:
     first, again, other = (measure(motion, node, np.random.default_rng(seed), NONE).values for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
-
-
-def test_a_rate_that_does_not_divide_the_full_rate_is_refused() -> None:
-    with pytest.raises(ParameterError, match="rate_hz"):
-        SensorNode(QUIET, QUIET, QUIET, QUIET, rate_hz=300)

@@ -22,11 +22,11 @@ from ingest.simulator.irregularity import (
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track, read_track, write_track
 
 
-def standard_deviation(kind: Irregularity, wavelengths: tuple[float, float], level: float) -> float:
+def standard_deviation(kind: Irregularity, wavelengths: tuple[float, float]) -> float:
     """Return the standard deviation of the density over a band, m."""
     shortest, longest = wavelengths
     band = 2.0 * math.pi / longest, 2.0 * math.pi / shortest
-    variance, _ = scipy.integrate.quad(lambda w: float(density(kind, np.array(w), level)), *band)
+    variance, _ = scipy.integrate.quad(lambda w: float(density(kind, np.array(w))), *band)
     return math.sqrt(variance)
 
 
@@ -40,8 +40,7 @@ def test_spectrum_of_a_long_track_has_the_form_of_the_formula(kind: Irregularity
     assert abs(values.mean()) < 1e-12
     per_metre, power = welch(values, 1.0 / interval, nperseg=4096)
     wavenumber, measured = 2.0 * math.pi * per_metre, power / (2.0 * math.pi)
-    level = (2e-3 / standard_deviation(kind, band, 1.0)) ** 2
-    expected = density(kind, wavenumber, level)
+    expected = (2e-3 / standard_deviation(kind, band)) ** 2 * density(kind, wavenumber)
     edges = np.geomspace(2.0 * math.pi / 60.0, 2.0 * math.pi / 3.5, 9)
     for low, high in pairwise(edges):
         inside = (wavenumber >= low) & (wavenumber < high)
@@ -57,7 +56,7 @@ def test_standard_deviation_of_the_alignment_is_the_integral_in_closed_form() ->
         return level * b**2 / (b**2 - a**2) * (math.atan(w / a) / a - math.atan(w / b) / b)
 
     variance = primitive(2.0 * math.pi / 3.0) - primitive(2.0 * math.pi / 70.0)
-    assert standard_deviation("alignment", (3.0, 70.0), level) == pytest.approx(math.sqrt(variance), rel=1e-9)
+    assert standard_deviation("alignment", (3.0, 70.0)) == pytest.approx(math.sqrt(variance), rel=1e-9)
 
 
 def test_a_seed_gives_one_track_and_gauge_does_not_follow_alignment() -> None:
@@ -96,8 +95,8 @@ def test_an_uneven_track_is_resampled_on_its_own_curve(tmp_path: Path) -> None:
     rows = [f"x,{1e3 * 2e-3 * math.sin(at / 5.0):.9f},{at:.9f},0.0" for at in s]
     path = tmp_path / "uneven.csv"
     path.write_text("\n".join(["note, alignment_mm, s_m, gauge_deviation_mm", *rows]) + "\n")
-    track = read_track(path, interval=0.5)
-    assert track.interval == pytest.approx(0.5)
+    track = read_track(path)
+    assert track.interval == pytest.approx(np.median(np.diff(s)))
     np.testing.assert_allclose(track.alignment, 2e-3 * np.sin(track.s / 5.0), atol=2e-6)
 
 

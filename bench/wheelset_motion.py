@@ -1,0 +1,22 @@
+"""The true motion of one wheelset of a scenario, whatever else moves with it."""
+
+from __future__ import annotations
+
+from estimation.contact.geometry import ContactTable
+from ingest.simulator.axle_motion import axle_motions, together
+from ingest.simulator.campaign import VehicleRun
+from ingest.simulator.motion import WheelsetMotion
+from ingest.simulator.scenario import Scenario
+from ingest.simulator.track import TrackTruth
+
+
+def wheelset_motion(
+    scenario: Scenario, track: TrackTruth, run: VehicleRun, axle: int, table: ContactTable | None = None
+) -> WheelsetMotion:
+    """Return the true motion of the wheelset at ``axle`` (from 0) over ``run``.
+
+    ``table`` is its contact geometry where that is at hand already; made here otherwise.
+    """
+    axles = together(scenario, run.vehicle, axle)
+    known = [table if place == axle else None for place in axles]
+    return axle_motions(scenario, track, run, axles, known)[axles.index(axle)]
