@@ -21,6 +21,7 @@ from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.epoch_inputs import Due, EpochSearch, FileLookup, Found, changed_from, otherwise_on_file
 from estimation.jobs.steps.epoch_passes import EpochPasses, RunsOnFile, Solved, epoch_passes
+from estimation.jobs.steps.load_window import LATEST_NS
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
 from estimation.jobs.steps.store_alignment import (
     Computed,
@@ -31,7 +32,7 @@ from estimation.jobs.steps.store_alignment import (
     store_epoch,
     survey_checked,
 )
-from estimation.jobs.steps.vehicle_classes import ClassLookup, VehicleLookup
+from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.track.passes import Entry, Journey, newest_within
 from estimation.track.results import place_alone
@@ -193,7 +194,7 @@ def _known(unit: UnitOfWork, due: Due, classes: ClassLookup, settings: Alignment
         classes=classes_of(classes, records),
         on_file=RunsOnFile(
             {key: classes.assumed(*key) for key in dict.fromkeys((one.vehicle, one.wheelset) for one in records)},
-            VehicleLookup(unit).with_mountings(dict.fromkeys(record.vehicle for record in records)),
+            {code: unit.registry.mountings_on(code, 0, LATEST_NS) for code in {record.vehicle for record in records}},
             unit.tracks.layout(code),
         ),
         chosen=parts,
@@ -265,7 +266,8 @@ def _store(
     for part in outcome.parts:
         assert part.value is not None
         store_epoch(unit, part.value, context, standing)
-        counts.update(_counts(part.value))
+        passes = sum(len(one.passes.found) for one in part.value.parts)
+        counts.update({_COUNTED[part.value.update.outcome]: 1, "windows": len(part.value.due.own), "passes": passes})
         counts["epochs"] += outcome.more  # the last one is counted with the section
     unit.due.settle_all(DueStage.ALIGNMENT, inputs.seen)
     if on_file.seen is not None:
@@ -289,7 +291,7 @@ def _check_unchanged(unit: UnitOfWork, context: JobContext, inputs: FoldInputs) 
     own += [record for record, _ in found.due.entries] if found.due is not None else []
     now = {record.key: record for record in unit.windows.several([record.key for record in own], held=True)}
     same = all(_same(record, now.get(record.key)) for record in own)
-    if same and found and _versions(unit, code, context) != inputs.versions:
+    if same and (found.kept or found.due) and _versions(unit, code, context) != inputs.versions:
         due, known = found.due, inputs.known
         other = due is not None and known is not None and rests_on_other(unit, due, known.classes, context)
         same = unit.epochs.list(code) == found.stored and not other
@@ -301,14 +303,6 @@ def _check_unchanged(unit: UnitOfWork, context: JobContext, inputs: FoldInputs) 
 def _same(record: WindowRecord, now: WindowRecord | None) -> bool:
     """Return whether a window is what it was, as far as an epoch holds it."""
     return now is not None and all(getattr(record, name) == getattr(now, name) for name in _HELD)
-
-
-def _counts(computed: Computed) -> Mapping[str, int]:
-    return {
-        _COUNTED[computed.update.outcome]: 1,
-        "windows": len(computed.due.own),
-        "passes": sum(len(part.passes.found) for part in computed.parts),
-    }
 
 
 def _settings(settings: JobSettings) -> object:

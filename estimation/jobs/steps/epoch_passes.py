@@ -10,13 +10,14 @@ from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import WindowLoader
-from estimation.jobs.steps.vehicle_classes import Assumed, VehicleLookup
+from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.motion.checks import gate, straight_part
 from estimation.storage import UnitOfWork
 from estimation.track.gridded_pass import resampled
 from estimation.track.passes import Entry, Journey, Pass, PassStatus, examine, following, joined
 from estimation.track.update import AlignmentUpdate
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import Mounting, mounting_of
 from estimation.values.runs import code_of_error, first_line
 from estimation.values.track import Correction, TrackLayout
 from estimation.values.windows import Window, WindowKey, WindowMark, WindowPosition, WindowRecord, WindowState
@@ -44,10 +45,10 @@ class EpochPasses:
 
 @dataclass(frozen=True, slots=True)
 class RunsOnFile:
-    """What windows of a section are looked at with: what is assumed, by vehicle and wheelset, mountings and layout."""
+    """What windows of a section are looked at with: by vehicle and wheelset, mountings by vehicle, and the layout."""
 
     assumed: Mapping[tuple[str, str], Assumed | Reason]
-    vehicles: VehicleLookup
+    mountings: Mapping[str, Sequence[Mounting]]
     layout: TrackLayout | None
 
 
@@ -115,8 +116,7 @@ def _runs(context: JobContext, groups: Sequence[Sequence[Entry]], on_file: RunsO
     records = [record for group in groups for record, _ in group]
     settings = context.settings.estimation
     with context.storage.read() as unit:
-        vehicles = replace(on_file.vehicles, unit=unit)
-        loader = WindowLoader(unit, vehicles, {record.key: record for record in records})
+        loader = WindowLoader(unit, {record.key: record for record in records})
 
         def run_of(group: Sequence[Entry]) -> _Run:
             own = [record for record, _ in group]
@@ -124,7 +124,7 @@ def _runs(context: JobContext, groups: Sequence[Sequence[Entry]], on_file: RunsO
             assumed = on_file.assumed[first.vehicle, first.wheelset]
             if isinstance(assumed, Reason):
                 return _Run((), [((record.key,), (), assumed) for record in own], assumed, turned=False)
-            mounting = vehicles.mounting_at(first.vehicle, first.axle, first.start_ns)
+            mounting = mounting_of(on_file.mountings[first.vehicle], first.axle, first.start_ns)
             loaded = [(record, _loaded(loader, record, assumed, on_file.layout, settings)) for record in own]
             windows = [one for _, one in loaded if not isinstance(one, Reason)]
             refused = [((record.key,), (), one) for record, one in loaded if isinstance(one, Reason)]
@@ -258,13 +258,9 @@ def _journeys_of_windows(part: Solved) -> dict[WindowKey, Journey]:
 
 def _corrected(uncorrected: WindowPosition, correction: Correction | None, update: AlignmentUpdate) -> WindowPosition:
     if correction is not None:
-        return _moved(uncorrected, correction)
+        return replace(uncorrected, offset_m=correction.offset, scale=correction.scale, middle_m=correction.middle)
     return uncorrected if update.outcome.positions_valid else replace(uncorrected, reason=_uncertain())
 
 
 def _uncertain(why: str = "") -> Reason:
     return Reason(ReasonCode.POSITION_UNCERTAIN, f"its position along the section is not certain{why}")
-
-
-def _moved(uncorrected: WindowPosition, correction: Correction) -> WindowPosition:
-    return replace(uncorrected, offset_m=correction.offset, scale=correction.scale, middle_m=correction.middle)

@@ -112,20 +112,16 @@ def anchors(inputs: AnchorInputs, amplitude: FloatArray) -> Anchors:
         for one in {inputs.rails, *rails.values()}
     }
     on_file = {code: of_rails[one] for code, one in rails.items()}
+    # the newest measurement of an interval counts
+    newest = {one.key: one.wheels for one in sorted(inputs.measured, key=lambda one: one.at_ns)}
     return Anchors(
         ReferenceWheel(inputs.profile, of_rails[inputs.rails], on_file),
         inputs.known,
-        tuple(_known_wheels(inputs, inputs.rails, amplitude)),
+        tuple(KnownWheel(key, *conicity_on_rails(own, inputs.rails, amplitude)) for key, own in newest.items()),
         tonnage={one.code: one.tonnage_mgt_per_year for one in inputs.sections if one.tonnage_mgt_per_year},
         refused=inputs.other,
         missing=inputs.missing,
     )
-
-
-def _known_wheels(inputs: AnchorInputs, rails: RailShare, amplitude: FloatArray) -> list[KnownWheel]:
-    """Return the conicity of measured wheels on the reference rails; the newest measurement of an interval counts."""
-    newest = {one.key: one.wheels for one in sorted(inputs.measured, key=lambda one: one.at_ns)}
-    return [KnownWheel(key, *conicity_on_rails(wheels, rails, amplitude)) for key, wheels in newest.items()]
 
 
 def _measured_wheels(
