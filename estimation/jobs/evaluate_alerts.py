@@ -15,11 +15,11 @@ from estimation.alerts.life_cycle import close, transition, without_stale_acknow
 from estimation.alerts.rule_book import RuleBook, findings, in_flood, next_change_ns, opened, refreshed, superseded
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS, SUSPENSIONS
-from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import AnyStage, Counted, Outcome, Part, Stage
 from estimation.jobs.steps.wheelset_facts import facts_of
+from estimation.jobs.work import Isolation
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Finding, Transition
 from estimation.values.geometry import GEOMETRY

@@ -13,7 +13,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from estimation.errors import DamagedError
-from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
@@ -21,6 +20,7 @@ from estimation.jobs.steps.identities import identity_change, suspected
 from estimation.jobs.steps.signature_entries import Entries, EntryReader
 from estimation.jobs.steps.signature_windows import ASSUMED, JOB_NAME, OF_WINDOWS, usable
 from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.work import fails_alone
 from estimation.signatures.answer import compared, judged
 from estimation.signatures.library import Change, Libraries, Subject, current
 from estimation.signatures.window_signatures import SignatureParameters

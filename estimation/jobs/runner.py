@@ -15,14 +15,13 @@ from functools import partial
 from itertools import dropwhile, islice
 
 from estimation.errors import ConflictError, NotFiniteError, StoppedError, TreadwatchError
-from estimation.jobs.hand_out import hand_out, unit_size
-from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import JobContext, Work
 from estimation.jobs.stage import AnyStage, Outcome, Part, made_from
+from estimation.jobs.work import Isolation, fails_alone, hand_out, unit_size
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import BinStatus, BinValues
 from estimation.values.quantities import Estimate, Status
-from estimation.values.runs import AnyResult, Due, Mark, Result, StageInputs, SubjectKind
+from estimation.values.runs import AnyResult, Due, Look, Mark, Result, StageInputs, SubjectKind
 
 CLAIMED_TOGETHER = 4
 """Batches of subjects that are claimed together."""
@@ -51,11 +50,16 @@ def run_all(stages: Iterable[AnyStage], context: JobContext, isolation: Isolatio
             listed.add(waiting[0].name)
         due: Mapping[str, Due] = {}
         with context.storage.read() as unit:
+            look = None
             if not looked:
-                looked, waiting = True, _not_at_rest(unit, waiting, context, (counts, isolation, listed))
+                looked, (waiting, look) = True, _not_at_rest(unit, waiting, context, (counts, isolation, listed))
             while waiting and not due and _is_listed(stage := waiting[0], listed):
                 waiting.popleft()
-                due = _due(unit, stage, context, counts)
+                if look is None or stage.kind is SubjectKind.WINDOW:
+                    due = unit.marks.due(stage.inputs(context), context.clock.now_ns())
+                else:
+                    due = look.due.get(stage.name, {})
+                _count_due(stage, due, counts)
             if due:
                 isolation.read(unit)
         if due:
@@ -74,8 +78,8 @@ def _is_listed(stage: AnyStage, listed: Collection[str]) -> bool:
 
 def _not_at_rest(
     unit: UnitOfWork, stages: deque[AnyStage], context: JobContext, seen: tuple[Counter[str], Isolation, set[str]]
-) -> deque[AnyStage]:
-    """Return the stages from the first on of which something is due.
+) -> tuple[deque[AnyStage], Look]:
+    """Return the stages from the first on of which something is due, and what is due of each.
 
     Args:
         seen: Counts all that the stages have seen as at rest, knows what is held, and holds the stages whose windows
@@ -85,8 +89,6 @@ def _not_at_rest(
     for stage in stages:
         counts.update(dict.fromkeys(stage.counted.names, 0))
     counted = {stage.name: stage for stage in stages if stage.counted.same is not None}
-    if len(stages) == 1 and not counted and stages[0].kind is not SubjectKind.WINDOW:
-        return stages
     inputs = [stage.inputs(context) for stage in stages]
     look = unit.marks.look(inputs, context.clock.now_ns(), counted, stages[0].job)
     for name, number in look.seen.items():
@@ -94,16 +96,14 @@ def _not_at_rest(
     if not look.held:
         isolation.nothing_held()
     listed |= look.listed
-    return deque(dropwhile(lambda stage: stage.name not in look.due, stages))
+    return deque(dropwhile(lambda stage: stage.name not in look.due, stages)), look
 
 
-def _due(unit: UnitOfWork, stage: AnyStage, context: JobContext, counts: Counter[str]) -> Mapping[str, Due]:
-    """Return what is due of a stage; it is not at rest."""
-    due = unit.marks.due(stage.inputs(context), context.clock.now_ns())
+def _count_due(stage: AnyStage, due: Mapping[str, Due], counts: Counter[str]) -> None:
+    """Count what is due as not at rest."""
     if stage.counted.same is not None:
         marked = sum(one.marked for one in due.values())
         counts.subtract({stage.counted.looked: marked, stage.counted.same: marked})
-    return due
 
 
 def _try_again(stage: AnyStage, context: JobContext, ready: Collection[str], isolation: Isolation) -> None:

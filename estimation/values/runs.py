@@ -282,13 +282,14 @@ class Look:
     """What is to be done of some stages of a job, by their names.
 
     Attributes:
-        due: Those of which something is due, or whose settings are others.
+        due: Subjects in their order of those of which something is due, or whose settings are others; none of a stage
+            that works window by window.
         seen: How many subjects stages have seen.
         listed: Those that work window by window and have listed all with these settings.
         held: Whether anything of the job is in quarantine.
     """
 
-    due: frozenset[str]
+    due: Mapping[str, Mapping[str, Due]]
     seen: Mapping[str, int]
     listed: frozenset[str]
     held: bool

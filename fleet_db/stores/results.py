@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, Row, Select, bindparam, case, delete, insert, or_, select, update
+from sqlalchemy import Connection, Row, Select, bindparam, case, delete, false, insert, or_, select, update
 
 from estimation.errors import DamagedError
 from estimation.values.fields import JsonValue
@@ -85,6 +85,13 @@ class ResultStore:
         order = NEWEST_FIRST if kind.one_in_force else (RESULTS.c.subject, RESULTS.c.part)
         statement = _chosen(kind, subjects, as_of_ns, parts).order_by(*order)
         return [_result(kind, row) for row in self.connection.execute(statement)]
+
+    def numbers(self, kind: ResultKind[Any], parts: Mapping[str, Parts]) -> Sequence[tuple[str, str, int]]:
+        """Return subject, part and number of what is in force, of parts of each of some subjects."""
+        chosen = [_chosen(kind, [subject], None, own).whereclause for subject, own in parts.items()]
+        found = select(RESULTS.c.subject, RESULTS.c.part, RESULTS.c.result_id)
+        rows = self.connection.execute(found.where(or_(false(), *(one for one in chosen if one is not None))))
+        return [(row.subject, row.part, row.result_id) for row in rows]
 
     def heads(
         self, kind: ResultKind[V], subjects: Collection[str] | None, parts: Parts | None = None

@@ -6,11 +6,11 @@ import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.vehicle_classes import Assumed
+from estimation.jobs.work import fails_alone
 from estimation.motion.checks import gate, straight_part
 from estimation.storage import UnitOfWork
 from estimation.track.gridded_pass import resampled
