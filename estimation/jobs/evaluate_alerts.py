@@ -112,8 +112,7 @@ def _refresh(unit: UnitOfWork, fleet_alert: Alert, now_ns: int, *, new: bool) ->
 
 BEFORE: tuple[AnyStage, ...] = (WORKLIST, JUMPS, IDENTITIES, SUSPENSIONS)
 CHANGED, AT_REST = "changed", "at_rest"
-BESIDE = {CHANGED, AT_REST, "looked_at"}
-"""Counts of stages that are no counts of the job."""
+BESIDE = {CHANGED, AT_REST, "looked_at"}  # counts of stages that are no counts of the job
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,13 +156,14 @@ def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mappi
     """Return what the alerts of some wheelsets are made from."""
     rules, now_ns = context.settings.rules, context.clock.now_ns()
     return {
-        serial: AlertInputs(facts, _book(rules, facts), rules.version, now_ns)
+        serial: AlertInputs(
+            facts=facts,
+            book=rules.of(facts.wheelset.fleet, None if facts.vehicle is None else facts.vehicle.vehicle_class),
+            version=rules.version,
+            now_ns=now_ns,
+        )
         for serial, facts in facts_of(unit, serials, context.settings).items()
     }
-
-
-def _book(rules: RuleBook, facts: WheelsetFacts) -> RuleBook:
-    return rules.of(facts.wheelset.fleet, None if facts.vehicle is None else facts.vehicle.vehicle_class)
 
 
 def compute(inputs: AlertInputs) -> Outcome[Evaluated]:

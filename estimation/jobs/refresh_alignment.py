@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from operator import attrgetter
 
 from estimation.errors import ConflictError
 from estimation.jobs.job import Job, JobContext
@@ -53,7 +54,7 @@ _COUNTED = {
     UpdateOutcome.SURVEY_REFUSED: "versions",
 }
 _COUNTS = ("epochs", "windows", "passes", "kept", "unestimated", "changed_meanwhile")
-_HELD = ("track_section", "vehicle", "content_digest", "mileage_km", "samples_purged")
+_HELD = attrgetter("track_section", "vehicle", "content_digest", "mileage_km", "samples_purged")
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,7 +291,8 @@ def _check_unchanged(unit: UnitOfWork, context: JobContext, inputs: FoldInputs) 
     own = [member.record for kept in found.kept for member in kept.own]
     own += [record for record, _ in found.due.entries] if found.due is not None else []
     now = {record.key: record for record in unit.windows.several([record.key for record in own], held=True)}
-    same = all(_same(record, now.get(record.key)) for record in own)
+    # as far as an epoch holds them
+    same = all(record.key in now and _HELD(record) == _HELD(now[record.key]) for record in own)
     if same and (found.kept or found.due) and _versions(unit, code, context) != inputs.versions:
         due, known = found.due, inputs.known
         other = due is not None and known is not None and rests_on_other(unit, due, known.classes, context)
@@ -298,11 +300,6 @@ def _check_unchanged(unit: UnitOfWork, context: JobContext, inputs: FoldInputs) 
     if not same:
         raise ConflictError("windows, epochs or what they rest on have changed", kind="track section", key=code)
     return now
-
-
-def _same(record: WindowRecord, now: WindowRecord | None) -> bool:
-    """Return whether a window is what it was, as far as an epoch holds it."""
-    return now is not None and all(getattr(record, name) == getattr(now, name) for name in _HELD)
 
 
 def _settings(settings: JobSettings) -> object:

@@ -44,24 +44,24 @@ class FileLookup:
     settings: JobSettings
     classes: ClassLookup
     _known: dict[tuple[str, str], OnFile] = field(default_factory=dict)
-    _mountings: dict[str, Sequence[Mounting]] = field(default_factory=dict)
-    _unmeasured: set[str] = field(default_factory=set)
 
     def look_up(self, records: Sequence[WindowRecord]) -> None:
         """Look up the wheelsets and vehicles of windows together."""
-        serials = {record.wheelset for record in records} - self._mountings.keys()
-        if not serials:
-            return
-        self.classes.look_up(sorted(serials), {record.vehicle for record in records})
-        mountings = self.unit.registry.mountings_of(serials)
-        self._mountings.update({serial: mountings.get(serial, ()) for serial in serials})
-        self._unmeasured.update(serials - self.unit.registry.newest_measurement_of(serials).keys())
+        serials = sorted({record.wheelset for record in records})
+        self.classes.look_up(serials, {record.vehicle for record in records})
+        self.unit.registry.mountings_of(serials)
+        self.unit.registry.newest_measurement_of(serials)
 
     def of(self, vehicle: str, wheelset: str) -> OnFile:
         """Return what is on file of a wheelset on a vehicle."""
-        key = (vehicle, wheelset)
+        key, registry = (vehicle, wheelset), self.unit.registry
         if key not in self._known:
-            self._known[key] = self._look_up(vehicle, wheelset)
+            self._known[key] = OnFile(
+                self.classes.wheelset(wheelset),
+                registry.mountings(wheelset),
+                _measured(self.unit, wheelset) if registry.newest_measurement_of([wheelset]) else (),
+                self.classes.digest(vehicle, wheelset),
+            )
         return self._known[key]
 
     def life(self, record: WindowRecord) -> ProfileLife:
@@ -80,15 +80,6 @@ class FileLookup:
         turned = any(one.covers(record.start_ns) for one in found.mountings if one.reversed)
         text = f"{self.life(record)!r} {turned} {near!r} {record.axle} {found.assumed}"
         return EpochMember(record, found.digest, _digest(text))
-
-    def _look_up(self, vehicle: str, wheelset: str) -> OnFile:
-        mountings = self._mountings.get(wheelset)
-        return OnFile(
-            self.classes.wheelset(wheelset),
-            self.unit.registry.mountings(wheelset) if mountings is None else mountings,
-            () if wheelset in self._unmeasured else _measured(self.unit, wheelset),
-            self.classes.digest(vehicle, wheelset),
-        )
 
 
 def _measured(unit: UnitOfWork, wheelset: str) -> Sequence[tuple[int, float, str]]:

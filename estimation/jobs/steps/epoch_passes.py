@@ -185,28 +185,28 @@ class Solved:
     update: AlignmentUpdate
 
 
-@dataclass(frozen=True, slots=True)
-class Placing:
-    """Windows that are placed on a version; journeys ``alone`` on the one before it."""
-
-    part: Solved
-    version: int | None
-    alone: Mapping[Journey, Correction]
-    waits: bool
-
-
-def place_windows(unit: UnitOfWork, placing: Placing, standing: Mapping[WindowKey, WindowRecord]) -> None:
+def place_windows(
+    unit: UnitOfWork,
+    part: Solved,
+    version: int | None,
+    alone: Mapping[Journey, Correction],
+    standing: Mapping[WindowKey, WindowRecord],
+    *,
+    waits: bool,
+) -> None:
     """Store where windows were; what was known of the others is forgotten. Those that were elsewhere wait again.
 
     Args:
+        version: On which they are placed, but for the journeys ``alone``, which are on the one before it.
         standing: The windows as they are.
     """
-    found = {(position.wheelset, position.start_ns): position for position in _positions(placing)}
+    positions = _positions(part, version, alone, waits=waits)
+    found = {(position.wheelset, position.start_ns): position for position in positions}
     before = unit.tracks.put_positions(list(found.values()))
     moved = sorted(key for key, was in before.items() if _moves(found[key], was))
     estimated = [key for key in moved if standing[key].state is not WindowState.PENDING]
     unit.windows.mark_all([WindowMark(*key, WindowState.PENDING) for key in estimated], standing)
-    unit.tracks.forget_positions_of([record.key for record in placing.part.records if record.key not in found])
+    unit.tracks.forget_positions_of([record.key for record in part.records if record.key not in found])
 
 
 def _moves(position: WindowPosition, before: WindowPosition | None) -> bool:
@@ -215,10 +215,17 @@ def _moves(position: WindowPosition, before: WindowPosition | None) -> bool:
     return (position.offset_m, position.scale, position.reason) != was
 
 
-def _positions(placing: Placing) -> Sequence[WindowPosition]:
+def _positions(
+    epoch: Solved, version: int | None, alone: Mapping[Journey, Correction], *, waits: bool
+) -> Sequence[WindowPosition]:
     """Return where the windows were, as far as it has been found."""
-    epoch, update, waits = placing.part, placing.part.update, placing.waits
-    journey_of = _journeys_of_windows(epoch)
+    update = epoch.update
+    journey_of = {  # of every window whose pass was used
+        key: journey
+        for journey, members in update.estimate.grouped.items()
+        for item in members
+        for key in epoch.passes.windows(item)
+    }
     unused = {
         key: outcome
         for item, outcome in zip(epoch.passes.found, update.pass_outcomes, strict=True)
@@ -228,11 +235,11 @@ def _positions(placing: Placing) -> Sequence[WindowPosition]:
     contradicted = {key for key, outcome in unused.items() if outcome.status is PassStatus.REFUSED}
     refusals = {**epoch.passes.refused, **{key: outcome.reason for key, outcome in unused.items() if outcome.reason}}
     outliers = {(one.vehicle, one.from_ns): one.reason for one in update.estimate.report.journeys if not one.used}
-    corrections = {**update.estimate.corrections, **placing.alone}
+    corrections = {**update.estimate.corrections, **alone}
     found = []
     for record in epoch.records:
         key = (record.wheelset, record.start_ns)
-        uncorrected = WindowPosition(record.wheelset, record.start_ns, record.content_digest, placing.version)
+        uncorrected = WindowPosition(record.wheelset, record.start_ns, record.content_digest, version)
         if key in refusals and (key in epoch.passes.refused or not waits):
             # on a survey a window needs no pass, unless its pass contradicts the survey
             accepted = update.outcome.positions_valid and key not in contradicted
@@ -244,16 +251,6 @@ def _positions(placing: Placing) -> Sequence[WindowPosition]:
             else:
                 found.append(_corrected(uncorrected, corrections.get(journey), update))
     return found
-
-
-def _journeys_of_windows(part: Solved) -> dict[WindowKey, Journey]:
-    """Return the journey of every window whose pass was used."""
-    return {
-        key: journey
-        for journey, members in part.update.estimate.grouped.items()
-        for item in members
-        for key in part.passes.windows(item)
-    }
 
 
 def _corrected(uncorrected: WindowPosition, correction: Correction | None, update: AlignmentUpdate) -> WindowPosition:

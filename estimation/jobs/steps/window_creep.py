@@ -15,7 +15,6 @@ from estimation.jobs.steps.load_window import BatchInputs, WindowLoader, inputs_
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.window_motion import window_motion
 from estimation.storage import UnitOfWork
-from estimation.values.geometry import GeometryRecord
 from estimation.values.opinions import WindowAdhesion, WindowDamper
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout, TrackSectionRecord
@@ -126,7 +125,6 @@ class _Batch:
         self.unit, self.inputs, self.classes = unit, inputs, classes
         self.loader = WindowLoader(unit, inputs.records)
         self.sections: Mapping[str, TrackSectionRecord] = {one.code: one for one in unit.tracks.sections()}
-        self.geometries: dict[str, GeometryRecord | None] = {}
         self.gears: dict[tuple[WindowKey, ...], Gear | Reason] = {}
 
     def of(self, record: WindowRecord) -> CreepInputs:
@@ -144,7 +142,7 @@ class _Batch:
         section, assumed = self.sections.get(record.track_section or ""), inputs.assumed
         if isinstance(assumed, Reason):
             return assumed
-        geometry = self._geometry(record.wheelset)
+        geometry = self.unit.geometries.current(record.wheelset)
         if geometry is None or section is None:
             return Reason(ReasonCode.NO_CREEP_CURVE, f"wheelset {record.wheelset} has no geometry on a section yet")
         window = self.loader.load(record, assumed.windows.vehicle_class)
@@ -196,11 +194,6 @@ class _Batch:
         says = record is not None and record.implausible is None and looked_at(first)
         return Gear(tuple(loaded), assumed, record.content_digest if says and record is not None else None)
 
-    def _geometry(self, wheelset: str) -> GeometryRecord | None:
-        if wheelset not in self.geometries:
-            self.geometries[wheelset] = self.unit.geometries.current(wheelset)
-        return self.geometries[wheelset]
-
 
 HOUR_NS = 3_600_000_000_000
 
@@ -215,8 +208,7 @@ def friction_parameters(
 ) -> FrictionParameters:
     """Return the limits of a rule as the friction of a section is found with them, and what the file leaves open.
 
-    Args:
-        passes: That are pooled; a vehicle whose class is not on file counts as one without stds of its own.
+    A vehicle whose class is not on file counts as one without stds of its own.
     """
     codes = {unit.registry.vehicle(code).vehicle_class for code in {one.vehicle for one in passes}}
     found = [unit.registry.vehicle_class(code) for code in sorted(codes)]
@@ -225,12 +217,7 @@ def friction_parameters(
 
 
 def pool_ends(starts: Collection[int], length_ns: int) -> Sequence[int]:
-    """Return the ends of as few spans as hold all times, oldest first; the last ends with the newest.
-
-    Args:
-        starts: Times, ns.
-        length_ns: Of a span, both ends included.
-    """
+    """Return the ends of as few spans, both ends included, as hold all times; oldest first, the last is the newest."""
     ends: list[int] = []
     for start in sorted(set(starts), reverse=True):
         if not ends or ends[-1] - start > length_ns:
