@@ -10,7 +10,7 @@ with those of the next. One epoch is computed at a time; a section on which noth
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from operator import attrgetter
@@ -21,7 +21,7 @@ from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.epoch_inputs import Due, EpochSearch, FileLookup, Found, changed_from, otherwise_on_file
-from estimation.jobs.steps.epoch_passes import EpochPasses, RunsOnFile, Solved, epoch_passes
+from estimation.jobs.steps.epoch_passes import RunsOnFile, Solved, epoch_passes
 from estimation.jobs.steps.load_window import LATEST_NS
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
 from estimation.jobs.steps.store_alignment import (
@@ -116,8 +116,7 @@ class FoldInputs:
     on_file: OnFile
     found: Found = field(metadata={"made_from": False})
     known: Known | None = field(metadata={"made_from": False})
-    settings: AlignmentSettings = field(metadata={"made_from": False})
-    passes: Callable[[Sequence[Entry], Known], EpochPasses] = field(metadata={"made_from": False})
+    context: JobContext = field(metadata={"made_from": False})
 
     @property
     def writes(self) -> bool:
@@ -158,8 +157,7 @@ def _inputs(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext) 
         on_file=on_file,
         found=found,
         known=_known(unit, due, lookup.classes, settings) if due is not None and due.own else None,
-        settings=settings,
-        passes=lambda chosen, known: epoch_passes(context, chosen, known.on_file),
+        context=context,
     )
 
 
@@ -209,7 +207,7 @@ def compute(inputs: FoldInputs) -> Outcome[Computed]:
         return Outcome(again_ns=0, counted="unchanged")
     if due is None or known is None:
         return Outcome(more=inputs.writes)
-    settings = inputs.settings
+    settings = inputs.context.settings.alignment
     (chosen, of_chosen), *rest = known.chosen
     alignment = known.alignment
     solved = _solve(inputs, chosen, of_chosen, alignment, checked=survey_checked(due.before.survey))
@@ -229,12 +227,12 @@ def _solve(
     """Return what some windows make of an alignment."""
     assert inputs.found.due is not None
     assert inputs.known is not None
-    made = inputs.passes(chosen, inputs.known)
+    made = epoch_passes(inputs.context, chosen, inputs.known.on_file)
     update = update_alignment(
         inputs.found.due.section,
         made.found,
         alignment,
-        inputs.settings,
+        inputs.context.settings.alignment,
         survey_checked=checked,
         measured=known.curves,
     )
