@@ -1,66 +1,65 @@
 """Job: windows that wait become bin tables, or are refused with their reason; one that is damaged is refused too.
 
 A window is estimated at the position that the alignment job has found for it. Where the alignment came from the fleet
-it waits until that has looked at it; on a recording it does not.
+it waits until that has looked at it; on a recording it does not. Before that, windows are refused whose mileage or
+place cannot be believed, and those wait again for which something has come: an alignment, a class, or other parameters.
+A version that differs from the one of a table by less than that left unknown is none to estimate again for, nor is a
+recording of the gauge alone.
 """
 
 from __future__ import annotations
 
 import logging
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from estimation.errors import DamagedError, NotFoundError, PassingFaultError
+from estimation.errors import NotFoundError, PassingFaultError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
-from estimation.jobs.steps.due_windows import JUDGE, OUTDATED
-from estimation.jobs.steps.load_window import (
-    Facts,
-    WindowInputs,
-    WindowLoader,
-    assemble_if_lost,
-    inputs_of_batch,
-    tracks_of_batch,
-)
+from estimation.jobs.steps.load_window import TableInputs, assemble_if_lost, inputs_of_batch, load_windows
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.checks import away_from_low_adhesion, refused_for_low_adhesion
 from estimation.motion.hunting import in_place_of_quality
+from estimation.motion.mileage import implausible_mileages, implausible_places, without_doubt
 from estimation.motion.rolling_sums import rolling_sums
+from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import cells_of_window
 from estimation.values.geometry import FilledCells, WindowTable
+from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.roll_up import MOST_CHOSEN, RollingSums, WindowRollingSums
-from estimation.values.runs import FAILED, TRIED_AGAIN, Quarantined, SubjectKind, code_of_error, first_line
-from estimation.values.track import TrackAlignment, TrackLayout
+from estimation.values.registry import Mounting
+from estimation.values.roll_up import RollingSums, WindowRollingSums
+from estimation.values.runs import TRIED_AGAIN, Facet, Quarantined, SubjectKind, code_of_error, first_line
 from estimation.values.windows import (
     DueStage,
-    Window,
+    MileageReading,
+    ReadingSpan,
     WindowKey,
     WindowMark,
     WindowRecord,
     WindowState,
     key_of_text,
-    text_of_key,
 )
 
+JOB_NAME = "estimate_windows"
 REFUSED = "refused_"
 """Begin of the names under which a run counts refused windows by reason code."""
-
-
-def count_of(reason: Reason) -> str:
-    """Return the name under which a window is counted that was refused for a reason."""
-    return f"{REFUSED}{reason.code.value}"
+APART_NS = 86_400_000_000_000  # starts of new windows, of which those between are not read
+Mounted = tuple[Mounting, float]
+"""A mounting and the greatest speed of its vehicle, m/s."""
+BESIDE = {"looks", "wheelsets", "windows", "results"}  # counts of stages that are no counts of the job
+RARE = {"mileages_judged", "passed_over"}  # counts that are left out where they are 0
+_log = logging.getLogger(__name__)
 
 
 def refusals(counts: Mapping[str, int]) -> dict[ReasonCode, int]:
     """Return how many windows a run has refused, by reason code, the most frequent first."""
-    known = {count_of(Reason(code, "")): code for code in ReasonCode}
-    found = {known[name]: count for name, count in counts.items() if name in known and count}
-    return dict(sorted(found.items(), key=lambda item: (-item[1], item[0].value)))
+    found = {code: counts.get(f"{REFUSED}{code.value}", 0) for code in ReasonCode}
+    return dict(sorted((item for item in found.items() if item[1]), key=lambda item: (-item[1], item[0].value)))
 
 
 def refusals_text(counts: Mapping[str, int]) -> str:
@@ -72,41 +71,186 @@ def refusals_text(counts: Mapping[str, int]) -> str:
     return ", ".join(parts)
 
 
-def likely_chosen(unit: UnitOfWork, records: Sequence[WindowRecord]) -> set[WindowKey]:
-    """Return which windows of a batch would be chosen beside those of the newest roll-up of their wheelset."""
-    of_wheelset: defaultdict[str, list[WindowRecord]] = defaultdict(list)
-    for record in records:
-        if not record.quality.hunting.sustained:
-            of_wheelset[record.wheelset].append(record)
-    stored = unit.roll_ups.newest_chosen(sorted(of_wheelset)) if of_wheelset else {}
-    found: set[WindowKey] = set()
-    for wheelset, several in of_wheelset.items():
-        digests = {*stored.get(wheelset, ()), *(record.content_digest for record in several)}
-        smallest = set(sorted(digests)[:MOST_CHOSEN])
-        found |= {record.key for record in several if record.content_digest in smallest}
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """What the windows of a wheelset are judged by.
+
+    Attributes:
+        judged: New readings where nothing speaks against them; else all.
+        mounted: Empty where nothing speaks against the readings.
+        seen: Windows that are due, with the versions in which they were.
+    """
+
+    wheelset: str
+    judged: tuple[MileageReading, ...]
+    mounted: tuple[Mounted, ...]
+    seen: Mapping[WindowKey, int]
+
+
+Verdicts = Mapping[WindowKey, Reason | None]
+
+
+def load_readings(unit: UnitOfWork, serials: Sequence[str], _: JobContext) -> Mapping[str, Readings]:
+    """Return the new readings of some wheelsets, or all where one is doubted or something speaks against a new one."""
+    (due, doubted), mounted = unit.plausibility.due(serials), _mounted(unit, serials)
+    spans = _spans(key for key in due if key[0] not in doubted)
+    around = unit.plausibility.readings_around([span for own in spans.values() for span in own])
+    new: Mapping[str, Sequence[MileageReading]] = {
+        serial: [
+            one
+            for span in own
+            for one in around[span]
+            if span[1] <= one.start_ns <= span[2] and (serial, one.start_ns) in due
+        ]
+        for serial, own in spans.items()
+    }
+    if sum(map(len, new.values())) < sum(serial in spans for serial, _ in due):  # some are gone
+        new = unit.plausibility.new_readings(list(spans))
+        spans = _spans((serial, one.start_ns) for serial, own in new.items() for one in own)
+        around = unit.plausibility.readings_around([span for own in spans.values() for span in own])
+    found = {}
+    for serial in serials:
+        judged, against = new.get(serial, ()), mounted.get(serial, ())
+        beside = [around[span] for span in spans.get(serial, ())]
+        believed = serial not in doubted and all(
+            without_doubt([one for one in readings if mounting.covers(one.start_ns)], mounting, max_speed)
+            for readings in beside
+            for mounting, max_speed in against
+        )
+        judged, against = (judged, ()) if believed else (unit.plausibility.readings(serial), against)
+        seen = {key: version for key, version in due.items() if key[0] == serial}
+        found[serial] = Readings(serial, tuple(judged), against, seen)
     return found
 
 
-JOB_NAME = "estimate_windows"
-_log = logging.getLogger(__name__)
+def judge(inputs: Readings) -> Outcome[Verdicts]:
+    """Return why windows of a wheelset are not believed, None for those that are, where that is new."""
+    implausible: dict[int, Reason] = dict(implausible_places(inputs.judged))
+    for mounting, max_speed in inputs.mounted:
+        if within := [one for one in inputs.judged if mounting.covers(one.start_ns)]:
+            implausible.update(implausible_mileages(within, mounting, max_speed))
+    verdicts = {
+        (inputs.wheelset, one.start_ns): implausible.get(one.start_ns)
+        for one in inputs.judged
+        if implausible.get(one.start_ns) != one.refused
+    }
+    return Outcome([Part(verdicts)])
+
+
+def store_verdicts(
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Readings | None, Outcome[Verdicts]]]
+) -> Mapping[str, int]:
+    """Store which windows are believed; return how many have another verdict."""
+    parts = [part for _, outcome in made.values() for part in outcome.parts]
+    changed = unit.plausibility.judge({key: why for part in parts for key, why in (part.value or {}).items()})
+    read = [inputs for inputs, _ in made.values() if inputs is not None]
+    unit.due.settle_all(DueStage.MILEAGES, {key: version for one in read for key, version in one.seen.items()})
+    return {"mileages_judged": changed}
+
+
+def _mounted(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, tuple[Mounted, ...]]:
+    mountings = unit.registry.mountings_of(serials)
+    vehicles = unit.registry.vehicles_of({one.vehicle for own in mountings.values() for one in own})
+    return {
+        serial: tuple((mounting, vehicles[mounting.vehicle].max_speed_m_s) for mounting in own)
+        for serial, own in mountings.items()
+    }
+
+
+def _spans(windows: Iterable[WindowKey]) -> Mapping[str, list[ReadingSpan]]:
+    """Return first and last start of groups of windows that are apart, by wheelset; each in order of time."""
+    spans: defaultdict[str, list[ReadingSpan]] = defaultdict(list)
+    for serial, start_ns in windows:
+        own = spans[serial]
+        if own and start_ns - own[-1][2] <= APART_NS:
+            own[-1] = (serial, own[-1][1], start_ns)
+        else:
+            own.append((serial, start_ns, start_ns))
+    return spans
+
+
+JUDGE = Stage(
+    name=DueStage.MILEAGES,
+    job=JOB_NAME,
+    kind=SubjectKind.WHEELSET,
+    facets=(),
+    settings=lambda _: None,
+    load=load_readings,
+    compute=judge,
+    counted=Counted(looked="wheelsets", changed="results"),
+    store=store_verdicts,
+    at_once=50,
+)
 
 
 @dataclass(frozen=True, slots=True)
-class TableInputs:
-    """A window, and what it is estimated with.
+class Outdated:
+    """Windows on a section, or on none, for which something has come.
 
     Attributes:
-        window: As its vehicle's class reads it, or why it is not to be used.
-        rolls: Whether somebody will ask for what it says of its rolling radius.
+        changed: Estimated on another version of the alignment, or with other parameters, than they are to be.
+        aligned: Refused without an alignment, of which there is one.
+        classed: Refused without a class of their vehicle, of which there is one.
     """
 
-    record: WindowRecord
-    inputs: WindowInputs
-    facts: Facts = field(metadata={"made_from": False})
-    window: Window | Reason = field(metadata={"made_from": False})
-    track: TrackAlignment | None = field(metadata={"made_from": False})
-    layout: TrackLayout | None = field(metadata={"made_from": False})
-    rolls: bool
+    changed: Sequence[WindowKey]
+    aligned: Sequence[WindowKey]
+    classed: Sequence[WindowKey]
+
+
+def load_outdated(unit: UnitOfWork, sections: Sequence[str], context: JobContext) -> Mapping[str, Outdated]:
+    """Return what has come for the windows of some sections."""
+    classes = ClassLookup(unit, context.settings.estimation)
+    return {code: _of_section(unit, classes, code) for code in sections}
+
+
+def _of_section(unit: UnitOfWork, classes: ClassLookup, code: str) -> Outdated:
+    if not unit.windows.any_decided(code):
+        return Outdated((), (), ())
+    refused = unit.windows.refused_on(code, (NO_ALIGNMENT.code, ReasonCode.CLASS_UNKNOWN))
+    aligned, classed = [], []
+    for record in refused:
+        if code_of(record.reason) is not ReasonCode.CLASS_UNKNOWN:
+            aligned.append(record.key)
+        elif not isinstance(classes.of_vehicle(record.vehicle), Reason):
+            classed.append(record.key)
+    if aligned:
+        in_force = unit.tracks.in_force(code)
+        aligned = aligned if in_force is not None and in_force.status is Status.ESTIMATED else []
+    changed = set(unit.epochs.outdated([code]))
+    for key in unit.tables.parameter_keys([code]):
+        if key.parameter_key != classes.table_key(key.vehicle, key.wheelset):
+            changed.update(unit.tables.made_with(key))
+    return Outdated(sorted(changed), aligned, classed)
+
+
+def let_wait(
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Outdated | None, Outcome[None]]]
+) -> Mapping[str, int]:
+    """Let windows wait again; count how many do and how many cannot, for their samples were purged."""
+    counts: Counter[str] = Counter()
+    for outdated, _outcome in made.values():
+        if outdated is None:
+            continue
+        waiting = [WindowMark(*key, WindowState.PENDING) for key in (*outdated.changed, *outdated.aligned)]
+        again = {mark.key for mark in unit.windows.mark_all(waiting)}
+        counts["passed_over"] += len(set(outdated.changed) - again)
+        counts["requeued"] += len(again) + len(unit.windows.look_again(outdated.classed))
+    return counts
+
+
+OUTDATED = Stage(
+    name="outdated",
+    job=JOB_NAME,
+    kind=SubjectKind.SECTION,
+    facets=(Facet.REGISTRY, Facet.ALIGNMENT, Facet.PLACES),
+    settings=lambda settings: settings.estimation.as_json(),
+    load=load_outdated,
+    # what follows is that windows wait; those that do are not found again
+    compute=lambda found: Outcome(more=bool(found.changed or found.aligned or found.classed)),
+    counted=Counted(looked="looks", changed="results", more=("requeued", "passed_over")),
+    store=let_wait,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,43 +259,6 @@ class Estimated:
 
     cells: FilledCells  # of its bin table
     rolling: tuple[RollingSums, ...] | None = None  # what it says of its rolling radius, where somebody will ask
-
-
-def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Mapping[str, TableInputs]:
-    """Return windows that wait or failed, with what they are estimated with; the others are left out."""
-    standing = unit.windows.several([key_of_text(key) for key in keys])
-    waiting = (one for one in standing if one.state is WindowState.PENDING or code_of(one.reason) in FAILED)
-    # the windows of a bogie next to each other: each needs the samples of the other
-    records = sorted(waiting, key=lambda record: (record.vehicle, record.start_ns, record.axle))
-    if not records:
-        return {}
-    tracks = tracks_of_batch(unit, records)
-    batch = inputs_of_batch(unit, records, ClassLookup(unit, context.settings.estimation))
-    loader = WindowLoader(unit, batch.vehicles, batch.records)
-    chosen, inputs = likely_chosen(unit, records), {}
-    for record in records:
-        found = batch.found[record.key]
-        inputs[text_of_key(*record.key)] = TableInputs(
-            record=record,
-            inputs=found,
-            facts=batch.facts,
-            window=_window(loader, record, found.assumed),
-            track=tracks.alignment(record),
-            layout=tracks.layout(record),
-            rolls=record.key in chosen,
-        )
-    return inputs
-
-
-def _window(loader: WindowLoader, record: WindowRecord, assumed: Assumed | Reason) -> Window | Reason:
-    if record.implausible is not None:
-        return record.implausible
-    if isinstance(assumed, Reason):
-        return assumed
-    try:
-        return loader.load(record, assumed.windows.vehicle_class)
-    except DamagedError as error:
-        return Reason(ReasonCode.FILE_DAMAGED, str(error))  # names the file; the other windows go on
 
 
 def estimate(inputs: TableInputs) -> Outcome[Estimated | Reason]:
@@ -205,7 +312,8 @@ def store_tables(
     if not found:
         return {}
     now = {record.key: record for record in unit.windows.several([one.record.key for one, _ in found], held=True)}
-    changed = {one.record.key for one, _ in found if not _same_samples(one.record, now.get(one.record.key))}
+    digests = {key: record.content_digest for key, record in now.items()}
+    changed = {one.record.key for one, _ in found if digests.get(one.record.key) != one.record.content_digest}
     if not found[0][0].facts.are_same(unit):
         batch = inputs_of_batch(unit, list(now.values()), ClassLookup(unit, context.settings.estimation))
         changed |= {one.record.key for one, _ in found if batch.found.get(one.record.key) != one.inputs}
@@ -216,12 +324,8 @@ def store_tables(
     for inputs, outcome in same:
         counts["refused" if isinstance(outcome, Reason) else "estimated"] += 1
         if isinstance(outcome, Reason):
-            counts[count_of(in_place_of_quality(outcome, inputs.record.quality))] += 1
+            counts[f"{REFUSED}{in_place_of_quality(outcome, inputs.record.quality).code.value}"] += 1
     return counts
-
-
-def _same_samples(record: WindowRecord, now: WindowRecord | None) -> bool:
-    return now is not None and now.content_digest == record.content_digest
 
 
 def _store(
@@ -287,12 +391,6 @@ def run(context: JobContext) -> Mapping[str, int]:
     if refused := refusals_text(counts):
         _log.info("%d windows estimated, %d refused: %s", counts["estimated"], counts["refused"], refused)
     return {name: count for name, count in counts.items() if name not in BESIDE and (count or name not in RARE)}
-
-
-BESIDE = {"looks", "wheelsets", "windows", "results"}
-"""Counts of stages that are no counts of the job."""
-RARE = {"mileages_judged", "passed_over"}
-"""Counts that are left out where they are 0."""
 
 
 JOB = Job(JOB_NAME, "Reduce pending windows to bin tables", every_s=60.0, run=run)

@@ -49,6 +49,7 @@ from estimation.values.runs import Facet, SubjectKind
 from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of_text, text_of_key
 
 JOB_NAME = "refresh_adhesion"
+BESIDE = {"wheelsets", "looks", "results"}  # counts of stages that are no counts of the job
 BATCH = 32  # windows, of a megabyte each, committed together
 MOST_SPANS = 8  # of a section that are pooled in one look: the next run goes on
 MOST_WINDOWS = 600  # of a running gear that count and are kept: 10 hours of running
@@ -330,9 +331,6 @@ def run(context: JobContext) -> Mapping[str, int]:
         refresh_geometry.JOB.run(context)
     return {name: count for name, count in counts.items() if name not in BESIDE}
 
-
-BESIDE = {"wheelsets", "looks", "results"}
-"""Counts of stages that are no counts of the job."""
 
 JOB = Job(
     name=JOB_NAME,

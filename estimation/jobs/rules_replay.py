@@ -25,10 +25,10 @@ from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.wheelset_facts import hunted_beside, windows_wanted
-from estimation.jobs.steps.window_creep import friction_parameters, pool_ends, pooled_ns, section_length
+from estimation.jobs.steps.window_creep import friction_parameters, pool_ends, pooled_ns
 from estimation.storage import UnitOfWork
 from estimation.trend.trend import TrendParameters, behind_step
-from estimation.values.alerts import Alert, CloseReason, Condition
+from estimation.values.alerts import Alert, CloseReason, Condition, Transition
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
 from estimation.values.opinions import SectionAdhesion
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
@@ -122,14 +122,19 @@ def _evaluate(
         change = transition(
             standing.get(finding.kind), finding, at_ns, fleet=wheelset.fleet, delays=own.delays_of(finding.kind)
         )
-        if change is None:
-            continue
-        if change.alert.closed_ns is None:
-            standing[finding.kind] = change.alert
-        else:
-            del standing[finding.kind]
-            if change.events:  # one that was never raised leaves nothing
-                closed.append(change.alert)
+        _follow(change, finding.kind, standing, closed)
+
+
+def _follow(change: Transition | None, key: str, standing: dict[str, Alert], closed: list[Alert]) -> None:
+    """Keep what becomes of the alert that stands under a key."""
+    if change is None:
+        return
+    if change.alert.closed_ns is None:
+        standing[key] = change.alert
+    else:
+        standing.pop(key, None)
+        if change.events:  # one that was never raised leaves nothing
+            closed.append(change.alert)
 
 
 def _then(history: History, at_ns: int) -> tuple[WheelsetRecord, VehicleRecord | None]:
@@ -286,7 +291,9 @@ def section_replayed(unit: UnitOfWork, section: str, book: RuleBook, span: tuple
         span: From and to, ns UTC of the vehicles' clocks.
     """
     rule = book.rule(LowAdhesionRule)
-    pooled, length = pooled_ns(rule), section_length(unit, section)
+    # one that is not on file any more has no places
+    length = next((one.length_m for one in unit.tracks.sections() if one.code == section), 0.0)
+    pooled = pooled_ns(rule)
     standing: dict[str, Alert] = {}
     closed: list[Alert] = []
     for to_ns in pool_ends(unit.adhesion.starts_with_sums(section, *span), pooled):
@@ -320,11 +327,4 @@ def _evaluate_section(
             delays=own.delays,
             rules_version=book.version,
         )
-        if change is None:
-            continue
-        if change.alert.closed_ns is None:
-            standing[fleet] = change.alert
-        else:
-            standing.pop(fleet, None)
-            if change.events:  # one that was never raised leaves nothing
-                closed.append(change.alert)
+        _follow(change, fleet, standing, closed)

@@ -128,11 +128,7 @@ def _kept(owned: Storage) -> bool | None:
 
 
 def clock_was_set(passed_ns: int) -> bool:
-    """Return whether somebody has set the clock, or this process stood still, since the look before.
-
-    Args:
-        passed_ns: Between two looks of the scheduler by the clock, ns; the interval itself is :data:`CHECK_S`.
-    """
+    """Return whether somebody set the clock, or this process stood still, by what passed between two looks of it."""
     return abs(passed_ns - CHECK_S * 1e9) > STEP_NS
 
 
@@ -184,10 +180,7 @@ def stop_on_signals(stop_event: Event) -> None:
     """Set ``stop_event`` on SIGTERM and SIGINT; for the main thread of a service.
 
     The handler only leaves a note, in a queue that may be entered twice by one thread: it may run while the main thread
-    holds the lock of ``stop_event``, where to set it would wait for ever.
-
-    Args:
-        stop_event: Set soon after the signal, by a thread of its own.
+    holds the lock of ``stop_event``, where to set it would wait for ever. A thread of its own sets the event.
     """
     notes: SimpleQueue[int] = SimpleQueue()
 

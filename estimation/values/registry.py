@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Self
@@ -91,6 +91,11 @@ class Mounting:
         if self.to_ns is not None and self.to_ns <= self.from_ns:
             raise ParameterError("must be later than 'from'", field="to")
         return self
+
+
+def mounting_of(mountings: Iterable[Mounting], axle: int, at_ns: int) -> Mounting | None:
+    """Return which of the mountings on a vehicle was at an axle at a time of its clock; None where there was none."""
+    return next((one for one in mountings if one.axle == axle and one.covers(at_ns)), None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,13 +6,15 @@ read again in the transaction that stores results where it may be another by the
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from estimation.errors import DamagedError, NotFoundError, PurgedError
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup, VehicleLookup
+from estimation.jobs.job import JobContext
+from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.axle_distance import (
     bogie_runs_backwards,
     check_axle_distance,
@@ -24,22 +26,32 @@ from estimation.motion.checks import runs_backwards
 from estimation.motion.without_blows import without_blows
 from estimation.storage import UnitOfWork
 from estimation.values.opinions import FRICTION
-from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import Mounting
-from estimation.values.runs import Facet, SubjectKind
+from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.registry import Mounting, mounting_of
+from estimation.values.roll_up import MOST_CHOSEN
+from estimation.values.runs import FAILED, Facet, SubjectKind
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import Window, WindowKey, WindowPosition, WindowRecord
+from estimation.values.windows import (
+    Window,
+    WindowKey,
+    WindowPosition,
+    WindowRecord,
+    WindowState,
+    key_of_text,
+    text_of_key,
+)
 from estimation.vehicle.vehicle_class import VehicleClass
 
 FACETS = (Facet.REGISTRY, Facet.PLACES, Facet.WINDOWS, FRICTION)
 """Of wheelsets, vehicles and sections: one is raised with whatever a window is estimated with."""
 Stretches = tuple[tuple[float, float], ...]  # from and to, m
+LATEST_NS = 2**63 - 1
 KEPT = 4  # windows, of a megabyte each: both of a bogie need both
 
 
 def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleClass) -> Window | Reason:
     """Return a stored window as :meth:`WindowLoader.load` does."""
-    return WindowLoader(unit, VehicleLookup(unit)).load(record, vehicle_class)
+    return WindowLoader(unit).load(record, vehicle_class)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +59,10 @@ class WindowLoader:
     """Loads windows, as one transaction sees them; those that were loaded last are kept for the other of their bogie.
 
     Attributes:
-        vehicles: Of the same transaction.
         known: Records that the transaction has read; others are looked up.
     """
 
     unit: UnitOfWork
-    vehicles: VehicleLookup
     known: Mapping[WindowKey, WindowRecord] = field(default_factory=dict)
     _kept: dict[WindowKey, Window] = field(default_factory=dict)
 
@@ -84,7 +94,7 @@ class WindowLoader:
 
     def _in_bogie(self, window: Window, partner: Window, record: WindowRecord) -> Window | Reason:
         """Return the window of one axle of a bogie with the yaw of their frame, or what contradicts the registry."""
-        offsets = self.vehicles.vehicle(record.vehicle).axle_offsets_m
+        offsets = self.unit.registry.vehicle(record.vehicle).axle_offsets_m
         behind = offsets[record.axle - 1]
         ahead = offsets[partner.axle - 1] - behind
         backwards = bogie_runs_backwards(window, partner, ahead)
@@ -102,7 +112,7 @@ class WindowLoader:
         """
         if not runs_backwards(window):
             return window
-        vehicle = self.vehicles.vehicle(record.vehicle)
+        vehicle = self.unit.registry.vehicle(record.vehicle)
         others = [runs_backwards(other) for other in self._others(window, vehicle.axles)]
         if others.count(False) > others.count(True):
             return window
@@ -111,7 +121,7 @@ class WindowLoader:
     def _others(self, window: Window, axles: int) -> Iterator[Window]:
         """Yield what the other nodes of the vehicle measured at the time of a window."""
         for axle in range(1, axles + 1):
-            mounting = self.vehicles.mounting_at(window.vehicle, axle, window.start_ns)
+            mounting = self.unit.registry.mounting_at(window.vehicle, axle, window.start_ns)
             if axle == window.axle or mounting is None:
                 continue
             try:
@@ -138,7 +148,7 @@ class WindowLoader:
         first, last = (int(valid[0]), int(valid[-1])) if len(valid) else (0, len(window.valid) - 1)
         for place in (first, last):
             at_ns = window.start_ns + place * window.length_ns // len(window.valid)
-            mounting = self.vehicles.mounting_at(window.vehicle, window.axle, at_ns)
+            mounting = self.unit.registry.mounting_at(window.vehicle, window.axle, at_ns)
             if mounting is None or mounting.wheelset != window.wheelset:
                 there = "no wheelset" if mounting is None else f"wheelset {mounting.wheelset}"
                 text = f"the registry has {there} at axle {window.axle} of vehicle {window.vehicle} then"
@@ -146,7 +156,7 @@ class WindowLoader:
         return None
 
     def _partner(self, record: WindowRecord, axle: int) -> Window | Reason:
-        mounting = self.vehicles.mounting_at(record.vehicle, axle, record.start_ns)
+        mounting = self.unit.registry.mounting_at(record.vehicle, axle, record.start_ns)
         if mounting is None:
             return _unknown(axle, "has no wheelset on file")
         try:
@@ -226,32 +236,44 @@ class BatchInputs:
     """What the windows of a batch are estimated with, as one transaction sees it.
 
     Attributes:
-        vehicles: Of the transaction.
         records: Of the windows and of those on the other axles of their bogies.
         facts: What all of this is of.
+        versions: Of the alignment, on which the windows of epochs are estimated.
     """
 
-    vehicles: VehicleLookup
+    unit: UnitOfWork
     records: Mapping[WindowKey, WindowRecord]
     facts: Facts
     found: Mapping[WindowKey, WindowInputs]
+    versions: Mapping[WindowKey, int | None]
+
+    def alignment(self, record: WindowRecord) -> TrackAlignment | None:
+        """Return the alignment that a window is estimated on: that of its epoch, else the one in force."""
+        section = record.track_section
+        if section is None:
+            return None
+        if record.key not in self.versions:
+            return self.unit.tracks.alignment(section)
+        version = self.versions[record.key]
+        return None if version is None else self.unit.tracks.alignment(section, version)
+
+    def layout(self, record: WindowRecord) -> TrackLayout | None:
+        """Return the layout of a window's section; None where there is none."""
+        return None if record.track_section is None else self.unit.tracks.layout(record.track_section)
 
 
 def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: ClassLookup) -> BatchInputs:
-    """Return what windows are estimated with.
-
-    Args:
-        classes: Of the same transaction.
-    """
+    """Return what windows are estimated with."""
     # before records of the registry are read: those that were read earlier may be of the time before
-    facts, vehicles = _facts(unit, records), VehicleLookup(unit)
+    facts = _facts(unit, records)
+    mountings = {code: unit.registry.mountings_on(code, 0, LATEST_NS) for code in facts.vehicles}
     positions = unit.tracks.positions([record.key for record in records])
     sections = {record.track_section for record in records} - {None}
     layouts = {section: unit.tracks.layout_version(section) for section in sorted(filter(None, sections))}
     low = _low_adhesion(unit, records)
     classes.look_up([record.wheelset for record in records])
     assumed = {record.key: classes.assumed(record.vehicle, record.wheelset) for record in records}
-    partners = {record.key: _partner_key(vehicles, record, assumed[record.key]) for record in records}
+    partners = {record.key: _partner_key(mountings[record.vehicle], record, assumed[record.key]) for record in records}
     missing = sorted({key for key in partners.values() if key is not None} - {record.key for record in records})
     known = {record.key: record for record in [*records, *(unit.windows.several(missing) if missing else ())]}
     found = {}
@@ -261,11 +283,11 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
             positions.get(key),
             None if record.track_section is None else layouts[record.track_section],
             assumed[key],
-            vehicles.mounting_at(record.vehicle, record.axle, record.start_ns),
+            mounting_of(mountings[record.vehicle], record.axle, record.start_ns),
             known[partner].content_digest if partner in known else None,
             low.get(key, ()),
         )
-    return BatchInputs(vehicles, known, facts, found)
+    return BatchInputs(unit, known, facts, found, unit.epochs.alignment_versions(list(found)))
 
 
 def _low_adhesion(unit: UnitOfWork, records: Sequence[WindowRecord]) -> Mapping[WindowKey, Stretches]:
@@ -287,39 +309,77 @@ def certain_stretches(unit: UnitOfWork, section: str, starts: Sequence[int]) -> 
     }
 
 
-def _partner_key(vehicles: VehicleLookup, record: WindowRecord, assumed: Assumed | Reason) -> WindowKey | None:
+def _partner_key(mountings: Sequence[Mounting], record: WindowRecord, assumed: Assumed | Reason) -> WindowKey | None:
     """Return the key that the window on the other axle of the bogie has; None without one."""
     axle = None if isinstance(assumed, Reason) else assumed.windows.vehicle_class.partner(record.axle)
-    mounting = None if axle is None else vehicles.mounting_at(record.vehicle, axle, record.start_ns)
+    mounting = None if axle is None else mounting_of(mountings, axle, record.start_ns)
     return None if mounting is None else (mounting.wheelset, record.start_ns)
 
 
 @dataclass(frozen=True, slots=True)
-class TrackLookup:
-    """Looks up sections.
+class TableInputs:
+    """A window, and what it is estimated with.
 
     Attributes:
-        versions: By window, on which versions those of epochs are estimated.
+        window: As its vehicle's class reads it, or why it is not to be used.
+        rolls: Whether somebody will ask for what it says of its rolling radius.
     """
 
-    unit: UnitOfWork
-    versions: Mapping[WindowKey, int | None]
-
-    def alignment(self, record: WindowRecord) -> TrackAlignment | None:
-        """Return the alignment that a window is estimated on, else the one in force; None where there is none."""
-        section = record.track_section
-        if section is None:
-            return None
-        if record.key not in self.versions:
-            return self.unit.tracks.alignment(section)
-        version = self.versions[record.key]
-        return None if version is None else self.unit.tracks.alignment(section, version)
-
-    def layout(self, record: WindowRecord) -> TrackLayout | None:
-        """Return the layout of a window's section; None where there is none."""
-        return None if record.track_section is None else self.unit.tracks.layout(record.track_section)
+    record: WindowRecord
+    inputs: WindowInputs
+    facts: Facts = field(metadata={"made_from": False})
+    window: Window | Reason = field(metadata={"made_from": False})
+    track: TrackAlignment | None = field(metadata={"made_from": False})
+    layout: TrackLayout | None = field(metadata={"made_from": False})
+    rolls: bool
 
 
-def tracks_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord]) -> TrackLookup:
-    """Return the look-up of the sections of some windows."""
-    return TrackLookup(unit, unit.epochs.alignment_versions([record.key for record in records]))
+def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Mapping[str, TableInputs]:
+    """Return windows that wait or failed, with what they are estimated with; the others are left out."""
+    standing = unit.windows.several([key_of_text(key) for key in keys])
+    waiting = (one for one in standing if one.state is WindowState.PENDING or code_of(one.reason) in FAILED)
+    # the windows of a bogie next to each other: each needs the samples of the other
+    records = sorted(waiting, key=lambda record: (record.vehicle, record.start_ns, record.axle))
+    if not records:
+        return {}
+    batch = inputs_of_batch(unit, records, ClassLookup(unit, context.settings.estimation))
+    loader = WindowLoader(unit, batch.records)
+    chosen, inputs = likely_chosen(unit, records), {}
+    for record in records:
+        found = batch.found[record.key]
+        inputs[text_of_key(*record.key)] = TableInputs(
+            record=record,
+            inputs=found,
+            facts=batch.facts,
+            window=_window(loader, record, found.assumed),
+            track=batch.alignment(record),
+            layout=batch.layout(record),
+            rolls=record.key in chosen,
+        )
+    return inputs
+
+
+def _window(loader: WindowLoader, record: WindowRecord, assumed: Assumed | Reason) -> Window | Reason:
+    if record.implausible is not None:
+        return record.implausible
+    if isinstance(assumed, Reason):
+        return assumed
+    try:
+        return loader.load(record, assumed.windows.vehicle_class)
+    except DamagedError as error:
+        return Reason(ReasonCode.FILE_DAMAGED, str(error))  # names the file; the other windows go on
+
+
+def likely_chosen(unit: UnitOfWork, records: Sequence[WindowRecord]) -> set[WindowKey]:
+    """Return which windows of a batch would be chosen beside those of the newest roll-up of their wheelset."""
+    of_wheelset: defaultdict[str, list[WindowRecord]] = defaultdict(list)
+    for record in records:
+        if not record.quality.hunting.sustained:
+            of_wheelset[record.wheelset].append(record)
+    stored = unit.roll_ups.newest_chosen(sorted(of_wheelset)) if of_wheelset else {}
+    found: set[WindowKey] = set()
+    for wheelset, several in of_wheelset.items():
+        digests = {*stored.get(wheelset, ()), *(record.content_digest for record in several)}
+        smallest = set(sorted(digests)[:MOST_CHOSEN])
+        found |= {record.key for record in several if record.content_digest in smallest}
+    return found

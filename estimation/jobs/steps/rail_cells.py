@@ -147,7 +147,9 @@ def _sealed(before: StoredCell, refused: Reason | None) -> StoredCell:
         return replace(before, digest=LOST)
     if before.cell is None:
         return before
-    return replace(before, cell=replace(before.cell, wheel=before.wheel), reason=refused)
+    # cells with equal arrays are equal only where they are the same object
+    same = before.cell.wheel == before.wheel
+    return replace(before, cell=before.cell if same else replace(before.cell, wheel=before.wheel), reason=refused)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelPair, 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
 from estimation.jobs.steps.identities import suspected
-from estimation.jobs.steps.vehicle_classes import Baseline, ClassLookup, VehicleLookup, baselines
+from estimation.jobs.steps.vehicle_classes import Baseline, ClassLookup, baselines
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, extrapolated
@@ -57,19 +57,15 @@ class EntryReader:
     """Finds what the fleet knows of wheelsets, as one transaction sees it.
 
     Attributes:
-        unit: Registry, geometries and sections are read.
-        classes, vehicles: Of the same transaction.
         parameters: How old and how uncertain a conicity may be.
     """
 
     unit: UnitOfWork
     classes: ClassLookup
-    vehicles: VehicleLookup
     parameters: SignatureParameters
     _sections: dict[str, TrackSectionRecord] = field(default_factory=dict)
     _baselines: dict[str, Sequence[Baseline]] = field(default_factory=dict)
     _labels: dict[tuple[str, int], Sequence[_Label]] = field(default_factory=dict)
-    _measured: dict[str, Sequence[MeasuredProfiles]] = field(default_factory=dict)
     _damaged: dict[str, DamagedError] = field(default_factory=dict)
     _contacts: dict[tuple[str, int, RailShare], tuple[float, float] | None] = field(default_factory=dict)
 
@@ -133,7 +129,7 @@ class EntryReader:
         if isinstance(on_file, Reason) or mounting is None:
             return (found.wheelset,)
         partner = on_file.vehicle_class.partner(mounting.axle)
-        other = None if partner is None else self.vehicles.mounting_at(found.vehicle, partner, found.start_ns)
+        other = None if partner is None else self.unit.registry.mounting_at(found.vehicle, partner, found.start_ns)
         return (found.wheelset,) if other is None else (found.wheelset, other.wheelset)
 
     def pair(self, one: KnownSignatures) -> DesignPair:
@@ -170,9 +166,7 @@ class EntryReader:
     ) -> tuple[tuple[float, float] | None, bool]:
         """Return conicity and std by the nearest measurement of the same profile; and whether one is of another."""
         wheelset = one.found.wheelset
-        if wheelset not in self._measured:
-            self._measured[wheelset] = self.unit.registry.measured_profiles(wheelset)
-        measured, far_km = self._measured[wheelset], self.parameters.most_mileage_km
+        measured, far_km = self.unit.registry.measured_profiles(wheelset), self.parameters.most_mileage_km
         near = [item for item in measured if abs(item.mileage_km - one.mileage_km) <= far_km]
         same = [item for item in near if self.baseline_at(wheelset, item.at_ns).number == baseline]
         rails = RailShare(section.rail_profile, section.rail_inclination, section.nominal_gauge_m, 1.0)

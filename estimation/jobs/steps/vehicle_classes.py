@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
 from estimation.jobs.settings import EstimationSettings
@@ -14,7 +14,7 @@ from estimation.motion.integration import WindowParameters
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import bin_parameters
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.roll_up import Member, RollUp, RollUpKey, Side, TabledWindow
 from estimation.values.trend import IdentityChange
 from estimation.values.windows import PassedOver
@@ -29,16 +29,16 @@ class Assumed:
         on_file: Class of the vehicle.
         windows: What turns the window into motion.
         table_key: Of the bin tables that follow.
-        digest: Of all that a result rests on, standard deviations included.
     """
 
     on_file: ClassOnFile
     windows: WindowParameters
     table_key: str
-    digest: str = field(init=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "digest", f"{self.table_key} {self.on_file.digest}")
+    @property
+    def digest(self) -> str:
+        """Digest of all that a result rests on, standard deviations included."""
+        return f"{self.table_key} {self.on_file.digest}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,11 +58,7 @@ class ClassLookup:
         return self._wheelsets[serial]
 
     def look_up(self, serials: Sequence[str], vehicles: Collection[str] = ()) -> None:
-        """Look up several wheelsets, and the classes of vehicles, together.
-
-        Args:
-            serials, vehicles: Those that are not on file are looked up again when they are asked for.
-        """
+        """Look up wheelsets, and the classes of vehicles, together; those that are not on file again when asked for."""
         missing = sorted(set(serials) - self._wheelsets.keys())
         if missing:
             self._wheelsets.update({one.serial: one for one in self.unit.registry.wheelsets_of(missing)})
@@ -110,48 +106,6 @@ class ClassLookup:
 def class_unknown(code: str) -> Reason:
     """Return the reason why windows of a vehicle wait whose class is not on file."""
     return Reason(ReasonCode.CLASS_UNKNOWN, f"class {code!r} of the vehicle is not on file")
-
-
-LATEST_NS = 2**63 - 1
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleLookup:
-    """Looks up vehicles and mountings.
-
-    Attributes:
-        unit: Vehicles and mountings are read.
-    """
-
-    unit: UnitOfWork
-    _vehicles: dict[str, VehicleRecord] = field(default_factory=dict)
-    _mountings: dict[str, Sequence[Mounting]] = field(default_factory=dict)
-
-    def vehicle(self, code: str) -> VehicleRecord:
-        """Return a vehicle.
-
-        Raises:
-            NotFoundError: There is none of that code.
-        """
-        if code not in self._vehicles:
-            self._vehicles[code] = self.unit.registry.vehicle(code)
-        return self._vehicles[code]
-
-    def with_mountings(self, vehicles: Iterable[str]) -> VehicleLookup:
-        """Return the lookup with all mountings on some vehicles, to go on with in another transaction."""
-        self._mountings.update({code: self.unit.registry.mountings_on(code, 0, LATEST_NS) for code in vehicles})
-        return self
-
-    def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
-        """Return which wheelset ran at an axle at a time; None where there was none.
-
-        Args:
-            vehicle, axle: Code, and the axle from 1.
-            at_ns: ns UTC on the vehicle's clock.
-        """
-        if vehicle not in self._mountings:
-            self._mountings[vehicle] = self.unit.registry.mountings_on(vehicle, 0, LATEST_NS)
-        return next((one for one in self._mountings[vehicle] if one.axle == axle and one.covers(at_ns)), None)
 
 
 @dataclass(frozen=True, slots=True)
