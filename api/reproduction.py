@@ -74,7 +74,8 @@ def run(gauge_std: float, seconds: float, seed: int) -> Case:
     parameters = bin_table.BinParameters()
     certain = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
     estimate = estimate_geometry(bin_table.tabulate(seen, parameters), parameters, certain)
-    printed = paper_algorithm.estimate(seen, paper_algorithm.PaperParameters(width=parameters.width))
+    algorithm = paper_algorithm.PaperAlgorithm(width=parameters.width)
+    printed = paper_algorithm.estimate(seen, VehicleParameters(), algorithm)
     truth, jump = _truth(table, estimate.bin_edges)
     return Case(gauge_std, table, motion, estimate, printed, truth, jump)
 

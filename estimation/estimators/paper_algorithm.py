@@ -14,7 +14,7 @@ sample and stays 1.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Self
 
 import numpy as np
@@ -50,16 +50,6 @@ REGRESSORS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class PaperParameters:
-    """Division size b, threshold count and forgetting factor W of section 4."""
-
-    width: float = 0.25e-3  # b, m
-    threshold: int = 200
-    forgetting: float = 1.0
-    vehicle: VehicleParameters = field(default_factory=VehicleParameters)
-
-
-@dataclass(frozen=True, slots=True)
 class PaperGeometry:
     """The four combinations by bin; NaN where the threshold was not reached."""
 
@@ -71,9 +61,8 @@ class PaperGeometry:
     contact_angle_difference: FloatArray  # (b,) rad
 
 
-def estimate(motion: Motion, parameters: PaperParameters) -> PaperGeometry:
+def estimate(motion: Motion, p: VehicleParameters, parameters: PaperAlgorithm) -> PaperGeometry:
     """Run the algorithm over ideal signals in the order of their samples; the mean speed is the paper's V."""
-    p = parameters.vehicle
     keep = motion.valid
     V = float(motion.speed[keep].mean())
     nearest = np.floor(motion.displacement[keep] / parameters.width + 0.5).astype(np.int64)
@@ -117,7 +106,7 @@ def yaw_output(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) 
 
 
 def recursion_in_bins(
-    features: FloatArray, output: FloatArray, index: IntArray, bins: int, parameters: PaperParameters
+    features: FloatArray, output: FloatArray, index: IntArray, bins: int, parameters: PaperAlgorithm
 ) -> tuple[FloatArray, IntArray]:
     """Run Eq. 10-14 in bins ``index`` (n,); return theta (b, 3), NaN below the threshold, and the counts (b,)."""
     count = np.bincount(index, minlength=bins).astype(np.int64)

@@ -13,7 +13,7 @@ is the distance.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -316,13 +316,3 @@ def time_derivative(values: FloatArray, step: float) -> FloatArray:
     slope = np.gradient(values, step)
     slope[2:-2] = (8.0 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / (12.0 * step)
     return np.asarray(slope)
-
-
-def uniform_spacing(nodes: Sequence[float] | FloatArray) -> float | None:
-    """Return the spacing of increasing, uniform ``nodes``, None where they are not; 1 for a single node."""
-    steps = np.diff(np.asarray(nodes, dtype=np.float64))
-    if len(steps) == 0:
-        return 1.0
-    if not (steps[0] > 0.0 and np.allclose(steps, steps[0], rtol=1e-6, atol=0.0)):
-        return None
-    return float(np.mean(steps))

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from estimation.contact.geometry import ContactTable
-from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.vehicle.regressors import creep_rate
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, GRAVITY, BogieParameters, VehicleParameters
@@ -196,8 +195,6 @@ def simulate_gear(
     As ``ingest.simulator.motion.simulate_wheelset``, with ``initial`` (16,) in the order of ``gear_rates``. The mass
     that a node measures is in a bogie the frame above its axle: y_f + x_i psi_f.
     """
-    if len(tables) != gear.axles:
-        raise ParameterError(f"{len(tables)} for {gear.axles} wheelsets", field="tables")
     speed = frozen_array(speed, (None,), name="speed")  # read-only from every caller: it is compiled once
     prepared = [table if isinstance(table, PreparedTable) else PreparedTable.of(table) for table in tables]
     courses = [course(track, speed, start - gear.places[0] + x) for x in gear.places]

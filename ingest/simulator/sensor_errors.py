@@ -12,7 +12,6 @@ from typing import Annotated
 import numpy as np
 import scipy.signal
 
-from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.vehicle.vehicle_class import GRAVITY
 
@@ -121,11 +120,6 @@ def sampled_late(signals: FloatArray, skew: float, step: float) -> FloatArray:
 def vibration_of(vibration: Vibration, count: int, step: float, rng: np.random.Generator) -> FloatArray:
     """Return the vibration (4, count) of the channels: normal, band-limited, each for itself."""
     rate = 1.0 / step
-    if not 0.0 < vibration.lowest_hz < vibration.highest_hz < 0.5 * rate:
-        raise ParameterError(
-            f"{vibration.lowest_hz:g} to {vibration.highest_hz:g} Hz is no band below {0.5 * rate:g} Hz",
-            field="vibration",
-        )
     band = scipy.signal.butter(
         ORDER, (vibration.lowest_hz, vibration.highest_hz), btype="bandpass", fs=rate, output="sos"
     )

@@ -28,7 +28,7 @@ from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.errors import ContactError
 from estimation.estimators.interface import EstimatorParameters
-from estimation.estimators.paper_algorithm import PaperAlgorithm, PaperParameters, recursion_in_bins
+from estimation.estimators.paper_algorithm import PaperAlgorithm, recursion_in_bins
 from estimation.filters import local_cubic_kernel, remove_wander
 from estimation.motion.integration import integrate_once, integrate_twice, take_out_mean
 from estimation.motion.rolling_radius_difference import sample_smoothed
@@ -105,7 +105,7 @@ def _paper() -> Iterator[FloatArray]:
     rng = np.random.default_rng(4)
     features = np.column_stack([rng.standard_normal((60, 2)), np.ones(60)])
     output = features @ [3.0, -2.0, 0.5] + 0.01 * rng.standard_normal(60)
-    yield recursion_in_bins(features, output, np.arange(60) % 2, 3, PaperParameters(threshold=10, forgetting=0.99))[0]
+    yield recursion_in_bins(features, output, np.arange(60) % 2, 3, PaperAlgorithm(threshold=10, forgetting=0.99))[0]
 
 
 def _bin_tables() -> Iterator[FloatArray]:

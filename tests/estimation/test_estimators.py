@@ -23,6 +23,7 @@ from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import regression
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 CERTAIN = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
 ALL = pytest.mark.parametrize("estimator", estimators(), ids=lambda item: item.name)
@@ -121,7 +122,7 @@ def test_the_paper_in_stretches_is_the_paper_at_once() -> None:
     """At constant speed V is the same for every stretch, so that both run the same recursion."""
     motion = ideal(run(120))
     found = run_estimator(PaperAlgorithm(), CERTAIN, cut(motion, 9_000, 50_001))
-    plain = paper_algorithm.estimate(motion, paper_algorithm.PaperParameters())
+    plain = paper_algorithm.estimate(motion, VehicleParameters(), PaperAlgorithm())
     at = np.rint((found.displacement - plain.centre[0]) / 0.25e-3).astype(int)
     np.testing.assert_allclose(found.difference, plain.rolling_radius_difference[at], rtol=1e-6)
 

@@ -77,11 +77,10 @@ def test_without_the_yaw_of_the_frame_a_stiff_bogie_gives_another_curve(estimato
 @pytest.mark.parametrize("yaw_stiffness", [SOFT, COACH])
 def test_the_printed_algorithm_has_the_moment_of_the_frame(yaw_stiffness: float, axle: int) -> None:
     motion = ideal_in_bogie(motions(yaw_stiffness)[axle - 1])
-    parameters = paper_algorithm.PaperParameters(vehicle=wheelset(yaw_stiffness))
     table = SmoothTable(CONES[axle])
     errors = []
     for one in (motion, without_frame(motion)):
-        found = paper_algorithm.estimate(one, parameters)
+        found = paper_algorithm.estimate(one, wheelset(yaw_stiffness), paper_algorithm.PaperAlgorithm())
         use = np.isfinite(found.rolling_radius_difference) & (np.abs(found.centre) < 3e-3)
         true = table.left(found.centre) - table.right(found.centre)
         errors.append(float(np.abs(found.rolling_radius_difference - true)[use].max()))

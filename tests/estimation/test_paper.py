@@ -8,6 +8,7 @@ from smooth_wheelset import SmoothTable, ideal, run
 
 from estimation.estimators import paper_algorithm
 from estimation.estimators.paper_algorithm import jumps_elsewhere
+from estimation.vehicle.vehicle_class import VehicleParameters
 
 
 def test_the_compiled_recursion_is_the_plain_one() -> None:
@@ -15,7 +16,7 @@ def test_the_compiled_recursion_is_the_plain_one() -> None:
     features = np.column_stack([rng.standard_normal((900, 2)) * [2e-3, 5e-2], np.ones(900)])
     output = features @ [3.0, -2.0, 0.5] + 0.01 * rng.standard_normal(900)
     index = rng.integers(0, 3, 900)
-    parameters = paper_algorithm.PaperParameters(threshold=50, forgetting=0.999)
+    parameters = paper_algorithm.PaperAlgorithm(threshold=50, forgetting=0.999)
     theta, count = paper_algorithm.recursion_in_bins(features, output, index, 4, parameters)
     assert count.tolist() == [*np.bincount(index, minlength=4).tolist()]
     assert np.isnan(theta[3]).all()
@@ -28,7 +29,7 @@ def test_the_compiled_recursion_is_the_plain_one() -> None:
 
 
 def test_radius_difference_and_angle_difference_converge_and_the_angle_sum_does_not() -> None:
-    found = paper_algorithm.estimate(ideal(run(200)), paper_algorithm.PaperParameters())
+    found = paper_algorithm.estimate(ideal(run(200)), VehicleParameters(), paper_algorithm.PaperAlgorithm())
     table = SmoothTable()
     good = found.samples > 2000
     x = found.centre[good]

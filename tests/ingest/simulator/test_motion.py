@@ -208,15 +208,3 @@ def test_impossible_runs_are_refused(speed: float, start: float, field: str) -> 
     with pytest.raises(ParameterError) as refused:
         simulate_wheelset(PAPER, cones(0.1), straight(100.0), np.full(1000, speed), start)
     assert refused.value.field == field
-
-
-def test_a_table_that_is_uneven_or_not_finite_is_refused() -> None:
-    good = cones(0.1)
-    uneven = good.lateral_displacement.copy()
-    uneven[3] += 1e-4
-    hole = good.roll.copy()
-    hole[5, 0] = math.nan
-    with pytest.raises(ParameterError, match="lateral_displacement"):
-        PreparedTable.of(AnalyticTable(**{**vars(good), "lateral_displacement": uneven}))
-    with pytest.raises(ParameterError, match="finite"):
-        PreparedTable.of(AnalyticTable(**{**vars(good), "roll": hole}))

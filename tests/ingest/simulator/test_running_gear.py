@@ -8,7 +8,6 @@ from analytic_contact import cones, smooth_pair
 from linear_bogie import bogie_system
 from scipy.linalg import expm
 
-from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, VehicleParameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
@@ -127,8 +126,3 @@ def test_in_a_curve_the_bogie_takes_up_the_chord_and_the_uncompensated_accelerat
     spin = -2.0 * rigid.lateral_spin_creep_coefficient / radius
     needed = rigid.wheelset_mass * a - forces[0]  # by the front wheelset: its own share, and that of its spring
     assert creep + spin == pytest.approx(needed, rel=0.02)
-
-
-def test_as_many_tables_as_axles_are_needed() -> None:
-    with pytest.raises(ParameterError, match="1 for 2 wheelsets"):
-        simulate_gear(RunningGear(SOFT, BOGIE), [cones(0.1)], straight(), np.full(10, 20.0), 5.0)

@@ -72,7 +72,6 @@ def test_a_seed_gives_one_track_and_gauge_does_not_follow_alignment() -> None:
     ("change", "words"),
     [
         ({"wavelengths": (0.9, 70.0)}, "cannot carry"),
-        ({"wavelengths": (70.0, 3.0)}, "no band"),
         ({"length": 50.0}, "shorter than the longest"),
     ],
 )
