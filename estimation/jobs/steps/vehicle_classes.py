@@ -8,15 +8,16 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
+from estimation.alerts.rules.sensor_data import MOUNTED
 from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.identities import last_change
 from estimation.motion.integration import WindowParameters
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import bin_parameters
+from estimation.values.alerts import Alert
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.roll_up import Member, RollUp, RollUpKey, Side, TabledWindow
-from estimation.values.trend import IdentityChange
+from estimation.values.trend import AFTER, IDENTITY, TREND, IdentityChange, baseline_part, latest_identity_change
 from estimation.values.windows import PassedOver
 from estimation.vehicle.vehicle_class import ClassOnFile
 
@@ -275,3 +276,58 @@ class PassedOverWindows:
         counts = self.counts([roll_up])
         other_class = PassedOver.CLASS_CHANGED in counts and self.rules.assumed(roll_up) is None
         return other_class or PassedOver.RECORD_CHANGED in counts or not self.rules.of_its_baseline(roll_up)
+
+
+def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
+    """Return the last identity change of a wheelset that is on record, from its alerts of this kind.
+
+    One that was found in another place than the registry has for the wheelset now is none: what was recorded after it
+    is another wheelset's by now.
+    """
+    return identity_changes(unit, [serial]).get(serial)
+
+
+def identity_changes(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, IdentityChange]:
+    """Return the last identity change of each of some wheelsets that has one on record, by serial."""
+    alerts: dict[str, list[Alert]] = {}
+    for alert in unit.alerts.of_kind(IDENTITY, serials):
+        alerts.setdefault(str(alert.wheelset), []).append(alert)
+    mountings = unit.registry.mountings_of(list(alerts)) if alerts else {}
+    changes = {
+        serial: latest_identity_change([one for one in own if _still_there(one, mountings.get(serial, ()))])
+        for serial, own in alerts.items()
+    }
+    return {serial: change for serial, change in changes.items() if change is not None}
+
+
+def suspected(unit: UnitOfWork) -> frozenset[str]:
+    """Return the wheelsets with an identity alert, open or closed: all others have had no identity change."""
+    return unit.alerts.wheelsets_of_kind(IDENTITY)
+
+
+def _still_there(alert: Alert, mountings: Sequence[Mounting]) -> bool:
+    """Whether a wheelset was mounted after a change where the alert says; its way round may have been corrected."""
+    place, after_ns = alert.evidence.get(MOUNTED), alert.evidence.get(AFTER)
+    if not isinstance(place, dict) or not isinstance(after_ns, int):
+        return True
+    at = [place.get(name) for name in ("vehicle", "axle", "from_ns")]
+    same = [one for one in mountings if [one.vehicle, one.axle, one.from_ns] == at]
+    return any(one.to_ns is None or one.to_ns > after_ns for one in same)
+
+
+def last_change(unit: UnitOfWork, wheelset: WheelsetRecord) -> IdentityChange | None:
+    """Return the last change that data of a wheelset are not merged across: of its identity, or a step of its trend."""
+    identity = identity_change(unit, wheelset.serial)
+    changes = [identity, _step(unit, wheelset)]
+    return max((one for one in changes if one is not None), key=lambda one: one.after_ns, default=None)
+
+
+def _step(unit: UnitOfWork, wheelset: WheelsetRecord) -> IdentityChange | None:
+    """Return the newest step of the present profile as a change; None where there is none."""
+    trend = unit.results.latest_head(TREND, wheelset.serial)
+    if trend is None or trend.part != baseline_part(len(wheelset.reprofilings)) or not isinstance(trend.head, list):
+        return None
+    before_ns, after_ns = trend.head
+    assert isinstance(before_ns, int)
+    assert isinstance(after_ns, int)
+    return IdentityChange(before_ns, after_ns)
