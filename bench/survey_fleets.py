@@ -232,5 +232,5 @@ def _passes(windows: Sequence[Window], parameters: WindowParameters) -> list[Pas
     return [
         resampled(item, ProfileLife(window.wheelset), PASS_STEP)
         for window in windows
-        for item in examine(window, parameters).passes
+        for item in examine(window, parameters)[0]
     ]

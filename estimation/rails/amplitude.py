@@ -133,8 +133,8 @@ def at_amplitude(table: CellTable, k: int, anchors: Anchors, parameters: RailsPa
     level, left_out = _Level.of(table, k, anchors).even(parameters)
     level, confirmed = level.confirmed(parameters)
     level = level.widened(confirmed)
-    groups = connected(level.runs, parameters.least_wheelsets)
-    refused, covered = groups.refused | dict.fromkeys(left_out, UNEVEN), table.given(k)
+    groups, unconnected = connected(level.runs, parameters.least_wheelsets)
+    refused, covered = unconnected | dict.fromkeys(left_out, UNEVEN), table.given(k)
     found = AtAmplitude()
     for place, key in enumerate(table.rails):
         found.rails[key] = RailAt.unknown(refused.get(place, NOT_COVERED))
@@ -142,7 +142,7 @@ def at_amplitude(table: CellTable, k: int, anchors: Anchors, parameters: RailsPa
         why = refused.get(int(table.rail[row]), NOT_COVERED) if covered[row] else NOT_COVERED
         found.wheels[table.wheels[table.wheel[row]]] = WheelAt(None, Estimate.unknown(why))
     most = 0
-    for one in level.components(groups.group):
+    for one in level.components(groups):
         answer = parted(one, level.anchors.wheel, parameters)
         found.rails.update(answer.rails)
         found.wheels.update(answer.wheels)

@@ -113,14 +113,6 @@ class Runs:
         return np.divmod(np.unique(wheel * (s + 1) + node), s + 1)
 
 
-@dataclass(frozen=True, slots=True)
-class Connected:
-    """Groups of rails that are solved together, and why the others are refused."""
-
-    group: IntArray  # (s,) number of the group; -1 where rails are refused or have no cell
-    refused: dict[int, Reason]  # by number of the rails
-
-
 def islands(runs: Runs) -> IntArray:
     """Return by rails (s,) the number of the group that any wheel connects, all that is known counting as connected."""
     s = len(runs.known_rail)
@@ -128,8 +120,11 @@ def islands(runs: Runs) -> IntArray:
     return np.where(runs.known_rail, labels[s], labels[:s])
 
 
-def connected(runs: Runs, least: int) -> Connected:
-    """Return the groups of rails that enough wheelsets connect; what is refused connects nothing any more."""
+def connected(runs: Runs, least: int) -> tuple[IntArray, dict[int, Reason]]:
+    """Return by rails (s,) the number of their group, solved together, and by number why the others are refused.
+
+    The group is -1 where rails are refused or have no cell. What is refused connects nothing any more.
+    """
     # Rails that hang on one wheelset are refused where the others are connected with what is known. Where nothing is
     # known, both sides are groups of their own, for differences within each are known.
     refused: dict[int, Reason] = {}
@@ -140,7 +135,7 @@ def connected(runs: Runs, least: int) -> Connected:
             weak = dict.fromkeys(hanging, ON_ONE_WHEELSET)
             if not weak:
                 present = np.isin(np.arange(len(groups)), runs.rail)
-                return Connected(np.where(present, groups, -1), refused)
+                return np.where(present, groups, -1), refused
         refused |= weak
         kept = ~np.isin(runs.rail, list(weak))
         runs = replace(runs, wheel=runs.wheel[kept], rail=runs.rail[kept])

@@ -22,7 +22,6 @@ from estimation.signatures.calibration import Calibration, OnFile, calibrated, d
 from estimation.signatures.mixed_model import (
     MixedModel,
     Rows,
-    Scatter,
     fitted,
     levels_between,
     scatter_of,
@@ -176,7 +175,7 @@ def current(entries: Sequence[LibraryEntry]) -> Current:
     spans = [[entries[at] for at in members] for _, members in sorted(by_place.items())]
     of_places = [tracks[members] for _, members in sorted(by_place.items())]
     wheelset = np.unique(rows.wheelset, return_inverse=True)[1]
-    scatter = Scatter(*2 * (np.eye(tracks.shape[1]),))
+    scatter = np.eye(tracks.shape[1]), np.eye(tracks.shape[1])
     order = np.concatenate([members for _, members in sorted(by_place.items())])
     for _ in range(ROUNDS):
         found = [_change(span, track, scatter) for span, track in zip(spans, of_places, strict=True)]
@@ -197,7 +196,10 @@ def current(entries: Sequence[LibraryEntry]) -> Current:
     return Current(tuple(kept), tuple(retired), tuple(changes.values()))
 
 
-def _change(entries: Sequence[LibraryEntry], tracks: FloatArray, scatter: Scatter) -> Change | None:
+def _change(
+    entries: Sequence[LibraryEntry], tracks: FloatArray, scatter: tuple[FloatArray, FloatArray]
+) -> Change | None:
+    of_wheelset, rest = scatter
     best: Change | None = None
     for at in range(LEAST_PASSES, len(entries) - LEAST_PASSES + 1):
         before, after = entries[at - 1].signature, entries[at].signature
@@ -207,7 +209,7 @@ def _change(entries: Sequence[LibraryEntry], tracks: FloatArray, scatter: Scatte
         for part in (entries[:at], entries[at:]):
             counts = np.unique([entry.wheelset for entry in part], return_counts=True)[1] / len(part)
             shares.append(float(np.sum(counts**2)))
-        covariance = scatter.rest * (1 / at + 1 / (len(entries) - at)) + scatter.of_wheelset * sum(shares)
+        covariance = rest * (1 / at + 1 / (len(entries) - at)) + of_wheelset * sum(shares)
         difference = tracks[at:].mean(axis=0) - tracks[:at].mean(axis=0)
         whitened = np.linalg.solve(np.linalg.cholesky(covariance), difference)
         distance = float(whitened @ whitened) / len(difference)

@@ -103,8 +103,7 @@ def fitted(rows: Rows) -> MixedModel:
     effects = _means(left, place)
     residuals = left - effects[place]
     wheelset = np.unique(rows.wheelset, return_inverse=True)[1]
-    scatter = scatter_of(residuals, wheelset, len(kept))
-    of_rest, of_own = scatter.rest, scatter.of_wheelset
+    of_own, of_rest = scatter_of(residuals, wheelset, len(kept))
     sections, section = np.unique(rows.section[np.unique(place, return_index=True)[1]], return_inverse=True)
     mean = _means(effects, section).mean(axis=0)
     level = effects[:, LEVEL] - mean[LEVEL]
@@ -137,21 +136,13 @@ def _of_errors(rows: Rows, response: FloatArray, level: FloatArray) -> FloatArra
     return np.asarray((slopes * rows.variance[:, None]).T @ slopes / len(slopes))
 
 
-@dataclass(frozen=True, slots=True)
-class Scatter:
-    """Covariances (f, f) of what is left of features: of wheelsets, and of the rest."""
-
-    of_wheelset: FloatArray
-    rest: FloatArray
-
-
-def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> Scatter:
-    """Return how residuals, less ``means`` means as of places, scatter from wheelset to wheelset, and within these."""
+def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> tuple[FloatArray, FloatArray]:
+    """Return the covariances (f, f) of residuals, less ``means`` means as of places, of wheelsets and within these."""
     own = _means(residuals, wheelset)
     freedom = max(len(residuals) - means - len(own), 1)
     rest = _covariance(residuals - own[wheelset], freedom)
     of_means = _covariance(own, max(len(own) - TERMS, 1))
-    return Scatter(_less(of_means, rest * _of_means(wheelset)), rest)
+    return _less(of_means, rest * _of_means(wheelset)), rest
 
 
 def _bent(conicity: FloatArray) -> FloatArray:

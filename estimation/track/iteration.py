@@ -219,7 +219,7 @@ def _moved_as_a_whole(fixed: Setting, found: IterationResult, survey: PriorAlign
 
 def with_slope(found: IterationResult, prior: PriorAlignment | None, most_weight: float) -> IterationResult:
     """Return ``found`` with the curves as steep as they are without the errors of R."""
-    if found.solution.report.curves_fixed:
+    if found.solution.curves_fixed:
         return found
     state = found.state if prior is None else add_prior(found.state, prior, found.noise, most_weight)
     slope = found.slope or slope_correction(state, found.solution)

@@ -174,19 +174,13 @@ class PassOutcome:
     reason: Reason | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Examined:
-    """The passes of a window, and what became of it."""
-
-    passes: tuple[Pass, ...]
-    outcome: PassOutcome
-
-
-def examine(window: Window, parameters: WindowParameters, *, mounted_reversed: bool = False) -> Examined:
+def examine(
+    window: Window, parameters: WindowParameters, *, mounted_reversed: bool = False
+) -> tuple[tuple[Pass, ...], Reason | None]:
     """Return the passes of a window along its section, with the reason where there is none or not all of it is used."""
     refusal = gate(window.quality, window.track_section, parameters.gates) or check_moving(window, parameters.signals)
     if refusal is not None:
-        return _examined(window, (), refusal)
+        return (), refusal
     integrated = integrate(window, moving_samples(window, parameters.signals), parameters.signals)
     jumps = position_jumps(integrated)
     if jumps:
@@ -195,16 +189,9 @@ def examine(window: Window, parameters: WindowParameters, *, mounted_reversed: b
     found = passes(window, integrated, parameters.vehicle, mounted_reversed=mounted_reversed)
     if not found:
         least = f"no uninterrupted run of {parameters.signals.shortest_segment_s:g} s in one direction"
-        return _examined(window, (), combined([jumps_reason(jumps), Reason(ReasonCode.INTERRUPTED, least)]))
+        return (), combined([jumps_reason(jumps), Reason(ReasonCode.INTERRUPTED, least)])
     refusal = check_axis_signs(integrated)
-    if refusal is not None:
-        return _examined(window, (), refusal)
-    return _examined(window, tuple(found), jumps_reason(jumps))
-
-
-def _examined(window: Window, found: tuple[Pass, ...], reason: Reason | None) -> Examined:
-    status = PassStatus.USED if found else PassStatus.REFUSED
-    return Examined(found, PassOutcome(window.wheelset, window.vehicle, window.start_ns, status, reason))
+    return ((), refusal) if refusal is not None else (tuple(found), jumps_reason(jumps))
 
 
 Item = TypeVar("Item")

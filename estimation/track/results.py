@@ -219,7 +219,7 @@ def _scale_std(shown: FloatArray | None, p: SectionParameters) -> float:
 
 
 def _profile_uncertainty(iterated: IterationResult) -> tuple[float, float]:
-    if not iterated.solution.report.curves_fixed:
+    if not iterated.solution.curves_fixed:
         return 0.0, 0.0
     squares = np.array([(one.std, one.std / one.spread) for one in iterated.measured_curves]) ** 2
     std, scale = np.sqrt(squares.mean(axis=0))

@@ -228,8 +228,8 @@ def _report(
 def _state_of(
     accepted: _Accepted, grouped: Grouped, known: PriorAlignment | None, p: SectionParameters
 ) -> tuple[Status, Reason | None]:
-    of_panel = accepted.iterated.solution.report
-    status, reason = of_panel.status, of_panel.reason
+    reason = accepted.iterated.solution.reason
+    status = Status.ESTIMATED if reason is None else Status.UNESTIMATED
     if known is not None and known.has_alignment:
         status, reason = Status.ESTIMATED, None
     elif status is Status.ESTIMATED:
@@ -246,7 +246,7 @@ def _state_of(
 def _stiffness_open(iterated: IterationResult) -> Reason | None:
     """Return how little the passes determine the stiffness ratio, where most of R depends on it; else None."""
     error = error_of_difference(iterated.ratios, iterated.passes)
-    if iterated.solution.report.curves_fixed or error <= MOST_DIFFERENCE_ERROR:
+    if iterated.solution.curves_fixed or error <= MOST_DIFFERENCE_ERROR:
         return None
     text = f"the passes leave the stiffness ratio open: {100 * error:.0f} % of rL - rR depend on what is assumed"
     return Reason(ReasonCode.STIFFNESS_OPEN, text)

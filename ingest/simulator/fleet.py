@@ -199,12 +199,8 @@ def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campa
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class _Axle:
-    """A wheelset over campaigns between which it does not wear."""
-
-    records: Mapping[int, SensorRecord | None]  # by campaign; None where its node has failed
-    geometry: GeometryTruth
+_Axle = tuple[Mapping[int, SensorRecord | None], GeometryTruth]
+"""What a wheelset's node measures by campaign, None where it has failed; the geometry, which does not wear between."""
 
 
 def _groups(scenario: Scenario, vehicle: VehiclePlan) -> list[tuple[int, ...]]:
@@ -261,18 +257,18 @@ def _group(
                 record = wheelset_record(scenario, run, axle, motion)
                 found[campaign] = replace(record, values=record.values * TURNED) if back else record
     truths = (true_geometry(scenario, *pair) for pair in zip(wheelsets, contacts, strict=True))
-    return [_Axle(*pair) for pair in zip(records, truths, strict=True)]
+    return list(zip(records, truths, strict=True))
 
 
 def _campaign(
     scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, axles: Sequence[_Axle], campaign: int
 ) -> tuple[FrameBatch, tuple[WheelsetTruth, ...]]:
     run = vehicle_run(scenario, track, vehicle, campaign)
-    batch = vehicle_frames(default_catalogue(), scenario, run, [axle.records[campaign] for axle in axles])
+    batch = vehicle_frames(default_catalogue(), scenario, run, [records[campaign] for records, _ in axles])
     wears = [wear_at(wheelset, run.odometer) for wheelset in vehicle.wheelsets]
     truths = (
-        WheelsetTruth(vehicle.code, place, campaign + 1, wear, axle.geometry)
-        for place, (wear, axle) in enumerate(zip(wears, axles, strict=True), start=1)
+        WheelsetTruth(vehicle.code, place, campaign + 1, wear, geometry)
+        for place, (wear, (_, geometry)) in enumerate(zip(wears, axles, strict=True), start=1)
     )
     return batch, tuple(truths)
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from estimation.errors import InputError, ParameterError, ScenarioError
-from estimation.values.arrays import FloatArray, FrozenArrays, freeze
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.fields import MM, Key, M
 from estimation.vehicle.vehicle_class import GRAVITY, VehicleParameters
 from ingest.file_value import As, Inline, between
@@ -131,19 +131,6 @@ class TrackTruth(FrozenArrays):
     gauge_deviation: Annotated[FloatArray, "n"]  # m, actual minus nominal gauge
     curves: Curves | None = None  # on the same grid; None: straight
     surface: Surface | None = None  # on the same grid; None: level, and alike everywhere
-
-    def __post_init__(self) -> None:
-        freeze(self)
-        n = len(self.s)
-        if self.curves is not None and len(self.curves.curvature) != n:
-            raise ParameterError(f"{len(self.curves.curvature)} points, the grid has {n}", field="curves")
-        if self.surface is not None and len(self.surface.roll) != n:
-            raise ParameterError(f"{len(self.surface.roll)} points, the grid has {n}", field="surface")
-        if n < FEWEST_POINTS:
-            raise ParameterError(f"{n} points are no track, at least {FEWEST_POINTS} are needed", field="s")
-        steps = np.diff(self.s)
-        if not (steps[0] > 0.0 and np.allclose(steps, steps[0], rtol=1e-6, atol=0.0)):
-            raise ParameterError("the distance grid is not uniform and increasing", field="s")
 
     @property
     def interval(self) -> float:

@@ -165,7 +165,7 @@ def _passes_of(group: Sequence[Window], assumed: Assumed, *, mounted_reversed: b
     """Return the passes of windows that are one run; where that fails, of each alone."""
     serials = tuple((window.wheelset, window.start_ns) for window in group)
     try:
-        examined = examine(joined(group), assumed.windows, mounted_reversed=mounted_reversed)
+        passes, reason = examine(joined(group), assumed.windows, mounted_reversed=mounted_reversed)
     except Exception as error:
         if not fails_alone(error):
             raise
@@ -173,7 +173,7 @@ def _passes_of(group: Sequence[Window], assumed: Assumed, *, mounted_reversed: b
             _log.exception("window %s@%d could not be examined", *serials[0])
             return [(serials, (), Reason(code_of_error(error), first_line(error)))]
         return [one for w in group for one in _passes_of([w], assumed, mounted_reversed=mounted_reversed)]
-    return [(serials, examined.passes, examined.outcome.reason)]
+    return [(serials, passes, reason)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,6 @@ from estimation.compiled import compiled
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile
-from estimation.errors import ParameterError
 from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.passes import ProfileLife
@@ -103,12 +102,6 @@ class PanelParameters:
     block: float = 250.0  # m
     roughness: float = 1e-3  # of h, relative to the data
     least_passes: int = 3  # at a grid point
-
-    def __post_init__(self) -> None:
-        lengths = ("step", "length", "cutoff_wavelength", "difference_cutoff_wavelength", "reach", "impact", "block")
-        for name in (*lengths, "gauge_unit"):
-            if not getattr(self, name) > 0:
-                raise ParameterError(f"{getattr(self, name)!r} is not positive", field=name)
 
     @property
     def knots(self) -> FloatArray:

@@ -225,7 +225,7 @@ def refine_ratios(
     is error of R; as far as R is its stiffness term it makes the ratio too small, in every block of data alike. Where
     measured profiles had to determine the curves, the ratios are as assumed.
     """
-    if solution.report.curves_fixed:
+    if solution.curves_fixed:
         return {item.source.vehicle: Ratio() for item in passes if item.source.stiffness_term is not None}
     rise = np.diff(solution.curves[0, :, : panel.parameters.basis_count], axis=1) / np.diff(panel.parameters.knots)
     seen = np.minimum(solution.weight[:, 1:], solution.weight[:, :-1])

@@ -13,7 +13,7 @@ from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.panel.basis import MeasuredCurve, Panel, PanelState, groups_of
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import FloatArray, IntArray, as_slice
-from estimation.values.quantities import Status, jackknife_std
+from estimation.values.quantities import jackknife_std
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment
 
@@ -31,19 +31,11 @@ FIXED_CURVE_WEIGHT = 100.0  # times the data of a knot: a curve that only the me
 
 
 @dataclass(frozen=True, slots=True)
-class PanelReport:
-    """Whether passes could separate alignment and geometry, or measured profiles have done so: ``curves_fixed``."""
-
-    status: Status
-    reason: Reason | None
-    curves_fixed: bool
-
-
-@dataclass(frozen=True, slots=True)
 class PanelSolution:
     """Curves and alignment with their standard deviations from blocks along the section."""
 
-    report: PanelReport
+    reason: Reason | None  # why passes could not separate alignment and geometry, and no profile did; else None
+    curves_fixed: bool  # by measured profiles
     lives: tuple[ProfileLife, ...]  # of the wheelsets
     knots: FloatArray  # (k,) R, m
     curves: FloatArray  # (1 + g, w, c) h(R) = y - d, m, and further columns: from all data, then without each group
@@ -85,11 +77,9 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     residual = float(np.sqrt(max(squares, 0.0) / freedom))
     common = jackknife_std(alignments)
     certainty = np.hypot(common, residual * np.sqrt(share))
-    separable = curves_fixed or reason is None
     return PanelSolution(
-        report=PanelReport(
-            Status.ESTIMATED if separable else Status.UNESTIMATED, None if separable else reason, curves_fixed
-        ),
+        reason=None if curves_fixed else reason,
+        curves_fixed=curves_fixed,
         lives=state.lives,
         knots=p.knots,
         curves=curves,

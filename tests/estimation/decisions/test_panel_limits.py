@@ -11,7 +11,6 @@ from estimation.track.panel.basis import MeasuredCurve, Panel, PanelParameters, 
 from estimation.track.panel.solution import PanelSolution, between_pass_std_ratio, result
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import FloatArray
-from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
 
 PANEL = Panel.of(PanelParameters(length=100.0, basis_count=5, groups=2, block=50.0))
@@ -43,16 +42,16 @@ def state(R: FloatArray, wheelsets: int = 2, passes: float = 3.0, **changes: obj
     return replace(empty, **changes)
 
 
-def report(made: PanelState) -> tuple[Status, ReasonCode | None, bool]:
-    found = result(made, std=False).report
-    return found.status, code_of(found.reason), found.curves_fixed
+def report(made: PanelState) -> tuple[ReasonCode | None, bool]:
+    found = result(made, std=False)
+    return code_of(found.reason), found.curves_fixed
 
 
-PUBLISHED = (Status.ESTIMATED, None, False)
+PUBLISHED = (None, False)
 
 
-def refused(code: ReasonCode) -> tuple[Status, ReasonCode, bool]:
-    return (Status.UNESTIMATED, code, False)
+def refused(code: ReasonCode) -> tuple[ReasonCode, bool]:
+    return (code, False)
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.15, 0.6])
@@ -78,18 +77,18 @@ def test_places_with_one_pass_have_no_part_in_the_diversity() -> None:
 
 @pytest.mark.parametrize(("ratio", "outcome"), [(0.0505, PUBLISHED), (0.0495, refused(ReasonCode.PASSES_ALIKE))])
 def test_a_panel_is_published_from_a_diversity_of_a_twentieth_on(
-    ratio: float, outcome: tuple[Status, ReasonCode | None, bool]
+    ratio: float, outcome: tuple[ReasonCode | None, bool]
 ) -> None:
     assert report(state(spread(ratio))) == outcome
 
 
 @pytest.mark.parametrize(("wheelsets", "outcome"), [(2, PUBLISHED), (1, refused(ReasonCode.SINGLE_WHEELSET))])
-def test_a_panel_needs_two_wheelsets(wheelsets: int, outcome: tuple[Status, ReasonCode | None, bool]) -> None:
+def test_a_panel_needs_two_wheelsets(wheelsets: int, outcome: tuple[ReasonCode | None, bool]) -> None:
     assert report(state(spread(0.5), wheelsets)) == outcome
 
 
 @pytest.mark.parametrize(("most", "outcome"), [(3.0, PUBLISHED), (2.9, refused(ReasonCode.TOO_FEW_PASSES))])
-def test_a_place_needs_three_passes(most: float, outcome: tuple[Status, ReasonCode | None, bool]) -> None:
+def test_a_place_needs_three_passes(most: float, outcome: tuple[ReasonCode | None, bool]) -> None:
     passes = np.where(np.arange(N) == 7, most, 2.5)
     made = replace(state(spread(0.95)), passes=passes)  # sums of three, so that the rest is diverse enough
     assert report(made) == outcome
@@ -102,7 +101,7 @@ def test_a_place_needs_three_passes(most: float, outcome: tuple[Status, ReasonCo
 def test_measured_profiles_separate_what_the_passes_cannot() -> None:
     measured = replace(PANEL, measured={LIVES[0]: KNOWN})
     alone, alike = state(spread(0.5), 1, panel=measured), state(spread(0.03), panel=measured)
-    assert report(alone) == report(alike) == (Status.ESTIMATED, None, True)
+    assert report(alone) == report(alike) == (None, True)
     assert report(state(spread(0.5), panel=measured)) == PUBLISHED
     assert report(replace(alike, has_alignment=True)) == refused(ReasonCode.PASSES_ALIKE)
     assert report(replace(alike, passes=np.full(N, 2.0))) == refused(ReasonCode.TOO_FEW_PASSES)

@@ -13,7 +13,7 @@ from estimation.track.gridded_pass import PlacedJourney, grid_pass
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import MeasuredCurve, Panel, PanelParameters, init
 from estimation.track.panel.instrumental_slope import Ratio, SlopeCorrection
-from estimation.track.panel.solution import PanelReport, prior_on_grid, result
+from estimation.track.panel.solution import prior_on_grid, result
 from estimation.track.passes import Journey, Pass, ProfileLife, journeys
 from estimation.track.results import merged_alignment
 from estimation.track.section import (
@@ -162,17 +162,18 @@ def iterated(*, panel: Panel = PANEL, moved: float = 0.0, changed: float = 0.0, 
 
 
 def state(
-    of_panel: PanelReport, outliers: Mapping[Journey, Reason], alignment: TrackAlignment | None = None
+    of_panel: Reason | None, outliers: Mapping[Journey, Reason], alignment: TrackAlignment | None = None
 ) -> tuple[Status, ReasonCode | None]:
     known = None if alignment is None else prior_on_grid(alignment, PANEL.grid, P.panel.cutoff_wavelength)
     grouped: dict[Journey, Sequence[Pass]] = {("V", 0): [a_pass(0)], ("V", 1): [a_pass(1)]}
-    status, reason = _state_of(_Accepted(iterated(report=of_panel), outliers, {}), grouped, known, P)
+    status, reason = _state_of(
+        _Accepted(iterated(reason=of_panel, curves_fixed=False), outliers, {}), grouped, known, P
+    )
     return status, code_of(reason)
 
 
 def test_a_section_is_estimated_where_its_panel_or_what_was_known_is_and_a_journey_agrees() -> None:
-    good = PanelReport(Status.ESTIMATED, None, curves_fixed=False)
-    bad = PanelReport(Status.UNESTIMATED, Reason(ReasonCode.PASSES_ALIKE, "alike"), curves_fixed=False)
+    good, bad = None, Reason(ReasonCode.PASSES_ALIKE, "alike")
     one: dict[Journey, Reason] = {("V", 0): WHY}
     both: dict[Journey, Reason] = {**one, ("V", 1): WHY}
     nowhere = replace(prior(), alignment=np.full(LENGTH + 1, np.nan), alignment_std=np.full(LENGTH + 1, np.nan))
@@ -185,8 +186,7 @@ def test_a_section_is_estimated_where_its_panel_or_what_was_known_is_and_a_journ
 
 @pytest.mark.parametrize(("std", "reason"), [(0.39, None), (0.41, ReasonCode.PASSES_ALIKE)])
 def test_curves_whose_slope_is_open_by_two_fifths_make_no_alignment(std: float, reason: ReasonCode | None) -> None:
-    good = PanelReport(Status.ESTIMATED, None, curves_fixed=False)
-    accepted = _Accepted(replace(iterated(report=good), slope=SlopeCorrection(1.5, std)), {}, {})
+    accepted = _Accepted(replace(iterated(reason=None, curves_fixed=False), slope=SlopeCorrection(1.5, std)), {}, {})
     grouped: dict[Journey, Sequence[Pass]] = {("V", 0): [a_pass(0)]}
     status, found = _state_of(accepted, grouped, None, P)
     assert (status, code_of(found)) == (Status.UNESTIMATED if reason else Status.ESTIMATED, reason)
@@ -200,15 +200,14 @@ def test_a_stiffness_term_that_is_most_of_the_difference_and_not_known_makes_no_
     refused: bool,  # noqa: FBT001 - parametrised
 ) -> None:
     """The stiffness term is 0.8 of R here, and 0.08 of R may be unknown."""
-    good = PanelReport(Status.ESTIMATED, None, curves_fixed=False)
     item = a_pass(0)
     item = replace(item, stiffness_term=0.8 * item.difference)
     placed = {("V", 0): PlacedJourney(Correction(), (grid_pass(item, PANEL.grid),))}
-    found = replace(iterated(report=good), placed=placed, ratios={item.vehicle: Ratio(1.0, std)})
+    found = replace(iterated(reason=None, curves_fixed=False), placed=placed, ratios={item.vehicle: Ratio(1.0, std)})
     grouped: dict[Journey, Sequence[Pass]] = {("V", 0): [item]}
     reason = _state_of(_Accepted(found, {}, {}), grouped, None, P)[1]
     assert (code_of(reason) is ReasonCode.STIFFNESS_OPEN) == refused
-    fixed = replace(found, solution=replace(found.solution, report=replace(good, curves_fixed=True)))
+    fixed = replace(found, solution=replace(found.solution, curves_fixed=True))
     assert code_of(_state_of(_Accepted(fixed, {}, {}), grouped, None, P)[1]) is not ReasonCode.STIFFNESS_OPEN
 
 

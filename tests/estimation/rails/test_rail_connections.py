@@ -112,5 +112,5 @@ def test_what_is_held_is_what_no_wheelset_alone_connects(seed: int) -> None:
     present, last = set(runs.rail.tolist()), set[int]()
     while present != last:  # what is refused connects nothing behind it
         last, present = present, held_by_hand(runs, present)
-    found = connected(runs, 2)
-    assert set(np.flatnonzero(found.group == 0).tolist()) == present
+    group, _ = connected(runs, 2)
+    assert set(np.flatnonzero(group == 0).tolist()) == present

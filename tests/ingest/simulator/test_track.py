@@ -19,7 +19,7 @@ from ingest.simulator.irregularity import (
     density,
     synthesise,
 )
-from ingest.simulator.track import TrackRecipe, TrackTruth, make_track, read_track, write_track
+from ingest.simulator.track import TrackRecipe, make_track, read_track, write_track
 
 
 def standard_deviation(kind: Irregularity, wavelengths: tuple[float, float]) -> float:
@@ -130,8 +130,3 @@ def test_a_file_that_is_no_track_is_refused(tmp_path: Path, content: bytes | Non
         path.write_bytes(content)
     with pytest.raises(ScenarioError, match=r"none\.csv"):
         read_track(path)
-
-
-def test_an_uneven_grid_is_no_track() -> None:
-    with pytest.raises(ParameterError, match="uniform"):
-        TrackTruth(np.array([0.0, 1, 2, 3, 4, 5, 6, 8]), np.zeros(8), np.zeros(8))
