@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
 
@@ -52,10 +52,10 @@ class History:
     current: GeometryRecord | None
     change: IdentityChange | None
     raised: Sequence[Alert]  # all alerts of the wheelset, open and closed
-    window_ends: Sequence[int] = field(default=())
-    interval_ends: Sequence[int] = field(default=())
-    conicities: Sequence[IntervalConicities] = field(default=())
-    hunted: Mapping[str, frozenset[int]] = field(default_factory=dict)  # by vehicle, starts of windows
+    window_ends: Sequence[int]
+    interval_ends: Sequence[int]
+    conicities: Sequence[IntervalConicities]
+    hunted: Mapping[str, frozenset[int]]  # by vehicle, starts of windows
 
 
 def history_of(unit: UnitOfWork, serial: str) -> History:
@@ -80,20 +80,18 @@ def history_of(unit: UnitOfWork, serial: str) -> History:
     )
 
 
-def replayed(
-    history: History, book: RuleBook, span: tuple[int, int], trend: TrendParameters | None = None
-) -> list[Alert]:
+def replayed(history: History, book: RuleBook, span: tuple[int, int]) -> list[Alert]:
     """Return the alerts that rules would have raised and that were open within a span of time, by opening.
 
     Args:
         span: From and to, ns UTC of the vehicle's clock.
     """
-    parameters, kept = trend or TrendParameters(), dict[tuple[int, int, float], WearTrend]()
+    kept: dict[tuple[int, int, float], WearTrend] = {}
 
     def trends(records: Sequence[IntervalConicities], limit: float) -> WearTrend:
         key = (records[-1].baseline, len(records), limit)
         if key not in kept:
-            kept[key] = trend_of(records, limit, parameters)
+            kept[key] = trend_of(records, limit, TrendParameters())
         return kept[key]
 
     standing: dict[str, Alert] = {}
