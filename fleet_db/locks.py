@@ -43,6 +43,7 @@ class Subject(IntEnum):
     SETTINGS = 7
     WEBHOOKS = 8
     KEEPING = 9
+    UNCLAIMED = 10
 
 
 def serialise(connection: Connection, subject: Subject) -> None:

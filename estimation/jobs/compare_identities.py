@@ -183,6 +183,7 @@ JUMPS = Stage(
     compute=look_for_jump,
     counted=Counted(looked="looked_at", changed="changed"),
     results=JUMP,
+    here=True,
 )
 IDENTITIES = Stage(
     name=IDENTITY_EVENT.stage,
@@ -197,6 +198,7 @@ IDENTITIES = Stage(
     together=True,
     # a jump names the geometries that it is in; those of the calm say nothing
     frozen=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage),
+    here=True,
 )
 
 
@@ -259,4 +261,5 @@ SUSPENSIONS = Stage(
     counted=Counted(looked="looked_at", changed="changed"),
     results=SUSPENSION,
     together=True,
+    here=True,
 )

@@ -180,6 +180,7 @@ JUDGE = Stage(
     counted=Counted(looked="wheelsets", changed="results"),
     store=store_verdicts,
     at_once=50,
+    here=True,
 )
 
 
@@ -250,6 +251,7 @@ OUTDATED = Stage(
     compute=lambda found: Outcome(more=bool(found.changed or found.aligned or found.classed)),
     counted=Counted(looked="looks", changed="results", more=("requeued", "passed_over")),
     store=let_wait,
+    here=True,
 )
 
 

@@ -112,6 +112,7 @@ TREND = Stage(
     counted=Counted(looked="wheelsets", changed="refreshed", same="unchanged", more=("without_limit",)),
     results=TRENDS,
     at_once=32,
+    here=True,
 )
 JOB = Job(
     name=TREND.job,

@@ -7,20 +7,17 @@ marks are stored in one transaction, so that a process that is killed leaves a s
 
 from __future__ import annotations
 
-import math
 from collections import Counter, deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import dropwhile, islice
 
-from estimation.errors import ConflictError, NotFiniteError, StoppedError, TreadwatchError
+from estimation.errors import ConflictError, StoppedError, TreadwatchError
 from estimation.jobs.job import JobContext, Work
-from estimation.jobs.stage import AnyStage, Outcome, Part, made_from
+from estimation.jobs.stage import AnyStage, Outcome, Part, check_finite, made_from
 from estimation.jobs.work import Isolation, fails_alone, hand_out, unit_size
 from estimation.storage import UnitOfWork
-from estimation.values.geometry import BinStatus, BinValues
-from estimation.values.quantities import Estimate, Status
 from estimation.values.runs import AnyResult, Due, Look, Mark, Result, StageInputs, SubjectKind
 
 CLAIMED_TOGETHER = 4
@@ -62,9 +59,13 @@ def run_all(stages: Iterable[AnyStage], context: JobContext, isolation: Isolatio
                 _count_due(stage, due, counts)
             if due:
                 isolation.read(unit)
-        if due:
-            tried = partial(_tried, stage.inputs(context))
-            ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
+                tried = partial(_tried, stage.inputs(context))
+                ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
+                working = _Working(stage, context, stage.inputs(context), isolation)
+                first = working.read(unit, ready[: stage.batch(context)], due) if stage.here else None
+        if due and stage.here:
+            counts.update(_done_here(working, ready, len(due), first))
+        elif due:
             _try_again(stage, context, ready, isolation)
             counts.update(_handed_out(stage, context, ready, len(due), isolation))
     counts["quarantined"] += isolation.quarantined
@@ -125,8 +126,6 @@ def work_of(stage: AnyStage, isolation: Isolation | None = None) -> Work:
 def _handed_out(
     stage: AnyStage, context: JobContext, ready: Sequence[str], total: int, isolation: Isolation
 ) -> Counter[str]:
-    if stage.here:
-        context = replace(context, executor=None)
     # of a large batch by itself: a stop is looked for between units
     batches = 1 if stage.at_once is None else CLAIMED_TOGETHER
     size = unit_size(context, len(ready), batches * stage.batch(context))
@@ -139,6 +138,17 @@ def _handed_out(
 
     context.checkpoint(done, total)
     return hand_out(context, work_of(stage, isolation), _batches(ready, size), progress)
+
+
+def _done_here(working: _Working, ready: Sequence[str], total: int, first: _Read | None) -> Counter[str]:
+    """Do what is cheap in this process, without claims: what another one has stored meanwhile is not stored again."""
+    done = total - len(ready)
+    for batch in _batches(ready, working.stage.batch(working.context)):
+        working.context.checkpoint(done, total)
+        working.do(batch, first)
+        done, first = done + len(batch), None
+    working.context.checkpoint(done, total)
+    return working.counts
 
 
 def _work(stage: AnyStage, of_run: Isolation | None, context: JobContext, subjects: Sequence[str]) -> Mapping[str, int]:
@@ -160,6 +170,10 @@ def _set_aside(stage: AnyStage, context: JobContext, subject: str, error: Treadw
     working.keep(subject, due.get(subject, Due(0)), error)
 
 
+_Read = tuple[Mapping[str, Due], Mapping[str, object]]
+"""What is due, and its inputs, by subject."""
+
+
 @dataclass(slots=True)
 class _Working:
     """Work of a stage on the subjects of a unit."""
@@ -171,29 +185,54 @@ class _Working:
     counts: Counter[str] = field(default_factory=Counter)
     _stored: set[str] = field(default_factory=set)  # subjects of which a part was stored
 
-    def do(self, subjects: Sequence[str]) -> None:
-        """Load, compute and store subjects together, and the rest of those of which that was a part each alone."""
+    def do(self, subjects: Sequence[str], read: _Read | None = None) -> None:
+        """Load, compute and store subjects together, and the rest of those of which that was a part each alone.
+
+        Args:
+            read: What was read of them, where that was done.
+        """
         waiting = deque([subjects])
         while waiting:
-            rest = self._do(waiting.popleft())
+            rest = self._do(waiting.popleft(), read)
+            read = None
             if rest and self.context.stopping is not None and self.context.stopping():
                 raise StoppedError(len(self._stored), len(self._stored) + len(rest))
             self._stored.update(rest)
             waiting.extend([subject] for subject in rest)
 
-    def _do(self, subjects: Sequence[str]) -> Sequence[str]:
+    def read(self, unit: UnitOfWork, subjects: Sequence[str], due: Mapping[str, Due]) -> _Read | None:
+        """Return the inputs of subjects; None where that fails, which it will again by itself.
+
+        Args:
+            due: Of these and others, as the transaction has read it.
+        """
+        own = {subject: due[subject] for subject in subjects}
+        try:
+            return own, self._load(unit, own)
+        except Exception as error:
+            if not fails_alone(error):
+                raise
+            return None
+
+    def _load(self, unit: UnitOfWork, due: Mapping[str, Due]) -> Mapping[str, object]:
+        self.isolation.read(unit)
+        if self.stage.kind is SubjectKind.WHEELSET:
+            unit.together.update(due)
+        return self.stage.load(unit, list(due), self.context) if due else {}
+
+    def _do(self, subjects: Sequence[str], read: _Read | None) -> Sequence[str]:
         """Do subjects together; where that fails, each alone. Return those that are due still.
 
         Versions are read in the snapshot in which the inputs are: what is committed later leaves a subject due.
         """
         due: Mapping[str, Due] = {}
         try:
-            with self.context.storage.read() as unit:
-                due = unit.marks.due(self.inputs, self.context.clock.now_ns(), subjects)
-                self.isolation.read(unit)
-                if self.stage.kind is SubjectKind.WHEELSET:
-                    unit.together.update(due)
-                loaded = self.stage.load(unit, list(due), self.context) if due else {}
+            if read is not None:
+                due, loaded = read
+            else:
+                with self.context.storage.read() as unit:
+                    due = unit.marks.due(self.inputs, self.context.clock.now_ns(), subjects)
+                    loaded = self._load(unit, due)
             made = self._computed(due, loaded)
             return self._store(due, loaded, made)
         except Exception as error:
@@ -231,16 +270,18 @@ class _Working:
             return _Made(digest, None)
         outcome = self.stage.compute(inputs)
         for part in outcome.parts:
-            _check_finite(part)
+            check_finite(part)
         return _Made(digest, outcome)
 
     def _store(self, due: Mapping[str, Due], loaded: Mapping[str, object], made: Mapping[str, _Made]) -> Sequence[str]:
         if not made:
             return ()
-        computed = {subject: (loaded.get(subject), one.outcome) for subject, one in made.items() if one.outcome}
-        results = [self._result(subject, one, part) for subject, one in made.items() for part in one.parts]
         stored: Counter[str] = Counter()
-        with self.context.storage.write() as unit:
+        with self.context.storage.write(fenced=not self.stage.here) as unit:
+            if self.stage.here:
+                made = self._not_stored_yet(unit, due, made)
+            computed = {subject: (loaded.get(subject), one.outcome) for subject, one in made.items() if one.outcome}
+            results = [self._result(subject, one, part) for subject, one in made.items() for part in one.parts]
             changed = self._put(unit, results)
             if self.stage.store is not None and computed:
                 stored.update(self.stage.store(unit, self.context, computed))
@@ -255,6 +296,15 @@ class _Working:
             if self.stage.together and one.outcome is not None:
                 self._keep_failed(one.outcome.failed)
         return sorted(made.keys() - whole.keys())
+
+    def _not_stored_yet(
+        self, unit: UnitOfWork, due: Mapping[str, Due], made: Mapping[str, _Made]
+    ) -> Mapping[str, _Made]:
+        """Return what no other process has done since it was read; nobody else stores of such stages meanwhile."""
+        unit.marks.alone()
+        now = unit.marks.due(self.inputs, self.context.clock.now_ns(), list(made))
+        same = {subject for subject, one in now.items() if one.made_from == due[subject].made_from}
+        return {subject: one for subject, one in made.items() if subject in same}
 
     def _keep_failed(self, failed: Mapping[tuple[SubjectKind, str], Exception]) -> None:
         """Keep what failed alone of a look at all together; what does not any more is released."""
@@ -323,33 +373,6 @@ class _Made:
 def _tried(inputs: StageInputs, state: Due) -> str:
     """Return what stands for the inputs of a subject in quarantine: with others it is tried at once."""
     return f"{state.seen} {inputs.common[:16]}"
-
-
-def _check_finite(part: Part[object]) -> None:
-    """Refuse a result with an estimated number that is none.
-
-    Raises:
-        NotFiniteError: It has one; the result before it stays in force.
-    """
-    for value, std in _estimated(part.value):
-        if not math.isfinite(value + std):
-            raise NotFiniteError(f"an estimated number is {value} with a std of {std}")
-
-
-def _estimated(value: object) -> Iterator[tuple[float, float]]:
-    """Yield the numbers of a value that are said to be estimated, each with its std."""
-    if isinstance(value, Estimate):
-        if value.status is Status.ESTIMATED:
-            yield value.value or 0.0, value.std or 0.0
-    elif isinstance(value, BinValues):
-        bins = zip(value.value, value.std, value.status, strict=True)
-        yield from ((number, std) for number, std, status in bins if status is BinStatus.ESTIMATED)
-    elif is_dataclass(value):
-        for item in fields(value):
-            yield from _estimated(getattr(value, item.name))
-    elif isinstance(value, tuple):
-        for one in value:
-            yield from _estimated(one)
 
 
 def _batches(subjects: Sequence[str], size: int) -> Iterator[tuple[str, ...]]:

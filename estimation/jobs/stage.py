@@ -7,7 +7,8 @@ runner's (``estimation.jobs.runner``). ``docs/decisions/engine.md`` explains bot
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Hashable, Mapping, Sequence
+import math
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
 from operator import attrgetter
@@ -15,11 +16,13 @@ from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 
+from estimation.errors import NotFiniteError
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import JobSettings
 from estimation.storage import UnitOfWork
 from estimation.values.fields import JsonValue
-from estimation.values.quantities import Status
+from estimation.values.geometry import BinStatus, BinValues
+from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
 from estimation.values.runs import Quarantined, Result, ResultKind, StageInputs, SubjectKind
 
@@ -186,7 +189,8 @@ class Stage(Generic[I, V]):
         frozen: Facets that it reads and that do not make it due.
         inline: Whether the transaction that raises a facet makes what the stage is for, at its end; a run makes all of
             it again where the settings are others.
-        here: Whether it is done in the process that runs the job.
+        here: Whether it is cheaper than handing it out, or its results are brought together: the process that runs the
+            job does it, without a claim.
     """
 
     name: str
@@ -219,3 +223,30 @@ class Stage(Generic[I, V]):
 
 
 AnyStage = Stage[Any, Any]
+
+
+def check_finite(part: Part[object]) -> None:
+    """Refuse a result with an estimated number that is none.
+
+    Raises:
+        NotFiniteError: It has one; the result before it stays in force.
+    """
+    for value, std in _estimated(part.value):
+        if not math.isfinite(value + std):
+            raise NotFiniteError(f"an estimated number is {value} with a std of {std}")
+
+
+def _estimated(value: object) -> Iterator[tuple[float, float]]:
+    """Yield the numbers of a value that are said to be estimated, each with its std."""
+    if isinstance(value, Estimate):
+        if value.status is Status.ESTIMATED:
+            yield value.value or 0.0, value.std or 0.0
+    elif isinstance(value, BinValues):
+        bins = zip(value.value, value.std, value.status, strict=True)
+        yield from ((number, std) for number, std, status in bins if status is BinStatus.ESTIMATED)
+    elif is_dataclass(value):
+        for item in fields(value):
+            yield from _estimated(getattr(value, item.name))
+    elif isinstance(value, tuple):
+        for one in value:
+            yield from _estimated(one)

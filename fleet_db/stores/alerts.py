@@ -161,9 +161,16 @@ class AlertStore:
         """Return open alerts by number, of one wheelset or of all."""
         return self._alerts(_OPEN, *([] if wheelset is None else [ALERTS.c.wheelset == wheelset]))
 
-    def open_of(self, wheelsets: Collection[str]) -> Sequence[Alert]:
-        """Return the open alerts of some wheelsets, by number."""
-        return self._alerts(_OPEN, ALERTS.c.wheelset.in_(wheelsets))
+    def open_of(self, wheelsets: Collection[str], beside: str) -> Sequence[Alert]:
+        """Return the open alerts of some wheelsets, by number.
+
+        Args:
+            beside: Kind of alerts that :meth:`of_kind` is asked for next: they are read by the same statement.
+        """
+        read = self._alerts(or_(_OPEN, ALERTS.c.kind == beside), ALERTS.c.wheelset.in_(wheelsets))
+        of_kind = by_wheelset((one for one in read if one.kind == beside), lambda alert: alert)
+        self.once.remember(f"alerts {beside}", {serial: of_kind.get(serial) for serial in wheelsets})
+        return [one for one in read if one.closed_ns is None]
 
     def open_in_fleet(self, fleet: str) -> Sequence[Alert]:
         """Return the open alerts of a fleet and of its wheelsets, by number."""

@@ -37,6 +37,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import EVERYTHING, Due, Look, Mark, Quarantined, QuarantineState, StageInputs, SubjectKind
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
+from fleet_db.locks import Subject, serialise
 from fleet_db.rows import columns_of, equal, given, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.assembled import SPANS
 from fleet_db.subjects import MOUNTINGS, REGISTRY_VERSION, VERSIONS, ReadOnce, Subjects
@@ -82,6 +83,10 @@ class StageMarkStore:
         return self._with_registry(
             read(None) if subjects is None else self.once.of(f"mark of {inputs.stage}", subjects, read)
         )
+
+    def alone(self) -> None:
+        """Let no other transaction store what is not claimed until this one has ended."""
+        serialise(self.connection, Subject.UNCLAIMED)
 
     def _with_registry(self, due: Mapping[str, Due]) -> Mapping[str, Due]:
         """Return what is due; the version of the registry was read with it, in the same snapshot."""

@@ -9,16 +9,16 @@ import pytest
 from bench.house import CORE_JOBS, job_statements
 
 MOST = {
-    "refresh_alignment": 39,
-    "estimate_windows": 54,
+    "refresh_alignment": 40,
+    "estimate_windows": 47,
     "refresh_geometry": 39,
     "refresh_adhesion": 101,
-    "refresh_trends": 23,
-    "evaluate_alerts": 66,
+    "refresh_trends": 20,
+    "evaluate_alerts": 54,
     "refresh_rails": 55,
     "refresh_signatures": 66,
 }
-MOST_TO_ALERTS = 221
+MOST_TO_ALERTS = 200
 
 
 @pytest.mark.slow

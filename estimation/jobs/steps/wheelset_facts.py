@@ -27,6 +27,7 @@ from estimation.values.opinions import GEAR_DAMPERS, GearDamper
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import (
+    IDENTITY,
     SUSPENSION,
     TREND,
     IdentityChange,
@@ -107,7 +108,7 @@ class _Read:
             vehicles=vehicles,
             books=books,
             mounted=places,
-            alerts=_by(unit.alerts.open_of(serials), lambda alert: str(alert.wheelset)),
+            alerts=_by(unit.alerts.open_of(serials, IDENTITY), lambda alert: str(alert.wheelset)),
             geometries=unit.geometries.current_of(serials),
             conicities=unit.geometries.conicities_of({one.serial: len(one.reprofilings) for one in wheelsets}),
             trends=trends,
