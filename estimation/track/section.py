@@ -203,8 +203,20 @@ def _report(
     status, reason = _state_of(accepted, grouped, known, p)
     not_converged = _not_converged_reason(iterated, p)
     journeys_reported = tuple(
-        _journey(journey, members, iterated.corrections.get(journey, Correction()), accepted)
+        JourneyReport(
+            vehicle=journey[0],
+            from_ns=journey[1],
+            to_ns=max(item.start_ns for item in members),
+            passes=len(members),
+            offset_m=correction.offset,
+            scale_1=correction.scale,
+            middle_m=correction.middle,
+            residual_rms_m=accepted.rms[journey],
+            used=journey not in accepted.outliers,
+            reason=accepted.outliers.get(journey),
+        )
         for journey, members in grouped.items()
+        for correction in [iterated.corrections.get(journey, Correction())]
     )
     certain = np.isfinite(solution.alignment_std)
     return AlignmentReport(
@@ -288,18 +300,3 @@ def _not_converged_reason(iterated: IterationResult, p: SectionParameters) -> Re
     if not moving:
         return None
     return Reason(ReasonCode.NOT_CONVERGED, f"not converged after {iterated.rounds} rounds: {' and '.join(moving)}")
-
-
-def _journey(journey: Journey, members: Sequence[Pass], correction: Correction, accepted: _Accepted) -> JourneyReport:
-    return JourneyReport(
-        vehicle=journey[0],
-        from_ns=journey[1],
-        to_ns=max(item.start_ns for item in members),
-        passes=len(members),
-        offset_m=correction.offset,
-        scale_1=correction.scale,
-        middle_m=correction.middle,
-        residual_rms_m=accepted.rms[journey],
-        used=journey not in accepted.outliers,
-        reason=accepted.outliers.get(journey),
-    )

@@ -160,6 +160,8 @@ def _wheelset(scenario: Scenario, fleet: DrawnFleet, seed: int, rank: int) -> Wh
     if fleet.wear_alike:
         depth, apart = pair.deepest_wear * 0.5, 0.0
     smaller, uneven = generator(seed, Stream.DIAMETER, rank).standard_normal(2)
+    files: tuple[SideFiles, ...] = pair.wheel_files or ((None, None),)
+    place = int(generator(seed, Stream.WHEEL, rank).integers(len(files))) if pair.wheels_drawn else rank
     course = wear_course(WearFamily.S1002_ON_60E1 if "1002" in pair.wheel_profile else WearFamily.P8_ON_56E1, 0.0)
     return WheelsetPlan(
         serial=drawn_serial(rank),
@@ -176,7 +178,7 @@ def _wheelset(scenario: Scenario, fleet: DrawnFleet, seed: int, rank: int) -> Wh
         reprofilings=(),
         diameter_difference=fleet.diameter_difference_std * uneven,
         fault=None,
-        wheel_files=_wheel_files(pair, seed, rank),
+        wheel_files=files[place % len(files)],
     )
 
 
@@ -197,13 +199,6 @@ def _depth(fleet: DrawnFleet, pair: ProfilePair, rank: int, rng: np.random.Gener
             return depth
     reason = f"{MOST_DRAWS} draws gave no wear between {1e3 * wear.lowest:g} and {1e3 * highest:g} mm"
     raise ScenarioError(reason, field="drawn_fleet.wear.mean_mm")
-
-
-def _wheel_files(pair: ProfilePair, seed: int, rank: int) -> SideFiles:
-    if not pair.wheel_files:
-        return None, None
-    place = int(generator(seed, Stream.WHEEL, rank).integers(len(pair.wheel_files))) if pair.wheels_drawn else rank
-    return pair.wheel_files[place % len(pair.wheel_files)]
 
 
 ROUNDING = 1e-3  # m, of axle offsets

@@ -113,11 +113,6 @@ class RailWearTable:
     half_width: Annotated[Positive, MM] = 1e-3 * 25.0
     growth: Annotated[NotNegative, FileUnit("", 1e-3), Key("growth_mm_per_100_mgt")] = 0.0
 
-    def of_sides(self) -> tuple[RailWear, RailWear]:
-        """Return the wear of left and right rail."""
-        left, right = (self.depth if one is None else one for one in (self.depth_left, self.depth_right))
-        return RailWear(left, self.centre, self.half_width), RailWear(right, self.centre, self.half_width)
-
     def deepest(self, traffic_mgt: float) -> float:
         """Return the depth of the deeper band after some traffic, m."""
         deeper = max(side for side in (self.depth, self.depth_left, self.depth_right) if side is not None)
@@ -209,7 +204,9 @@ class SectionTable(SectionPlan):
         wear = self.rail_wear_of_file
         if wear is None:
             return taken(SectionPlan, self)
-        return taken(SectionPlan, self, rail_wear=wear.of_sides(), rail_growth=wear.growth)
+        depths = (wear.depth if one is None else one for one in (wear.depth_left, wear.depth_right))
+        left, right = (RailWear(depth, wear.centre, wear.half_width) for depth in depths)
+        return taken(SectionPlan, self, rail_wear=(left, right), rail_growth=wear.growth)
 
 
 def _check_recipe(recipe: TrackRecipe | None) -> None:
