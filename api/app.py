@@ -18,7 +18,7 @@ from fastapi.routing import APIRoute
 from prometheus_client import CollectorRegistry
 
 from api import contract, problems
-from api.access.caller import authorise
+from api.access.gate import authorise
 from api.access.guard import AccessPlan, allow_pages, guard_of
 from api.feed.watch import FeedWatch, WaitingPlaces, ending
 from api.http_server import HttpLimits

@@ -17,7 +17,8 @@ from fastapi import Depends, Path, Query, Request, Response
 from pydantic import BaseModel, Field, SerializeAsAny
 
 from api import cursors
-from api.access.caller import Caller, CallerDep
+from api.access.gate import CallerDep
+from api.access.key_ring import Caller
 from api.answers import (
     DEFAULT_LIMIT,
     Cursor,

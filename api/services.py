@@ -14,7 +14,7 @@ from fastapi import Depends, Request
 from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 
-from api.access.caller import CallerDep
+from api.access.gate import CallerDep
 from api.accuracy import ContactCache
 from api.answers import RepresentationCache
 from api.uploads import Uploads

@@ -128,15 +128,6 @@ class WindowDueStore:
         rows = self.connection.execute(statement.order_by(DUE.c.vehicle, DUE.c.start_ns, DUE.c.wheelset))
         return {text_of_key(row.wheelset, row.start_ns): Due(row.version, registry=row.registry) for row in rows}
 
-    def wheelsets(self, inputs: StageInputs, serials: Collection[str] | None = None) -> Mapping[str, Due]:
-        """Return the wheelsets, some or all, with windows that are due, by serial."""
-        columns = (DUE.c.wheelset, func.sum(DUE.c.version).label("seen"), REGISTRY_VERSION.label("registry"))
-        statement = select(*columns).where(DUE.c.stage == inputs.stage)
-        if serials is not None:
-            statement = statement.where(DUE.c.wheelset.in_(serials))
-        rows = self.connection.execute(statement.group_by(DUE.c.wheelset).order_by(DUE.c.wheelset))
-        return {row.wheelset: Due(int(row.seen), registry=row.registry) for row in rows}
-
     def list_again(self, stage: str, keys: Sequence[WindowKey]) -> None:
         """Let windows be due still that a stage is about to settle."""
         _list_keys(self.connection, (stage,), keys)

@@ -239,7 +239,7 @@ class KeptRecords:
     def of(self, version: Hashable) -> Records:
         """Return the records of a version, to be looked up and added to."""
         of_version, records = self._kept
-        if of_version != version or any(len(of_kind) > MOST for of_kind in records.values()):
+        if of_version != version or any(len(of_kind) > MOST for of_kind in list(records.values())):
             self._kept = (version, records := {})
         return records
 

@@ -16,11 +16,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 from estimation.errors import PassingFaultError, StorageError, TreadwatchError
-from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import Counted, Outcome, Stage
+from estimation.jobs.work import Isolation, fails_alone
 from estimation.storage import Clock
 from estimation.values.reasons import Reason
 from estimation.values.runs import Quarantined, SubjectKind, after_failure, first_line, resolved

@@ -1,4 +1,4 @@
-"""The gate before every request: the host, the origin, the key or token, the limits of rate of one process."""
+"""Who comes in: which hosts and callers are let in, and what each may do."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from collections import Counter, OrderedDict
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import partial
 from http import HTTPMethod
-from typing import Literal
+from typing import Annotated, Literal, cast
 from urllib.parse import urlsplit
 
+from fastapi import Depends, Request
+from fastapi.routing import APIRoute
+from starlette import types
 from starlette.datastructures import Headers
-from starlette.types import Scope
 
-from api.access.caller import ANYONE, Caller, name_caller
-from api.access.key_ring import KeyRing, Tokens, prefix_of
+from api.access.key_ring import ANYONE, Caller, KeyRing, Tokens, prefix_of
 from api.problems import ProblemError
 from estimation.errors import TreadwatchError
 
@@ -101,7 +103,7 @@ class Opened:
     docs: Door = "key"
 
 
-def door_of(opened: Opened, scope: Scope) -> Door:
+def door_of(opened: Opened, scope: types.Scope) -> Door:
     """Return how the path of a request is passed; with a key where nothing else is said."""
     path: str = scope["path"]
     if path in HEALTH or path in PAGE or path.startswith(PAGE_FILES):
@@ -124,7 +126,7 @@ class Hosts:
     names: frozenset[str] = frozenset()
     origins: frozenset[str] = frozenset()  # origins of pages, such as `https://maintenance.example`, beside our own
 
-    def check(self, scope: Scope) -> None:
+    def check(self, scope: types.Scope) -> None:
         """Refuse a request under another name, or a change that a page of another origin asks for."""
         headers = Headers(scope=scope)
         host = headers.get("host")
@@ -138,7 +140,7 @@ class Hosts:
             detail = "pages of another origin may not change anything here; name it in TREADWATCH_ORIGINS"
             raise ProblemError(403, "foreign-origin", detail)
 
-    def _ours(self, host: str, scope: Scope) -> bool:
+    def _ours(self, host: str, scope: types.Scope) -> bool:
         name = host_name(host)
         here = scope.get("server")
         return name in LOOPBACK_NAMES or name in self.names or (here is not None and name == str(here[0]).lower())
@@ -174,7 +176,7 @@ class Gate:
     failures: Rate
     now_ns: Callable[[], int] = time.time_ns
 
-    async def admit(self, scope: Scope) -> None:
+    async def admit(self, scope: types.Scope) -> None:
         """Let a request in and name its caller."""
         self.hosts.check(scope)
         door = door_of(self.doors, scope)
@@ -193,7 +195,7 @@ class Gate:
         if for_all and ("read" not in caller.scopes or caller.fleets is not None):
             raise ProblemError(403, "forbidden", "this needs a key of all fleets with the scope 'read'")
 
-    async def _caller(self, scope: Scope, keys: KeyRing) -> Caller:
+    async def _caller(self, scope: types.Scope, keys: KeyRing) -> Caller:
         given = Headers(scope=scope).get("authorization")
         if given is None:
             raise ProblemError(401, "unauthenticated", _SEND, headers=_CHALLENGE)
@@ -230,20 +232,20 @@ class Gate:
         return Caller(key.owner, key.scopes, key.fleets, f"key {key.prefix}")
 
 
-async def require_still_good(scope: Scope) -> None:
+async def require_still_good(scope: types.Scope) -> None:
     """Refuse a request that has waited for long, where its caller would not be let in any more."""
     if not await still_good(scope):
         detail = "the key or token was revoked, or has expired, while the request waited"
         raise ProblemError(401, "unauthenticated", detail, headers=_REFUSED)
 
 
-async def still_good(scope: Scope) -> bool:
+async def still_good(scope: types.Scope) -> bool:
     """Return whether the caller of a request that goes on for long would be let in now."""
     ask: Callable[[], Awaitable[bool]] | None = scope.get(STILL_GOOD)
     return ask is None or await ask()
 
 
-def address_of(scope: Scope) -> str | None:
+def address_of(scope: types.Scope) -> str | None:
     """Return the address that a request came from; None where the server does not know it."""
     client = scope.get("client")
     return None if client is None else str(client[0])
@@ -252,3 +254,76 @@ def address_of(scope: Scope) -> str | None:
 def _too_often(name: str, limit: str, wait_s: float) -> ProblemError:
     detail = f"limit {name}: at most {limit}; try again"
     return ProblemError(429, "too-many-requests", detail, headers={"Retry-After": f"{wait_s:.0f}"})
+
+
+_PLACE = "treadwatch.caller"
+
+
+def name_caller(scope: types.Scope, caller: Caller) -> None:
+    """Let a request be that of a caller; to be called once it is known."""
+    scope[_PLACE] = caller
+
+
+def known_caller(scope: types.Scope) -> Caller | None:
+    """Return who asks; None where nobody is known yet, as of a request that is refused."""
+    return cast("Caller | None", scope.get(_PLACE))
+
+
+async def _caller_of(request: Request) -> Caller:
+    found = known_caller(request.scope)
+    if found is None:
+        raise LookupError("the request did not pass api.access.gate")
+    return found
+
+
+CallerDep = Annotated[Caller, Depends(_caller_of)]
+
+
+class Scope(StrEnum):
+    """What a key or a token allows; each stands for itself alone."""
+
+    READ = "read"
+    ACT = "act"
+    INGEST = "ingest"
+    ADMIN = "admin"
+
+
+SCOPE_OF = "treadwatch_scope"
+"""Attribute of a dependency under which the document and the tests find the scope of an operation."""
+_READING = frozenset({HTTPMethod.GET.value, HTTPMethod.HEAD.value})
+
+
+def requires(scope: Scope, *, all_fleets: bool = False) -> Callable[[CallerDep], None]:
+    """Return a dependency that refuses callers without a scope."""
+
+    def check(caller: CallerDep) -> None:
+        _refuse_without(caller, scope)
+        if all_fleets and caller.fleets is not None:
+            raise ProblemError(403, "forbidden", "this needs a key of all fleets")
+
+    setattr(check, SCOPE_OF, scope)
+    return check
+
+
+def _refuse_without(caller: Caller, scope: Scope) -> None:
+    if scope not in caller.scopes:
+        raise ProblemError(403, "forbidden", f"this needs the scope '{scope}'")
+
+
+def scope_of(route: APIRoute) -> Scope | None:
+    """Return the scope of an operation: the one that it declares, `read` where it only reads; None is a mistake."""
+    declared = {
+        scope for depends in route.dependencies if (scope := getattr(depends.dependency, SCOPE_OF, None)) is not None
+    }
+    if len(declared) == 1:
+        return Scope(declared.pop())
+    return Scope.READ if not declared and (route.methods or set()) <= _READING else None
+
+
+async def authorise(request: Request, caller: CallerDep) -> None:
+    """Refuse callers who lack the scope of the operation; for every route of the API."""
+    route: APIRoute = request.scope["route"]
+    scope = scope_of(route)
+    if scope is None:
+        raise LookupError(f"{route.path_format} declares no scope: dependencies=[Depends(requires(Scope....))]")
+    _refuse_without(caller, scope)

@@ -18,8 +18,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.middleware.cors import CORSMiddleware
 from starlette.types import Scope
 
-from api.access.caller import known_caller
-from api.access.gate import READING, Gate, Hosts, Opened, Rate, StreamPlaces, address_of
+from api.access.gate import READING, Gate, Hosts, Opened, Rate, StreamPlaces, address_of, known_caller
 from api.access.key_ring import KeyRing, Provider, Tokens
 from api.http_server import is_upload
 from api.settings import PREFIX, Settings

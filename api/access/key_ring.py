@@ -21,10 +21,51 @@ import anyio.to_thread
 import jwt
 from anyio import CapacityLimiter
 
-from api.access.caller import EVERYTHING, Caller
+from api.problems import invalid
 from estimation.errors import NotFoundError, ParameterError
 from fleet_db.records import ApiKey
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
+
+EVERYTHING = frozenset({"read", "act", "ingest", "admin"})
+NOBODY_NAMED = "anyone"  # who makes a key where access is open
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """The owner of a key or token.
+
+    Args:
+        name: Of the owner, as it is recorded with what is done; None where access is open.
+        fleets: Codes of the fleets that are visible; None for all.
+        identity: Of the key or token's subject, such as ``key 3fq2xh7a``: what limits and Idempotency-Keys belong to;
+            None where access is open.
+    """
+
+    name: str | None
+    scopes: frozenset[str]
+    fleets: frozenset[str] | None
+    identity: str | None = None
+
+    @property
+    def key_prefix(self) -> str | None:
+        """Prefix of the key; None for a token and where access is open."""
+        kind, _, rest = (self.identity or "").partition(" ")
+        return rest if kind == "key" else None
+
+    def acts_as(self, by: str | None, unnamed: str | None = None) -> str:
+        """Return who is recorded as the actor: the owner of the key; where access is open, ``by`` or ``unnamed``."""
+        if self.name is None and (by or unnamed) is not None:
+            return by or str(unnamed)
+        if self.name is None or by not in {None, self.name}:
+            wrong = (
+                "is required where access is open" if self.name is None else f"is not the key's owner, {self.name!r}"
+            )
+            raise invalid("#/by", wrong)
+        return self.name
+
+
+ANYONE = Caller(None, EVERYTHING, None)  # the caller of a service whose access is open
+
 
 _ALPHABET = "abcdefghijklmnopqrstuvwxyz234567"
 _PREFIX_LENGTH = 8

@@ -19,10 +19,9 @@ from estimation.estimators.interface import Estimator, EstimatorParameters, geom
 from estimation.geometry.estimate import contradictions
 from estimation.jobs import estimate_windows, refresh_alignment, refresh_geometry
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.jobs.refresh_geometry import geometries_of
+from estimation.jobs.refresh_geometry import RolledGeometries, geometries_of
 from estimation.jobs.steps.estimated_geometry import EstimatedWith
 from estimation.jobs.steps.load_window import load_window
-from estimation.jobs.steps.rolled_geometries import RolledGeometries
 from estimation.jobs.steps.rolling import Part, members
 from estimation.motion.integration import WindowParameters
 from estimation.motion.window_motion import window_motion

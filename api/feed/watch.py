@@ -22,8 +22,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 from starlette.types import Message, Receive, Scope, Send
 
-from api.access.caller import Caller
 from api.access.gate import StreamPlaces
+from api.access.key_ring import Caller
 from api.feed.pages import FeedFilter, FeedPage, Place, read_page
 from api.http_server import SEND_TIMEOUT_S
 from api.measures import gauge

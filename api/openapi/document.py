@@ -11,8 +11,7 @@ from fastapi.openapi.utils import get_openapi
 from fastapi.routing import APIRoute, iter_route_contexts
 from pydantic.json_schema import models_json_schema
 
-from api.access.caller import Scope, scope_of
-from api.access.gate import HEALTH
+from api.access.gate import HEALTH, Scope, scope_of
 from api.answers import columns_of, item_of
 from api.contract import CSV
 from api.problems import PROBLEM_MEDIA_TYPE, TYPES, Problem

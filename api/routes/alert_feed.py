@@ -9,8 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.access.caller import CallerDep
-from api.access.gate import require_still_good, still_good
+from api.access.gate import CallerDep, require_still_good, still_good
 from api.answers import DEFAULT_LIMIT, Limit, answer, answer_items, link, next_path, wants_table
 from api.feed.pages import FeedFilter, FeedFilterDep, FeedPage, opened, read_kept, read_page
 from api.feed.watch import CATCH_UP, EVENT_STREAM, EventStream, FeedStream, FeedWatch, WaitingPlaces, Waits

@@ -9,7 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from api import cursors
-from api.access.caller import Scope, requires
+from api.access.gate import Scope, requires
 from api.answers import answer, payload_of, require_match, wants_table
 from api.asking import AskedChange, AskedDep, AskedListDep, ChangeDep, FleetFilter, Number, WheelsetFilter
 from api.problems import described

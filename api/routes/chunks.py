@@ -10,7 +10,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from api.access.caller import CallerDep, Scope, requires
+from api.access.gate import CallerDep, Scope, requires
 from api.answers import answer
 from api.asking import CODE, AskedDep
 from api.middleware import turn_of

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from fastapi import APIRouter, Depends, Response
 from pydantic import Field
 
-from api.access.caller import Scope, requires
+from api.access.gate import Scope, requires
 from api.asking import (
     MOST_TEXT,
     AskedListDep,

@@ -10,7 +10,8 @@ from fastapi import APIRouter, Depends, Query, Response
 from pydantic import Field
 
 from api import cursors
-from api.access.caller import Caller, CallerDep, Scope, requires
+from api.access.gate import CallerDep, Scope, requires
+from api.access.key_ring import Caller
 from api.asking import CODE, AskedDep, AskedListDep, Code, NewDep, Number
 from api.problems import described
 from api.schemas.common import Derived, Links, Page, Representation, segment, without_folders

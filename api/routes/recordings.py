@@ -10,7 +10,8 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field
 
 from api import cursors
-from api.access.caller import Caller, CallerDep, Scope, requires
+from api.access.gate import CallerDep, Scope, requires
+from api.access.key_ring import Caller
 from api.answers import answer
 from api.asking import (
     CODE,

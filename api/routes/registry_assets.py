@@ -11,7 +11,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Response
 from pydantic import BaseModel, Field
 
-from api.access.caller import Scope, requires
+from api.access.gate import Scope, requires
 from api.asking import (
     MOST_TEXT,
     TEXT,

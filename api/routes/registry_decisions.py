@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, Field
 
-from api.access.caller import Scope, requires
+from api.access.gate import Scope, requires
 from api.answers import require_match
 from api.asking import CODE, TEXT, UNNAMED, AskedChange, AskedListDep, ChangeDep, Key
 from api.problems import ProblemError, described, invalid

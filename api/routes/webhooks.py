@@ -12,7 +12,8 @@ from pydantic import AfterValidator, Field, Strict, StringConstraints
 from starlette.concurrency import run_in_threadpool
 
 from api import cursors
-from api.access.caller import NOBODY_NAMED, Caller, CallerDep, Scope, requires
+from api.access.gate import CallerDep, Scope, requires
+from api.access.key_ring import NOBODY_NAMED, Caller
 from api.answers import IfMatch, answer, require_match
 from api.asking import CODE, AskedDep, AskedListDep
 from api.feed.watch import TRY_AGAIN

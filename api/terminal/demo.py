@@ -18,8 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from api import logs
-from api.access.caller import EVERYTHING
-from api.access.key_ring import Wanted
+from api.access.key_ring import EVERYTHING, Wanted
 from api.demo.findings import ServiceAddress, get, lines, second_opinions, tables, to_do, track_lines, true_campaigns
 from api.factory import create_server, job_context, open_store, raw_store, scheduled_jobs
 from api.settings import Settings, load_settings

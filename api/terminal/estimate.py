@@ -15,21 +15,22 @@ from rich.table import Table
 from api import logs
 from api.factory import job_context, open_store, process_name, scheduled_jobs
 from api.logs import start_tracing
-from api.routes.worklist import WheelsetRow, row_of_document
 from api.schemas.windows import SHOWN, WindowReasons, together
 from api.settings import Settings
 from api.terminal.progress import bar
 from api.terminal.store import executor_of
-from api.times import from_rfc3339, to_rfc3339
+from api.times import to_rfc3339
 from estimation.errors import ParameterError
 from estimation.jobs.estimate_windows import REFUSED, refusals
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.jobs.scheduler import stop_on_signals
+from estimation.values.alerts import WorklistRow
 from estimation.values.quantities import Status
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 from estimation.values.windows import WindowsOfReason, WithoutEstimate
 from estimation.worklist.row import WITHOUT_GEOMETRY
+from fleet_db.packed_values import from_document
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.window_counts import COUNTED
 from fleet_db.stores.worklist import WorklistFilter
@@ -44,7 +45,7 @@ NAMED = 8  # reasons of all wheelsets together that are printed
 class Unestimated:
     """A mounted wheelset without an estimate."""
 
-    row: WheelsetRow
+    row: WorklistRow
     why: WithoutEstimate
 
 
@@ -59,21 +60,20 @@ class FleetReasons:
 
 def fleet_reasons(unit: SqlUnitOfWork) -> FleetReasons:
     """Return why mounted wheelsets have no estimate."""
-    rows = [row_of_document(document) for document in unit.worklist.documents(WorklistFilter())]
-    mounted = [row for row in rows if row.vehicle is not None]
+    rows = [from_document(document) for document in unit.worklist.documents(WorklistFilter())]
+    mounted = [row for row in rows if row.wheelset.mounting is not None]
     without = [row for row in mounted if row.state.status is Status.UNESTIMATED]
     most = min(COUNTED, max(FEWEST, READ // max(1, len(without))))
     reasons = WindowReasons(unit)
     return FleetReasons(len(mounted), most, tuple(Unestimated(row, _why(reasons, row, most)) for row in without))
 
 
-def _why(reasons: WindowReasons, row: WheelsetRow, most: int) -> WithoutEstimate:
+def _why(reasons: WindowReasons, row: WorklistRow, most: int) -> WithoutEstimate:
     """Return why a wheelset has no conicity at 3 mm: what its geometry says, or where it has none its windows."""
-    code, text = row.state.conicity_1.reason_code, row.state.conicity_1.reason
-    if code is None or code in WITHOUT_GEOMETRY:
-        return reasons.without_estimate(row.serial, most=most)
-    last_ns = None if row.state.last_data_at is None else from_rfc3339(row.state.last_data_at)
-    return WithoutEstimate(Reason(code, text or code.meaning), code.remedy, (), None, last_ns)
+    reason = row.state.conicity.reason
+    if reason is None or reason.code in WITHOUT_GEOMETRY:
+        return reasons.without_estimate(row.wheelset.serial, most=most)
+    return WithoutEstimate(reason, reason.code.remedy, (), None, row.state.last_data_ns)
 
 
 def print_each(settings: Settings) -> None:
@@ -85,11 +85,11 @@ def print_each(settings: Settings) -> None:
     if found.wheelsets:
         table = Table("wheelset", "runs under", "windows", "last data", "why", "what to do")
         for item in found.wheelsets:
-            why = item.why
+            why, wheelset = item.why, item.row.wheelset
             shown = [f"{one.windows} {one.state.value}: {one.reason}" for one in why.windows[:SHOWN]]
             table.add_row(
-                item.row.serial,
-                f"{item.row.vehicle}, axle {item.row.axle}",
+                wheelset.serial,
+                "" if wheelset.mounting is None else f"{wheelset.mounting.vehicle}, axle {wheelset.mounting.axle}",
                 str(why.counted),
                 "never" if why.last_ns is None else to_rfc3339(why.last_ns),
                 "\n".join(shown) or why.reason.text,
@@ -118,7 +118,9 @@ def _without_windows(wheelsets: Iterable[Unestimated]) -> list[str]:
     lines = []
     for (code, to_do), items in sorted(found.items(), key=lambda pair: -len(pair[1]))[:NAMED]:
         what = "without a window" if code in WITHOUT_GEOMETRY else code.value
-        lines.append(f"{len(items)} {what}, such as {items[0].row.serial}: {items[0].why.reason}. {to_do}".rstrip())
+        lines.append(
+            f"{len(items)} {what}, such as {items[0].row.wheelset.serial}: {items[0].why.reason}. {to_do}".rstrip()
+        )
     return lines
 
 

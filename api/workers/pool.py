@@ -30,8 +30,8 @@ from api.factory import job_context, open_store, process_name
 from api.settings import Settings
 from estimation.errors import StorageError, TreadwatchError, WorkFailedError
 from estimation.jobs.catalogue import stage_named
-from estimation.jobs.hand_out import claimed_work
 from estimation.jobs.job import JobContext, WorkExecutor, WorkUnit
+from estimation.jobs.work import claimed_work
 
 REST_S = 1.0  # a worker that cannot reach the database rests so long, so that the others get the units
 Result = TypeVar("Result")

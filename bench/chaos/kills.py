@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -115,10 +115,8 @@ def schedule(settings: Settings, every_s: float = 0.2) -> None:
     """Run the jobs on schedule until the process ends, each every ``every_s`` seconds."""
     logs.configure(settings)
     with closing(open_store(settings)) as storage:
-        jobs = scheduled_jobs(settings)
-        serve_jobs(
-            job_context(settings, storage), jobs, threading.Event(), holder=process_name(), every_s=lambda _: every_s
-        )
+        jobs = [replace(job, every_s=every_s) for job in scheduled_jobs(settings)]
+        serve_jobs(job_context(settings, storage), jobs, threading.Event(), holder=process_name())
 
 
 def serve(settings: Settings, paths: Sequence[Path]) -> None:

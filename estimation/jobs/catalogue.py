@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 from estimation.errors import NotFoundError
 from estimation.jobs import (
@@ -16,7 +17,7 @@ from estimation.jobs import (
     refresh_trends,
 )
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS, SUSPENSIONS
-from estimation.jobs.estimate_windows import TABLES
+from estimation.jobs.estimate_windows import JUDGE, OUTDATED, TABLES
 from estimation.jobs.evaluate_alerts import ALERTS, WORKLIST
 from estimation.jobs.job import Job, JobContext, Work, run_job
 from estimation.jobs.refresh_adhesion import FIRST, OF_SECTIONS, OF_VEHICLES
@@ -29,7 +30,6 @@ from estimation.jobs.refresh_signatures import OF_ALL as ANSWERS
 from estimation.jobs.refresh_trends import TREND
 from estimation.jobs.runner import work_of
 from estimation.jobs.stage import AnyStage
-from estimation.jobs.steps.due_windows import JUDGE, OUTDATED
 from estimation.jobs.steps.signature_windows import ASSUMED, OF_WINDOWS
 from estimation.values.runs import JobRun, JobTrigger
 
@@ -68,32 +68,26 @@ ALL_JOBS: tuple[Job, ...] = (
     refresh_signatures.JOB,
 )
 
+T = TypeVar("T", Job, Work)
 STAGES = tuple(map(work_of, ALL_STAGES))
 """Work that is done in units, by other processes where there are some."""
 
 
 def stage_named(name: str) -> Work:
-    """Return the stage of a name.
-
-    Raises:
-        NotFoundError: There is none.
-    """
-    for stage in STAGES:
-        if stage.name == name:
-            return stage
-    raise NotFoundError("stage", name)
+    """Return the stage of a name; raises NotFoundError."""
+    return _named(STAGES, "stage", name)
 
 
 def job_named(name: str) -> Job:
-    """Return the job of a name.
+    """Return the job of a name; raises NotFoundError."""
+    return _named(ALL_JOBS, "job", name)
 
-    Raises:
-        NotFoundError: There is none.
-    """
-    for job in ALL_JOBS:
-        if job.name == name:
-            return job
-    raise NotFoundError("job", name)
+
+def _named(all_of_kind: Sequence[T], kind: str, name: str) -> T:
+    for one in all_of_kind:
+        if one.name == name:
+            return one
+    raise NotFoundError(kind, name)
 
 
 def run_all(context: JobContext, trigger: JobTrigger, jobs: Sequence[Job] = ALL_JOBS) -> list[JobRun]:

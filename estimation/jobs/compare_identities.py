@@ -24,12 +24,11 @@ from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspensio
 from estimation.alerts.rules.sensor_data import IdentityRule
 from estimation.jobs.job import JobContext
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
-from estimation.jobs.steps.identities import identity_changes
+from estimation.jobs.steps.vehicle_classes import identity_changes
 from estimation.storage import UnitOfWork
 from estimation.trend.suspension import SuspensionParameters, suspension_histories
 from estimation.values.alerts import Finding
 from estimation.values.geometry import GEOMETRY, GeometryRecord
-from estimation.values.registry import WheelsetRecord
 from estimation.values.runs import EVERYTHING, Facet, SubjectKind
 from estimation.values.trend import (
     SUSPENSION,
@@ -66,55 +65,64 @@ class JumpInputs:
 def load_jumps(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mapping[str, JumpInputs]:
     """Return in what jumps of some wheelsets are looked for; of those not in service in nothing."""
     parameters = context.settings.rules.rule(IdentityRule).parameters
-    newest, changes = unit.geometries.newest_numbers(serials), identity_changes(unit, serials)
+    wheelsets, changes = unit.registry.wheelsets_of(serials), identity_changes(unit, serials)
     before = {result.subject: result.parameters for result in unit.results.in_force(JUMP, serials)}
-    inputs, wheelsets, calms = {}, unit.registry.wheelsets_of(serials), dict[str, tuple[str, int | None]]()
+    in_service = {one.serial: len(one.reprofilings) for one in wheelsets if one.mounting is not None}
+    numbers = unit.geometries.interval_numbers(in_service)
+    looks = {}
     for wheelset in wheelsets:
-        change, stored = changes.get(wheelset.serial), before.get(wheelset.serial, {})
-        since = made_from(len(wheelset.reprofilings), change, parameters, context.code_version)
+        serial, stored = wheelset.serial, before.get(wheelset.serial, {})
+        since = made_from(len(wheelset.reprofilings), changes.get(serial), parameters, context.code_version)
         calm = stored[CALM] if stored.get(SINCE) == since else None
         assert calm is None or isinstance(calm, int)
-        calms[wheelset.serial] = since, calm
+        if stored or numbers.get(serial):
+            looks[serial] = _Look(in_service.get(serial, 0), numbers.get(serial, {}), calm, since)
     # a wheelset that was not calm before is looked at whole
-    whole = [one for one in wheelsets if one.mounting is not None and calms[one.serial][1] is None]
-    unit.geometries.read_intervals({one.serial: (len(one.reprofilings), None, None) for one in whole})
-    for wheelset in wheelsets:
-        serial, change, stored = wheelset.serial, changes.get(wheelset.serial), before.get(wheelset.serial, {})
-        since, calm = calms[serial]
-        in_service = wheelset.mounting is not None and serial in newest
-        if in_service or stored:
-            known = _changed_since(unit, wheelset, change, calm, parameters) if in_service else []
-            inputs[serial] = JumpInputs(tuple(known), calm, newest.get(serial), since, parameters)
-    return inputs
+    whole = {serial: look.baseline for serial, look in looks.items() if look.numbers and look.calm is None}
+    unit.geometries.read_intervals({serial: (baseline, None, None) for serial, baseline in whole.items()})
+    return {
+        serial: JumpInputs(
+            tuple(_changed_since(unit, serial, look, changes.get(serial), parameters)),
+            look.calm,
+            max(look.numbers.values(), default=None),
+            look.since,
+            parameters,
+        )
+        for serial, look in looks.items()
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """The present profile of a wheelset: numbers of the newest geometries by interval, and when it was calm last."""
+
+    baseline: int
+    numbers: Mapping[int, int]
+    calm: int | None
+    since: str
 
 
 def _changed_since(
-    unit: UnitOfWork,
-    wheelset: WheelsetRecord,
-    change: IdentityChange | None,
-    calm: int | None,
-    parameters: IdentityParameters,
+    unit: UnitOfWork, serial: str, look: _Look, change: IdentityChange | None, parameters: IdentityParameters
 ) -> list[Observation]:
     """Return the observations from the first that has changed on, with those before it that it is compared with."""
-    serial, baseline = wheelset.serial, len(wheelset.reprofilings)
-    if calm is not None:
-        numbers = unit.geometries.interval_numbers(serial, baseline)
-        changed = min((interval for interval, number in numbers.items() if number > calm), default=None)
-        if changed is None:
-            return []
-        earlier = sorted(interval for interval in numbers if interval < changed)
-        for back in COMPARED:
-            first = earlier[-back] if len(earlier) > back else None
-            read = unit.geometries.intervals(serial, baseline, first=first)
-            usable = [
-                one for one in read if one.interval in earlier and one.geometry.windows >= parameters.least_windows
-            ]
-            if first is None or len(usable) >= PAIR:
-                known = _observations(read, change)
-                if first is None or not jumps(known, parameters):
-                    return known
-                break
-    return _observations(unit.geometries.intervals(serial, baseline), change)
+    calm = look.calm
+    if calm is None:
+        return _observations(unit.geometries.intervals(serial, look.baseline), change) if look.numbers else []
+    changed = min((interval for interval, number in look.numbers.items() if number > calm), default=None)
+    if changed is None:
+        return []
+    earlier = sorted(interval for interval in look.numbers if interval < changed)
+    for back in COMPARED:
+        first = earlier[-back] if len(earlier) > back else None
+        read = unit.geometries.intervals(serial, look.baseline, first=first)
+        usable = [one for one in read if one.interval in earlier and one.geometry.windows >= parameters.least_windows]
+        if first is None or len(usable) >= PAIR:
+            known = _observations(read, change)
+            if first is None or not jumps(known, parameters):
+                return known
+            break
+    return _observations(unit.geometries.intervals(serial, look.baseline), change)
 
 
 def _observations(records: Sequence[GeometryRecord], change: IdentityChange | None) -> list[Observation]:

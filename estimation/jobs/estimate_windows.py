@@ -1,70 +1,65 @@
 """Job: windows that wait become bin tables, or are refused with their reason; one that is damaged is refused too.
 
 A window is estimated at the position that the alignment job has found for it. Where the alignment came from the fleet
-it waits until that has looked at it; on a recording it does not.
+it waits until that has looked at it; on a recording it does not. Before that, windows are refused whose mileage or
+place cannot be believed, and those wait again for which something has come: an alignment, a class, or other parameters.
+A version that differs from the one of a table by less than that left unknown is none to estimate again for, nor is a
+recording of the gauge alone.
 """
 
 from __future__ import annotations
 
 import logging
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from estimation.errors import DamagedError, NotFoundError, PassingFaultError
-from estimation.jobs.isolation import fails_alone
+from estimation.errors import NotFoundError, PassingFaultError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
-from estimation.jobs.steps.due_windows import JUDGE, OUTDATED
-from estimation.jobs.steps.load_window import (
-    BatchInputs,
-    Facts,
-    TrackLookup,
-    WindowInputs,
-    WindowLoader,
-    assemble_if_lost,
-    inputs_of_batch,
-    tracks_of_batch,
-)
+from estimation.jobs.steps.load_window import TableInputs, assemble_if_lost, inputs_of_batch, load_windows
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.checks import away_from_low_adhesion, refused_for_low_adhesion
 from estimation.motion.hunting import in_place_of_quality
-from estimation.motion.integration import WindowParameters
+from estimation.motion.mileage import implausible_mileages, implausible_places, without_doubt
 from estimation.motion.rolling_sums import rolling_sums
+from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import cells_of_window
 from estimation.values.geometry import FilledCells, WindowTable
+from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.roll_up import MOST_CHOSEN, RollingSums, WindowRollingSums
-from estimation.values.runs import FAILED, TRIED_AGAIN, Quarantined, SubjectKind, code_of_error, first_line
-from estimation.values.track import Correction, TrackAlignment, TrackLayout
+from estimation.values.registry import Mounting
+from estimation.values.roll_up import RollingSums, WindowRollingSums
+from estimation.values.runs import TRIED_AGAIN, Facet, Quarantined, SubjectKind, code_of_error, first_line
 from estimation.values.windows import (
     DueStage,
-    Window,
+    MileageReading,
+    ReadingSpan,
     WindowKey,
     WindowMark,
     WindowRecord,
     WindowState,
     key_of_text,
-    text_of_key,
 )
 
+JOB_NAME = "estimate_windows"
 REFUSED = "refused_"
 """Begin of the names under which a run counts refused windows by reason code."""
-
-
-def count_of(reason: Reason) -> str:
-    """Return the name under which a window is counted that was refused for a reason."""
-    return f"{REFUSED}{reason.code.value}"
+APART_NS = 86_400_000_000_000  # starts of new windows, of which those between are not read
+Mounted = tuple[Mounting, float]
+"""A mounting and the greatest speed of its vehicle, m/s."""
+BESIDE = {"looks", "wheelsets", "windows", "results"}  # counts of stages that are no counts of the job
+RARE = {"mileages_judged", "passed_over"}  # counts that are left out where they are 0
+_log = logging.getLogger(__name__)
 
 
 def refusals(counts: Mapping[str, int]) -> dict[ReasonCode, int]:
     """Return how many windows a run has refused, by reason code, the most frequent first."""
-    known = {count_of(Reason(code, "")): code for code in ReasonCode}
-    found = {known[name]: count for name, count in counts.items() if name in known and count}
-    return dict(sorted(found.items(), key=lambda item: (-item[1], item[0].value)))
+    found = {code: counts.get(f"{REFUSED}{code.value}", 0) for code in ReasonCode}
+    return dict(sorted((item for item in found.items() if item[1]), key=lambda item: (-item[1], item[0].value)))
 
 
 def refusals_text(counts: Mapping[str, int]) -> str:
@@ -76,54 +71,186 @@ def refusals_text(counts: Mapping[str, int]) -> str:
     return ", ".join(parts)
 
 
-def likely_chosen(unit: UnitOfWork, records: Sequence[WindowRecord]) -> set[WindowKey]:
-    """Return which windows of a batch would be chosen beside those of the newest roll-up of their wheelset."""
-    of_wheelset: defaultdict[str, list[WindowRecord]] = defaultdict(list)
-    for record in records:
-        if not record.quality.hunting.sustained:
-            of_wheelset[record.wheelset].append(record)
-    stored = unit.roll_ups.newest_chosen(sorted(of_wheelset)) if of_wheelset else {}
-    found: set[WindowKey] = set()
-    for wheelset, several in of_wheelset.items():
-        digests = {*stored.get(wheelset, ()), *(record.content_digest for record in several)}
-        smallest = set(sorted(digests)[:MOST_CHOSEN])
-        found |= {record.key for record in several if record.content_digest in smallest}
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """What the windows of a wheelset are judged by.
+
+    Attributes:
+        judged: New readings where nothing speaks against them; else all.
+        mounted: Empty where nothing speaks against the readings.
+        seen: Windows that are due, with the versions in which they were.
+    """
+
+    wheelset: str
+    judged: tuple[MileageReading, ...]
+    mounted: tuple[Mounted, ...]
+    seen: Mapping[WindowKey, int]
+
+
+Verdicts = Mapping[WindowKey, Reason | None]
+
+
+def load_readings(unit: UnitOfWork, serials: Sequence[str], _: JobContext) -> Mapping[str, Readings]:
+    """Return the new readings of some wheelsets, or all where one is doubted or something speaks against a new one."""
+    (due, doubted), mounted = unit.plausibility.due(serials), _mounted(unit, serials)
+    spans = _spans(key for key in due if key[0] not in doubted)
+    around = unit.plausibility.readings_around([span for own in spans.values() for span in own])
+    new: Mapping[str, Sequence[MileageReading]] = {
+        serial: [
+            one
+            for span in own
+            for one in around[span]
+            if span[1] <= one.start_ns <= span[2] and (serial, one.start_ns) in due
+        ]
+        for serial, own in spans.items()
+    }
+    if sum(map(len, new.values())) < sum(serial in spans for serial, _ in due):  # some are gone
+        new = unit.plausibility.new_readings(list(spans))
+        spans = _spans((serial, one.start_ns) for serial, own in new.items() for one in own)
+        around = unit.plausibility.readings_around([span for own in spans.values() for span in own])
+    found = {}
+    for serial in serials:
+        judged, against = new.get(serial, ()), mounted.get(serial, ())
+        beside = [around[span] for span in spans.get(serial, ())]
+        believed = serial not in doubted and all(
+            without_doubt([one for one in readings if mounting.covers(one.start_ns)], mounting, max_speed)
+            for readings in beside
+            for mounting, max_speed in against
+        )
+        judged, against = (judged, ()) if believed else (unit.plausibility.readings(serial), against)
+        seen = {key: version for key, version in due.items() if key[0] == serial}
+        found[serial] = Readings(serial, tuple(judged), against, seen)
     return found
 
 
-JOB_NAME = "estimate_windows"
-_log = logging.getLogger(__name__)
+def judge(inputs: Readings) -> Outcome[Verdicts]:
+    """Return why windows of a wheelset are not believed, None for those that are, where that is new."""
+    implausible: dict[int, Reason] = dict(implausible_places(inputs.judged))
+    for mounting, max_speed in inputs.mounted:
+        if within := [one for one in inputs.judged if mounting.covers(one.start_ns)]:
+            implausible.update(implausible_mileages(within, mounting, max_speed))
+    verdicts = {
+        (inputs.wheelset, one.start_ns): implausible.get(one.start_ns)
+        for one in inputs.judged
+        if implausible.get(one.start_ns) != one.refused
+    }
+    return Outcome([Part(verdicts)])
+
+
+def store_verdicts(
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Readings | None, Outcome[Verdicts]]]
+) -> Mapping[str, int]:
+    """Store which windows are believed; return how many have another verdict."""
+    parts = [part for _, outcome in made.values() for part in outcome.parts]
+    changed = unit.plausibility.judge({key: why for part in parts for key, why in (part.value or {}).items()})
+    read = [inputs for inputs, _ in made.values() if inputs is not None]
+    unit.due.settle_all(DueStage.MILEAGES, {key: version for one in read for key, version in one.seen.items()})
+    return {"mileages_judged": changed}
+
+
+def _mounted(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, tuple[Mounted, ...]]:
+    mountings = unit.registry.mountings_of(serials)
+    vehicles = unit.registry.vehicles_of({one.vehicle for own in mountings.values() for one in own})
+    return {
+        serial: tuple((mounting, vehicles[mounting.vehicle].max_speed_m_s) for mounting in own)
+        for serial, own in mountings.items()
+    }
+
+
+def _spans(windows: Iterable[WindowKey]) -> Mapping[str, list[ReadingSpan]]:
+    """Return first and last start of groups of windows that are apart, by wheelset; each in order of time."""
+    spans: defaultdict[str, list[ReadingSpan]] = defaultdict(list)
+    for serial, start_ns in windows:
+        own = spans[serial]
+        if own and start_ns - own[-1][2] <= APART_NS:
+            own[-1] = (serial, own[-1][1], start_ns)
+        else:
+            own.append((serial, start_ns, start_ns))
+    return spans
+
+
+JUDGE = Stage(
+    name=DueStage.MILEAGES,
+    job=JOB_NAME,
+    kind=SubjectKind.WHEELSET,
+    facets=(),
+    settings=lambda _: None,
+    load=load_readings,
+    compute=judge,
+    counted=Counted(looked="wheelsets", changed="results"),
+    store=store_verdicts,
+    at_once=50,
+)
 
 
 @dataclass(frozen=True, slots=True)
-class TableInputs:
-    """A window, and what it is estimated with.
+class Outdated:
+    """Windows on a section, or on none, for which something has come.
 
     Attributes:
-        window: As its vehicle's class reads it, or why it is not to be used.
-        rolls: Whether somebody will ask for what it says of its rolling radius.
+        changed: Estimated on another version of the alignment, or with other parameters, than they are to be.
+        aligned: Refused without an alignment, of which there is one.
+        classed: Refused without a class of their vehicle, of which there is one.
     """
 
-    record: WindowRecord
-    inputs: WindowInputs
-    facts: Facts = field(metadata={"made_from": False})
-    window: Window | Reason = field(metadata={"made_from": False})
-    track: TrackAlignment | None = field(metadata={"made_from": False})
-    layout: TrackLayout | None = field(metadata={"made_from": False})
-    rolls: bool
-
-    @property
-    def mounted_reversed(self) -> bool:
-        """Whether the wheelset is mounted the other way round."""
-        return self.inputs.mounting is not None and self.inputs.mounting.reversed
+    changed: Sequence[WindowKey]
+    aligned: Sequence[WindowKey]
+    classed: Sequence[WindowKey]
 
 
-@dataclass(frozen=True, slots=True)
-class Unreadable:
-    """A window of which something could not be read: it fails alone."""
+def load_outdated(unit: UnitOfWork, sections: Sequence[str], context: JobContext) -> Mapping[str, Outdated]:
+    """Return what has come for the windows of some sections."""
+    classes = ClassLookup(unit, context.settings.estimation)
+    return {code: _of_section(unit, classes, code) for code in sections}
 
-    record: WindowRecord
-    error: Exception
+
+def _of_section(unit: UnitOfWork, classes: ClassLookup, code: str) -> Outdated:
+    if not unit.windows.any_decided(code):
+        return Outdated((), (), ())
+    refused = unit.windows.refused_on(code, (NO_ALIGNMENT.code, ReasonCode.CLASS_UNKNOWN))
+    aligned, classed = [], []
+    for record in refused:
+        if code_of(record.reason) is not ReasonCode.CLASS_UNKNOWN:
+            aligned.append(record.key)
+        elif not isinstance(classes.of_vehicle(record.vehicle), Reason):
+            classed.append(record.key)
+    if aligned:
+        in_force = unit.tracks.in_force(code)
+        aligned = aligned if in_force is not None and in_force.status is Status.ESTIMATED else []
+    changed = set(unit.epochs.outdated([code]))
+    for key in unit.tables.parameter_keys([code]):
+        if key.parameter_key != classes.table_key(key.vehicle, key.wheelset):
+            changed.update(unit.tables.made_with(key))
+    return Outdated(sorted(changed), aligned, classed)
+
+
+def let_wait(
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Outdated | None, Outcome[None]]]
+) -> Mapping[str, int]:
+    """Let windows wait again; count how many do and how many cannot, for their samples were purged."""
+    counts: Counter[str] = Counter()
+    for outdated, _outcome in made.values():
+        if outdated is None:
+            continue
+        waiting = [WindowMark(*key, WindowState.PENDING) for key in (*outdated.changed, *outdated.aligned)]
+        again = {mark.key for mark in unit.windows.mark_all(waiting)}
+        counts["passed_over"] += len(set(outdated.changed) - again)
+        counts["requeued"] += len(again) + len(unit.windows.look_again(outdated.classed))
+    return counts
+
+
+OUTDATED = Stage(
+    name="outdated",
+    job=JOB_NAME,
+    kind=SubjectKind.SECTION,
+    facets=(Facet.REGISTRY, Facet.ALIGNMENT, Facet.PLACES),
+    settings=lambda settings: settings.estimation.as_json(),
+    load=load_outdated,
+    # what follows is that windows wait; those that do are not found again
+    compute=lambda found: Outcome(more=bool(found.changed or found.aligned or found.classed)),
+    counted=Counted(looked="looks", changed="results", more=("requeued", "passed_over")),
+    store=let_wait,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,129 +261,62 @@ class Estimated:
     rolling: tuple[RollingSums, ...] | None = None  # what it says of its rolling radius, where somebody will ask
 
 
-Made = tuple[TableInputs, Estimated | Reason]
-
-
-def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Mapping[str, TableInputs | Unreadable]:
-    """Return windows that wait or failed, with what they are estimated with; the others are left out."""
-    standing = unit.windows.several([key_of_text(key) for key in keys])
-    waiting = (one for one in standing if one.state is WindowState.PENDING or code_of(one.reason) in FAILED)
-    # the windows of a bogie next to each other: each needs the samples of the other
-    records = sorted(waiting, key=lambda record: (record.vehicle, record.start_ns, record.axle))
-    if not records:
-        return {}
-    tracks = tracks_of_batch(unit, records)
-    batch = inputs_of_batch(unit, records, ClassLookup(unit, context.settings.estimation))
-    loader = WindowLoader(unit, batch.vehicles, batch.records)
-    reading = _Reading(loader, batch, tracks, likely_chosen(unit, records))
-    return {text_of_key(*record.key): reading.of(record) for record in records}
-
-
-@dataclass(frozen=True, slots=True)
-class _Reading:
-    """Reads the windows of a batch, each alone."""
-
-    loader: WindowLoader
-    batch: BatchInputs
-    tracks: TrackLookup
-    chosen: set[WindowKey]
-
-    def of(self, record: WindowRecord) -> TableInputs | Unreadable:
-        try:
-            inputs = self.batch.of(record.key)
-            window, tracks = self._window(record, inputs), self.tracks
-            rolls = record.key in self.chosen
-            return TableInputs(
-                record, inputs, self.batch.facts, window, tracks.alignment(record), tracks.layout(record), rolls
-            )
-        except Exception as error:
-            if not fails_alone(error):
-                raise
-            return Unreadable(record, error)
-
-    def _window(self, record: WindowRecord, inputs: WindowInputs) -> Window | Reason:
-        if record.implausible is not None:
-            return record.implausible
-        if isinstance(inputs.assumed, Reason):
-            return inputs.assumed
-        try:
-            return self.loader.load(record, inputs.assumed.windows.vehicle_class)
-        except DamagedError as error:
-            return Reason(ReasonCode.FILE_DAMAGED, str(error))  # names the file; the other windows go on
-
-
-def estimate(inputs: TableInputs | Unreadable) -> Outcome[Estimated | Reason]:
-    """Return the bin table of a window, or why it has none.
+def estimate(inputs: TableInputs) -> Outcome[Estimated | Reason]:
+    """Return the bin table of a window, without its samples on rails of low friction, or why it has none.
 
     Raises:
         PassingFaultError: It could not be found where it was, for now.
     """
-    if isinstance(inputs, Unreadable):
-        raise inputs.error
     return Outcome([Part(_estimated(inputs))])
 
 
 def _estimated(inputs: TableInputs) -> Estimated | Reason:
-    record, window, assumed, position = inputs.record, inputs.window, inputs.inputs.assumed, inputs.inputs.position
+    window, assumed, position = inputs.window, inputs.inputs.assumed, inputs.inputs.position
     if isinstance(window, Reason):
         return window
     if isinstance(assumed, Reason):
         return assumed
     if position is not None and position.reason is not None and position.reason.code in TRIED_AGAIN:
         raise PassingFaultError(position.reason.text, code=position.reason.code)  # it is looked for again, too
-    correction, misplaced = None, None
-    if position is not None and position.content_digest == record.content_digest:  # found from these samples
-        correction, misplaced = Correction(position.offset_m, position.scale, position.middle_m), position.reason
-    parameters = assumed.windows
-    cells = _cells(window, inputs, parameters, correction, misplaced)
-    if isinstance(cells, Reason):
-        return cells
-    rolling = rolling_sums(window, parameters.vehicle_class, parameters.signals) if inputs.rolls else None
-    return Estimated(cells, rolling)
-
-
-def _cells(
-    window: Window,
-    inputs: TableInputs,
-    parameters: WindowParameters,
-    correction: Correction | None,
-    misplaced: Reason | None,
-) -> FilledCells | Reason:
-    """Return the cells of a window's bin table without its samples on rails of low friction."""
+    correction, parameters = inputs.inputs.correction(inputs.record), assumed.windows
     kept = away_from_low_adhesion(window, inputs.inputs.low_adhesion, correction)
     if isinstance(kept, Reason):
         return kept
-    found = cells_of_window(
+    cells = cells_of_window(
         kept,
         inputs.track,
         parameters,
         correction,
-        misplaced,
-        mounted_reversed=inputs.mounted_reversed,
+        None if position is None or correction is None else position.reason,
+        mounted_reversed=inputs.inputs.mounted_reversed,
         layout=inputs.layout,
     )
-    return refused_for_low_adhesion(found, window, kept) if isinstance(found, Reason) else found
+    if isinstance(cells, Reason):
+        return refused_for_low_adhesion(cells, window, kept)
+    rolling = rolling_sums(window, parameters.vehicle_class, parameters.signals) if inputs.rolls else None
+    return Estimated(cells, rolling)
 
 
 def store_tables(
     unit: UnitOfWork,
     context: JobContext,
-    made: Mapping[str, tuple[TableInputs | Unreadable | None, Outcome[Estimated | Reason]]],
+    made: Mapping[str, tuple[TableInputs | None, Outcome[Estimated | Reason]]],
 ) -> Mapping[str, int]:
     """Store outcomes; windows that something has changed under since are due still: the next batch takes them."""
     found = [
         (inputs, part.value)
         for inputs, outcome in made.values()
         for part in outcome.parts
-        if isinstance(inputs, TableInputs) and part.value is not None
+        if inputs is not None and part.value is not None
     ]
     if not found:
         return {}
     now = {record.key: record for record in unit.windows.several([one.record.key for one, _ in found], held=True)}
-    batch = None
+    digests = {key: record.content_digest for key, record in now.items()}
+    changed = {one.record.key for one, _ in found if digests.get(one.record.key) != one.record.content_digest}
     if not found[0][0].facts.are_same(unit):
         batch = inputs_of_batch(unit, list(now.values()), ClassLookup(unit, context.settings.estimation))
-    changed = {one.record.key for one, _ in found if _changed(one, now.get(one.record.key), batch)}
+        changed |= {one.record.key for one, _ in found if batch.found.get(one.record.key) != one.inputs}
     same = [(inputs, outcome) for inputs, outcome in found if inputs.record.key not in changed]
     _store(unit, same, now)
     unit.due.list_again(DueStage.TABLES, sorted(changed))
@@ -264,23 +324,15 @@ def store_tables(
     for inputs, outcome in same:
         counts["refused" if isinstance(outcome, Reason) else "estimated"] += 1
         if isinstance(outcome, Reason):
-            counts[count_of(in_place_of_quality(outcome, inputs.record.quality))] += 1
+            counts[f"{REFUSED}{in_place_of_quality(outcome, inputs.record.quality).code.value}"] += 1
     return counts
 
 
-def _changed(inputs: TableInputs, now: WindowRecord | None, batch: BatchInputs | None) -> bool:
-    """Whether something that a window was estimated with is another by now.
-
-    Args:
-        batch: None where nothing is but what is of the window itself.
-    """
-    record = inputs.record
-    if now is None or now.content_digest != record.content_digest:
-        return True
-    return batch is not None and batch.of(record.key) != inputs.inputs
-
-
-def _store(unit: UnitOfWork, found: Sequence[Made], standing: Mapping[WindowKey, WindowRecord]) -> None:
+def _store(
+    unit: UnitOfWork,
+    found: Sequence[tuple[TableInputs, Estimated | Reason]],
+    standing: Mapping[WindowKey, WindowRecord],
+) -> None:
     tables, marks, refused, rolling = [], [], {}, []
     for inputs, outcome in found:
         record, version = inputs.record, inputs.track.version if inputs.track is not None else None
@@ -339,12 +391,6 @@ def run(context: JobContext) -> Mapping[str, int]:
     if refused := refusals_text(counts):
         _log.info("%d windows estimated, %d refused: %s", counts["estimated"], counts["refused"], refused)
     return {name: count for name, count in counts.items() if name not in BESIDE and (count or name not in RARE)}
-
-
-BESIDE = {"looks", "wheelsets", "windows", "results"}
-"""Counts of stages that are no counts of the job."""
-RARE = {"mileages_judged", "passed_over"}
-"""Counts that are left out where they are 0."""
 
 
 JOB = Job(JOB_NAME, "Reduce pending windows to bin tables", every_s=60.0, run=run)

@@ -15,11 +15,11 @@ from estimation.alerts.life_cycle import close, transition, without_stale_acknow
 from estimation.alerts.rule_book import RuleBook, findings, in_flood, next_change_ns, opened, refreshed, superseded
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS, SUSPENSIONS
-from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import AnyStage, Counted, Outcome, Part, Stage
 from estimation.jobs.steps.wheelset_facts import facts_of
+from estimation.jobs.work import Isolation
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Finding, Transition
 from estimation.values.geometry import GEOMETRY
@@ -49,28 +49,26 @@ WORKLIST: AnyStage = Stage(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class _Standing:
-    """The open alerts of a fleet before anything is raised."""
-
-    of_fleet: dict[str, Alert]
-    alone: Sequence[Alert]  # raised, and no members
-
-
 def raise_in_fleet(
     unit: UnitOfWork, fleet: str, found: Sequence[Transition], book: RuleBook, now_ns: int
 ) -> list[AlertEventKind]:
     """Store the alerts that a run has found, and bring the fleet alerts up to their members."""
     version, book = book.version, book.of(fleet, None)
-    standing = _standing(unit, fleet)
-    joining = _joining(unit, standing, [change.alert for change in found], book)
-    fleet_alerts = dict(standing.of_fleet)
+    stored = unit.alerts.open_in_fleet(fleet)
+    of_fleet = {alert.kind: alert for alert in stored if alert.scope is AlertScope.FLEET}
+    alone = [
+        alert
+        for alert in stored
+        if alert.wheelset is not None and alert.fleet_alert_id is None and alert.condition is not Condition.PENDING
+    ]
+    joining = _joining(unit, of_fleet, [*alone, *(change.alert for change in found)], book)
+    fleet_alerts = dict(of_fleet)
     for kind, members in joining.items():
         if kind not in fleet_alerts:
             new = replace(opened(fleet, kind, members, book), rules_version=version)
             fleet_alerts[kind] = unit.alerts.save(new, (), now_ns)
     joined = {(alert.wheelset, kind) for kind, members in joining.items() for alert in members}
-    announced = [alert for alert in standing.alone if (alert.wheelset, alert.kind) in joined]
+    announced = [alert for alert in alone if (alert.wheelset, alert.kind) in joined]
     events: list[AlertEventKind] = []
     for change in [*(Transition(alert, (AlertEventKind.UPDATED,)) for alert in announced), *found]:
         alert = change.alert
@@ -79,28 +77,24 @@ def raise_in_fleet(
         unit.alerts.save(alert, change.events, now_ns)
         events += change.events
     for kind, fleet_alert in fleet_alerts.items():
-        events += _refresh(unit, fleet_alert, now_ns, new=kind not in standing.of_fleet)
+        events += _refresh(unit, fleet_alert, now_ns, new=kind not in of_fleet)
     return events
 
 
-def _standing(unit: UnitOfWork, fleet: str) -> _Standing:
-    stored = unit.alerts.open_in_fleet(fleet)
-    alone = [
-        alert
-        for alert in stored
-        if alert.wheelset is not None and alert.fleet_alert_id is None and alert.condition is not Condition.PENDING
-    ]
-    of_fleet = {alert.kind: alert for alert in stored if alert.scope is AlertScope.FLEET}
-    return _Standing(of_fleet, alone)
+def _joining(
+    unit: UnitOfWork, of_fleet: Mapping[str, Alert], single: Sequence[Alert], book: RuleBook
+) -> dict[str, list[Alert]]:
+    """Return by kind what becomes a member; the members that an open fleet alert has already count as well.
 
-
-def _joining(unit: UnitOfWork, standing: _Standing, found: Sequence[Alert], book: RuleBook) -> dict[str, list[Alert]]:
-    """Return by kind what becomes a member; the members that an open fleet alert has already count as well."""
+    Args:
+        of_fleet: Open fleet alerts by kind.
+        single: Alerts of wheelsets, raised or found, that are no members.
+    """
     joining = {}
     for kind in (rule.kind for rule in book.rules):
-        fleet_alert = standing.of_fleet.get(kind)
+        fleet_alert = of_fleet.get(kind)
         members = [] if fleet_alert is None else unit.alerts.members(fleet_alert.alert_id)
-        free = [alert for alert in (*standing.alone, *found) if alert.kind == kind]
+        free = [alert for alert in single if alert.kind == kind]
         flooding = in_flood([alert.opened_ns for alert in (*free, *members)], book.alarm_flood)
         if any(flooding[: len(free)]):
             joining[kind] = [alert for alert, joins in zip(free, flooding, strict=False) if joins]
@@ -118,8 +112,7 @@ def _refresh(unit: UnitOfWork, fleet_alert: Alert, now_ns: int, *, new: bool) ->
 
 BEFORE: tuple[AnyStage, ...] = (WORKLIST, JUMPS, IDENTITIES, SUSPENSIONS)
 CHANGED, AT_REST = "changed", "at_rest"
-BESIDE = {CHANGED, AT_REST, "looked_at"}
-"""Counts of stages that are no counts of the job."""
+BESIDE = {CHANGED, AT_REST, "looked_at"}  # counts of stages that are no counts of the job
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,13 +156,14 @@ def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mappi
     """Return what the alerts of some wheelsets are made from."""
     rules, now_ns = context.settings.rules, context.clock.now_ns()
     return {
-        serial: AlertInputs(facts, _book(rules, facts), rules.version, now_ns)
+        serial: AlertInputs(
+            facts=facts,
+            book=rules.of(facts.wheelset.fleet, None if facts.vehicle is None else facts.vehicle.vehicle_class),
+            version=rules.version,
+            now_ns=now_ns,
+        )
         for serial, facts in facts_of(unit, serials, context.settings).items()
     }
-
-
-def _book(rules: RuleBook, facts: WheelsetFacts) -> RuleBook:
-    return rules.of(facts.wheelset.fleet, None if facts.vehicle is None else facts.vehicle.vehicle_class)
 
 
 def compute(inputs: AlertInputs) -> Outcome[Evaluated]:

@@ -21,6 +21,7 @@ from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
+from estimation.jobs.steps.load_window import certain_stretches
 from estimation.jobs.steps.window_creep import (
     HOUR_NS,
     CreepInputs,
@@ -47,35 +48,20 @@ from estimation.values.opinions import (
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of_text, text_of_key
 
-Stretches = Sequence[tuple[float, float]]
 JOB_NAME = "refresh_adhesion"
+BESIDE = {"wheelsets", "looks", "results"}  # counts of stages that are no counts of the job
 BATCH = 32  # windows, of a megabyte each, committed together
 MOST_SPANS = 8  # of a section that are pooled in one look: the next run goes on
 MOST_WINDOWS = 600  # of a running gear that count and are kept: 10 hours of running
 KEPT_NS = 31 * 24 * HOUR_NS  # for which the sums of windows are kept, beyond the longest span that is pooled
 
 
-@dataclass(frozen=True, slots=True)
-class HasGeometry:
-    """That a wheelset has a geometry: with the first one its windows can be looked at."""
-
-
-def load_first(unit: UnitOfWork, serials: Sequence[str], _: JobContext) -> Mapping[str, HasGeometry]:
-    """Return the wheelsets with a geometry."""
-    return {serial: HasGeometry() for serial in unit.geometries.having(serials)}
-
-
-def nothing(_: HasGeometry) -> Outcome[None]:
-    """Return no result: what follows is that windows are due."""
-    return Outcome()
-
-
 def list_waiting(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[HasGeometry | None, Outcome[None]]]
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[bool | None, Outcome[None]]]
 ) -> Mapping[str, int]:
     """List the windows that waited for the first geometry of their wheelset."""
-    for serial, (inputs, _outcome) in made.items():
-        if inputs is not None:
+    for serial, (has_geometry, _outcome) in made.items():
+        if has_geometry:
             unit.adhesion.list_waiting(serial)
     return {}
 
@@ -93,11 +79,6 @@ def load_creep(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Ma
     ]
     found = creep_inputs(unit, chosen, context.settings.estimation) if chosen else {}
     return {text_of_key(*key): inputs for key, inputs in found.items()}
-
-
-def find_creep(inputs: CreepInputs) -> Outcome[CreepOfWindow]:
-    """Return the creep of a window, and what it says of the damper above."""
-    return Outcome([Part(creep_of_window(inputs))])
 
 
 def store_creep(
@@ -248,39 +229,20 @@ def _store_span(
     unit: UnitOfWork, context: JobContext, span: Span, found: SectionAdhesion, made_with: str
 ) -> Mapping[str, int]:
     section, rule = found.track_section, context.settings.rules.rule(LowAdhesionRule)
-    last, before = unit.adhesion.section(section), _certain_stretches(unit, section, span.passes)
+    last, starts = unit.adhesion.section(section), [one.start_ns for one in span.passes]
+    before = certain_stretches(unit, section, starts)
     if not unit.adhesion.put_section(found, context.code_version, made_with):
         return {}
-    after = _certain_stretches(unit, section, span.passes)
+    after = certain_stretches(unit, section, starts)
     again = [one for one in span.passes if touched(one, before[one.start_ns]) != touched(one, after[one.start_ns])]
-    marks = [WindowMark(*one.key, WindowState.PENDING) for one in _estimated(unit, again)]
+    records = unit.windows.several([one.key for one in again]) if again else ()
+    standing = {one.key for one in records if not one.samples_purged and one.state is not WindowState.PENDING}
+    marks = [WindowMark(*one.key, WindowState.PENDING) for one in again if one.key in standing]
     unit.windows.mark_all(marks)
     if last is None or found.to_ns >= last.to_ns:
         _alert(unit, context, rule, found, span.fleets)
         unit.adhesion.forget_sums(section, found.to_ns - KEPT_NS)
     return {"sections": 1, "low": bool(found.low_stretches), "estimated_again": len(marks)}
-
-
-def _certain_stretches(unit: UnitOfWork, section: str, passes: Sequence[WindowAdhesion]) -> Mapping[int, Stretches]:
-    """Return the stretches of certainly low friction of a section at the times of its passes."""
-    starts = sorted({one.start_ns for one in passes})
-    hours = unit.adhesion.during(section, starts[0], starts[-1]) if starts else ()
-    return {
-        start_ns: next((one.certain_stretches for one in hours if one.from_ns <= start_ns <= one.to_ns), ())
-        for start_ns in starts
-    }
-
-
-def _estimated(unit: UnitOfWork, passes: Sequence[WindowAdhesion]) -> Sequence[WindowAdhesion]:
-    """Return the passes whose windows are not pending, and can be made again."""
-    records = {record.key: record for record in unit.windows.several([one.key for one in passes])} if passes else {}
-    return [
-        one
-        for one in passes
-        if one.key in records
-        and not records[one.key].samples_purged
-        and records[one.key].state is not WindowState.PENDING
-    ]
 
 
 def _alert(
@@ -316,8 +278,8 @@ FIRST = Stage(
     kind=SubjectKind.WHEELSET,
     facets=(GEOMETRY.stage,),
     settings=lambda _: None,
-    load=load_first,
-    compute=nothing,
+    load=lambda unit, serials, _: dict.fromkeys(unit.geometries.having(serials), True),
+    compute=lambda _: Outcome(),
     counted=Counted(looked="wheelsets", changed="results"),
     store=list_waiting,
     at_once=500,
@@ -329,7 +291,7 @@ OF_WINDOWS = Stage(
     facets=(),
     settings=lambda _: None,
     load=load_creep,
-    compute=find_creep,
+    compute=lambda inputs: Outcome([Part(creep_of_window(inputs))]),
     counted=Counted(looked="looks", changed="results", more=("windows", "refused")),
     store=store_creep,
     at_once=BATCH,
@@ -369,9 +331,6 @@ def run(context: JobContext) -> Mapping[str, int]:
         refresh_geometry.JOB.run(context)
     return {name: count for name, count in counts.items() if name not in BESIDE}
 
-
-BESIDE = {"wheelsets", "looks", "results"}
-"""Counts of stages that are no counts of the job."""
 
 JOB = Job(
     name=JOB_NAME,

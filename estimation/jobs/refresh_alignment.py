@@ -10,9 +10,10 @@ with those of the next. One epoch is computed at a time; a section on which noth
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from operator import attrgetter
 
 from estimation.errors import ConflictError
 from estimation.jobs.job import Job, JobContext
@@ -20,7 +21,8 @@ from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.epoch_inputs import Due, EpochSearch, FileLookup, Found, changed_from, otherwise_on_file
-from estimation.jobs.steps.epoch_passes import EpochPasses, RunsOnFile, Solved, epoch_passes
+from estimation.jobs.steps.epoch_passes import RunsOnFile, Solved, epoch_passes
+from estimation.jobs.steps.load_window import LATEST_NS
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
 from estimation.jobs.steps.store_alignment import (
     Computed,
@@ -31,7 +33,7 @@ from estimation.jobs.steps.store_alignment import (
     store_epoch,
     survey_checked,
 )
-from estimation.jobs.steps.vehicle_classes import ClassLookup, VehicleLookup
+from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.track.passes import Entry, Journey, newest_within
 from estimation.track.results import place_alone
@@ -52,7 +54,7 @@ _COUNTED = {
     UpdateOutcome.SURVEY_REFUSED: "versions",
 }
 _COUNTS = ("epochs", "windows", "passes", "kept", "unestimated", "changed_meanwhile")
-_HELD = ("track_section", "vehicle", "content_digest", "mileage_km", "samples_purged")
+_HELD = attrgetter("track_section", "vehicle", "content_digest", "mileage_km", "samples_purged")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,8 +116,7 @@ class FoldInputs:
     on_file: OnFile
     found: Found = field(metadata={"made_from": False})
     known: Known | None = field(metadata={"made_from": False})
-    settings: AlignmentSettings = field(metadata={"made_from": False})
-    passes: Callable[[Sequence[Entry], Known], EpochPasses] = field(metadata={"made_from": False})
+    context: JobContext = field(metadata={"made_from": False})
 
     @property
     def writes(self) -> bool:
@@ -156,8 +157,7 @@ def _inputs(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext) 
         on_file=on_file,
         found=found,
         known=_known(unit, due, lookup.classes, settings) if due is not None and due.own else None,
-        settings=settings,
-        passes=lambda chosen, known: epoch_passes(context, chosen, known.on_file),
+        context=context,
     )
 
 
@@ -193,7 +193,7 @@ def _known(unit: UnitOfWork, due: Due, classes: ClassLookup, settings: Alignment
         classes=classes_of(classes, records),
         on_file=RunsOnFile(
             {key: classes.assumed(*key) for key in dict.fromkeys((one.vehicle, one.wheelset) for one in records)},
-            VehicleLookup(unit).with_mountings(dict.fromkeys(record.vehicle for record in records)),
+            {code: unit.registry.mountings_on(code, 0, LATEST_NS) for code in {record.vehicle for record in records}},
             unit.tracks.layout(code),
         ),
         chosen=parts,
@@ -207,7 +207,7 @@ def compute(inputs: FoldInputs) -> Outcome[Computed]:
         return Outcome(again_ns=0, counted="unchanged")
     if due is None or known is None:
         return Outcome(more=inputs.writes)
-    settings = inputs.settings
+    settings = inputs.context.settings.alignment
     (chosen, of_chosen), *rest = known.chosen
     alignment = known.alignment
     solved = _solve(inputs, chosen, of_chosen, alignment, checked=survey_checked(due.before.survey))
@@ -227,12 +227,12 @@ def _solve(
     """Return what some windows make of an alignment."""
     assert inputs.found.due is not None
     assert inputs.known is not None
-    made = inputs.passes(chosen, inputs.known)
+    made = epoch_passes(inputs.context, chosen, inputs.known.on_file)
     update = update_alignment(
         inputs.found.due.section,
         made.found,
         alignment,
-        inputs.settings,
+        inputs.context.settings.alignment,
         survey_checked=checked,
         measured=known.curves,
     )
@@ -265,7 +265,8 @@ def _store(
     for part in outcome.parts:
         assert part.value is not None
         store_epoch(unit, part.value, context, standing)
-        counts.update(_counts(part.value))
+        passes = sum(len(one.passes.found) for one in part.value.parts)
+        counts.update({_COUNTED[part.value.update.outcome]: 1, "windows": len(part.value.due.own), "passes": passes})
         counts["epochs"] += outcome.more  # the last one is counted with the section
     unit.due.settle_all(DueStage.ALIGNMENT, inputs.seen)
     if on_file.seen is not None:
@@ -288,27 +289,15 @@ def _check_unchanged(unit: UnitOfWork, context: JobContext, inputs: FoldInputs) 
     own = [member.record for kept in found.kept for member in kept.own]
     own += [record for record, _ in found.due.entries] if found.due is not None else []
     now = {record.key: record for record in unit.windows.several([record.key for record in own], held=True)}
-    same = all(_same(record, now.get(record.key)) for record in own)
-    if same and found and _versions(unit, code, context) != inputs.versions:
+    # as far as an epoch holds them
+    same = all(record.key in now and _HELD(record) == _HELD(now[record.key]) for record in own)
+    if same and (found.kept or found.due) and _versions(unit, code, context) != inputs.versions:
         due, known = found.due, inputs.known
         other = due is not None and known is not None and rests_on_other(unit, due, known.classes, context)
         same = unit.epochs.list(code) == found.stored and not other
     if not same:
         raise ConflictError("windows, epochs or what they rest on have changed", kind="track section", key=code)
     return now
-
-
-def _same(record: WindowRecord, now: WindowRecord | None) -> bool:
-    """Return whether a window is what it was, as far as an epoch holds it."""
-    return now is not None and all(getattr(record, name) == getattr(now, name) for name in _HELD)
-
-
-def _counts(computed: Computed) -> Mapping[str, int]:
-    return {
-        _COUNTED[computed.update.outcome]: 1,
-        "windows": len(computed.due.own),
-        "passes": sum(len(part.passes.found) for part in computed.parts),
-    }
 
 
 def _settings(settings: JobSettings) -> object:

@@ -8,19 +8,31 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from estimation.accuracy.fleet_accuracy import baseline_at
+from estimation.accuracy.wheel_contact import RailShare, WheelPair
+from estimation.contact.profiles import MeasuredProfiles
+from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
+from estimation.jobs.settings import RailsSettings
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
-from estimation.jobs.steps.rail_anchors import AnchorInputs, anchor_inputs, anchors
 from estimation.jobs.steps.rail_cells import CELL_VERSION, WheelsetCells, wheelset_cells
+from estimation.jobs.steps.vehicle_classes import last_change
 from estimation.rails.apart import exceeds, rails_apart, reported
-from estimation.rails.cell import RailsParameters, with_refused
+from estimation.rails.cell import (
+    Anchors,
+    RailsParameters,
+    ReferenceWheel,
+    conicity_on_rails,
+    designed_wheel,
+    with_refused,
+)
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import GEOMETRY
@@ -28,6 +40,7 @@ from estimation.values.opinions import (
     CELLS,
     SECTION_RAILS,
     WHEELSET_RAILS,
+    KnownWheel,
     RailKey,
     RailPart,
     RailsApart,
@@ -36,8 +49,176 @@ from estimation.values.opinions import (
     WheelKey,
     WheelsFinding,
 )
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import WheelsetRecord
 from estimation.values.runs import EVERYTHING, Facet, Result, SubjectKind
-from estimation.values.trend import TREND
+from estimation.values.track import TrackSectionRecord
+from estimation.values.trend import TREND, on_one_side
+
+DAY_NS = 86_400_000_000_000
+SAME_GAUGE = 0.3e-3  # m, within which gauges count as alike
+GAUGE_DIGITS = 4  # of a gauge in m
+OTHER_RAILS = Reason(
+    ReasonCode.KNOWN_RAILS_OTHER, "named as known, with other rails, or another gauge, on file than the reference"
+)
+OTHER_TIME = Reason(
+    ReasonCode.KNOWN_RAILS_OTHER_TIME, "named as known for another time than that of the newest windows there"
+)
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class MeasuredWheel:
+    """A wheel with cells that was measured."""
+
+    key: WheelKey
+    at_ns: int
+    digest: str  # of the profiles
+    wheels: WheelPair = field(compare=False, repr=False, metadata={"made_from": False})
+
+
+@dataclass(frozen=True, slots=True)
+class AnchorInputs:
+    """What anchors are made from; its text stands for it in a digest."""
+
+    sections: tuple[TrackSectionRecord, ...]  # with cells
+    known: frozenset[RailKey]  # rails that are as on file, those of the reference
+    rails: RailShare | None  # the reference rails, at their gauge; None without a section
+    profile: str  # of the wheel as designed
+    nominal_radius: float  # m
+    measured: tuple[MeasuredWheel, ...]
+    other: Mapping[str, Reason] = field(default_factory=dict)  # why sections that are named as known hold no level
+    missing: tuple[str, ...] = ()  # codes that are named as known, of which no section is on file
+
+    @property
+    def text(self) -> str:
+        """All of it."""
+        of_sections = [(one.code, _rails_of(one), one.tonnage_mgt_per_year) for one in self.sections]
+        named = (sorted(self.known), sorted((code, why.code) for code, why in self.other.items()), self.missing)
+        rest = (named, self.rails, self.profile, self.nominal_radius, self.measured)
+        return f"{of_sections!r} {rest!r}"
+
+
+def anchor_inputs(unit: UnitOfWork, cells: Sequence[StoredCell], context: JobContext) -> AnchorInputs:
+    """Return what holds the level of some cells, as it is on file.
+
+    Sections with other rails, or another gauge, than those that all are compared with hold nothing, though their rails
+    be known: what a wheel is there does not follow for the reference rails.
+    """
+    windows: Counter[str] = Counter()
+    for one in cells:
+        windows[one.rail.section] += 0 if one.usable is None else one.usable.windows
+    on_file, codes = unit.tracks.sections(), {one.code for one in context.settings.rails.known_sections}
+    sections = tuple(one for one in on_file if one.code in windows)
+    named = {one.code: _at_gauge(unit, one) for one in sections if one.code in codes}
+    rails = _most(named or {one.code: _rails_of(one) for one in sections}, windows)
+    alike = {code for code, own in named.items() if rails is not None and _alike(own, rails)}
+    keys = sorted({one.rail for one in cells if one.usable is not None and one.rail.section in alike})
+    known = frozenset(key for key in keys if _is_of_time(key, context.settings.rails))
+    newest = {key.section: key for key in keys}
+    other = dict.fromkeys(sorted(named.keys() - alike), OTHER_RAILS)
+    other |= {code: OTHER_TIME for code, key in newest.items() if key not in known}
+    serials = {one.wheel.wheelset for one in cells}
+    wheelsets = [one for one in unit.registry.wheelsets() if one.serial in serials]
+    profiles = Counter((one.wheel_profile, one.nominal_radius_m) for one in wheelsets)
+    profile, radius = min(profiles, key=lambda one: (-profiles[one], one), default=("", 0.0))
+    missing = tuple(sorted(codes - {one.code for one in on_file}))
+    measured = _measured_wheels(unit, wheelsets, cells, context.settings.estimation.interval_km)
+    return AnchorInputs(sections, known, rails, profile, radius, measured, other, missing)
+
+
+def anchors(inputs: AnchorInputs, amplitude: FloatArray) -> Anchors:
+    """Return what holds the level, with the conicities that follow from profiles.
+
+    Args:
+        amplitude: (k,) m.
+    """
+    nothing = np.full(len(amplitude), np.nan)
+    wheel = designed_wheel(inputs.profile, inputs.nominal_radius)
+    if inputs.rails is None:
+        return Anchors(ReferenceWheel(inputs.profile, nothing))
+    rails = {section.code: _rails_of(section) for section in inputs.sections}
+    of_rails = {
+        one: nothing if wheel is None else conicity_on_rails(wheel, one, amplitude)[0]
+        for one in {inputs.rails, *rails.values()}
+    }
+    on_file = {code: of_rails[one] for code, one in rails.items()}
+    # the newest measurement of an interval counts
+    newest = {one.key: one.wheels for one in sorted(inputs.measured, key=lambda one: one.at_ns)}
+    return Anchors(
+        ReferenceWheel(inputs.profile, of_rails[inputs.rails], on_file),
+        inputs.known,
+        tuple(KnownWheel(key, *conicity_on_rails(own, inputs.rails, amplitude)) for key, own in newest.items()),
+        tonnage={one.code: one.tonnage_mgt_per_year for one in inputs.sections if one.tonnage_mgt_per_year},
+        refused=inputs.other,
+        missing=inputs.missing,
+    )
+
+
+def _measured_wheels(
+    unit: UnitOfWork, wheelsets: Sequence[WheelsetRecord], cells: Sequence[StoredCell], interval_km: float
+) -> tuple[MeasuredWheel, ...]:
+    """Return the wheels with cells that were measured; what is damaged in the store is left out."""
+    seen: dict[WheelKey, int] = {}
+    for cell in cells:
+        if cell.usable is not None:
+            seen[cell.wheel] = min(cell.usable.from_ns, seen.get(cell.wheel, cell.usable.from_ns))
+    found = []
+    of_profiles = unit.registry.measured_wheelsets()
+    for wheelset in (one for one in wheelsets if one.serial in of_profiles):
+        try:
+            measured = unit.registry.measured_profiles(wheelset.serial)
+        except DamagedError:
+            continue
+        change = last_change(unit, wheelset)
+        for one in measured:
+            baseline, begin_km = baseline_at(wheelset, one.at_ns)
+            key = WheelKey(wheelset.serial, baseline, int((one.mileage_km - begin_km) // interval_km))
+            if key in seen and on_one_side(change, one.at_ns, seen[key]):
+                wheels = WheelPair(one.left, one.right, wheelset.nominal_radius_m, one.std)
+                found.append(MeasuredWheel(key, one.at_ns, _profiles_digest(one), wheels))
+    return tuple(sorted(found))
+
+
+def _profiles_digest(one: MeasuredProfiles) -> str:
+    """Return the digest of what was measured, for it may be corrected."""
+    text = hashlib.sha256(repr((one.mileage_km, one.std)).encode())
+    for profile in (one.left, one.right):
+        for values in (profile.y, profile.z, profile.slope):
+            text.update(values.tobytes())
+    return text.hexdigest()
+
+
+def _is_of_time(key: RailKey, settings: RailsSettings) -> bool:
+    """Whether rails of a period are as on file: from that of the day for which this is known on, until they wear."""
+    model = settings.model
+    days = (one.on_ns / DAY_NS for one in settings.known_sections if one.code == key.section)
+    return any(day // model.period_days <= key.period <= (day + model.known_days) // model.period_days for day in days)
+
+
+def _rails_of(section: TrackSectionRecord) -> RailShare:
+    return RailShare(section.rail_profile, section.rail_inclination, section.nominal_gauge_m, 1.0)
+
+
+def _at_gauge(unit: UnitOfWork, section: TrackSectionRecord) -> RailShare:
+    """Return the rails of a section at their mean gauge, as far as that is on file."""
+    rails, track = _rails_of(section), unit.tracks.alignment(section.code, None)
+    if track is None or not track.gauge_known:
+        return rails
+    return replace(rails, gauge=round(rails.gauge + float(np.mean(track.gauge_deviation)), GAUGE_DIGITS))
+
+
+def _alike(one: RailShare, other: RailShare) -> bool:
+    same = (one.rail, one.inclination) == (other.rail, other.inclination)
+    return same and abs(one.gauge - other.gauge) <= SAME_GAUGE
+
+
+def _most(sections: Mapping[str, RailShare], windows: Counter[str]) -> RailShare | None:
+    """Return the rails that most windows ran on, those alike counted together."""
+    count = {
+        rails: sum(windows[code] for code, own in sections.items() if _alike(own, rails)) for rails in sections.values()
+    }
+    return min(count, key=lambda rails: (-count[rails], repr(rails)), default=None)
+
 
 _log = logging.getLogger(__name__)
 
@@ -89,7 +270,8 @@ def load_rails(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Mappi
     """Return what parting wheels and rails is made from."""
     parameters, cells = context.settings.rails.model, unit.rails.cells()
     on_file = anchor_inputs(unit, cells, context)
-    text = f"{[_stands_for(one) for one in cells]!r} {on_file.text} {parameters!r}"
+    stand_for = [(one.wheel, one.rail, one.digest, one.reason and str(one.reason.code)) for one in cells]
+    text = f"{stand_for!r} {on_file.text} {parameters!r}"
     usable = next((one.usable for one in cells if one.usable is not None), None)
     curve = context.settings.estimation.geometry.curve
     inputs = RailsInputs(
@@ -103,10 +285,6 @@ def load_rails(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Mappi
     return {EVERYTHING: inputs}
 
 
-def _stands_for(one: StoredCell) -> tuple[WheelKey, RailKey, str, str | None]:
-    return one.wheel, one.rail, one.digest, None if one.reason is None else str(one.reason.code)
-
-
 def part_rails(inputs: RailsInputs) -> Outcome[RailsFindings]:
     """Return what belongs to rails, and what belongs to wheels."""
     usable = [one.usable for one in inputs.cells if one.usable is not None]
@@ -114,25 +292,14 @@ def part_rails(inputs: RailsInputs) -> Outcome[RailsFindings]:
     apart = rails_apart(usable, inputs.amplitude, held, inputs.parameters)
     apart = with_refused(apart, inputs.cells)
     newest = {one.wheel.wheelset: one for one in apart.wheels}  # in the order of their keys
-    amplitude = tuple(apart.amplitude.tolist())
-    return Outcome(
-        [
-            Part(
-                RailsFindings(
-                    sections=_sections(apart, held.wheel.profile, inputs.parameters),
-                    wheelsets={
-                        serial: WheelsFinding(amplitude, one, apart.refused_wheels.get(serial))
-                        for serial, one in newest.items()
-                    },
-                    refused={
-                        **dict.fromkeys(held.missing, "not on file"),
-                        **{code: str(why) for code, why in apart.refused.items()},
-                    },
-                    refused_wheels={serial: str(why) for serial, why in apart.refused_wheels.items()},
-                )
-            )
-        ]
+    amplitude, refused_wheels = tuple(apart.amplitude.tolist()), apart.refused_wheels
+    findings = RailsFindings(
+        sections=_sections(apart, held.wheel.profile, inputs.parameters),
+        wheelsets={serial: WheelsFinding(amplitude, one, refused_wheels.get(serial)) for serial, one in newest.items()},
+        refused=dict.fromkeys(held.missing, "not on file") | {code: str(why) for code, why in apart.refused.items()},
+        refused_wheels={serial: str(why) for serial, why in refused_wheels.items()},
     )
+    return Outcome([Part(findings)])
 
 
 def _sections(apart: RailsApart, profile: str, parameters: RailsParameters) -> Mapping[str, RailsFinding]:
@@ -182,7 +349,7 @@ OF_WHEELSETS = Stage(
     job="refresh_rails",
     kind=SubjectKind.WHEELSET,
     facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage, TREND.head_facet),
-    settings=lambda settings: (CELL_VERSION, settings.estimation, settings.rails.period_days),
+    settings=lambda settings: (CELL_VERSION, settings.estimation, settings.rails.model.period_days),
     load=wheelset_cells,
     compute=make_cells,
     counted=Counted(looked="wheelsets", changed="cells"),

@@ -13,14 +13,13 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from estimation.errors import DamagedError
-from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
-from estimation.jobs.steps.identities import identity_change, suspected
 from estimation.jobs.steps.signature_entries import Entries, EntryReader
 from estimation.jobs.steps.signature_windows import ASSUMED, JOB_NAME, OF_WINDOWS, usable
-from estimation.jobs.steps.vehicle_classes import ClassLookup, VehicleLookup
+from estimation.jobs.steps.vehicle_classes import ClassLookup, identity_change, suspected
+from estimation.jobs.work import fails_alone
 from estimation.signatures.answer import compared, judged
 from estimation.signatures.library import Change, Libraries, Subject, current
 from estimation.signatures.window_signatures import SignatureParameters
@@ -46,6 +45,10 @@ from estimation.values.signatures import (
 from estimation.values.windows import WindowKey, text_of_key
 
 NEWEST = 12  # windows that a wheelset is judged by
+BESIDE = {"wheelsets", "windows", "looks", "results"}  # counts of stages that are no counts of the job
+NO_SIGNATURE = Reason(
+    ReasonCode.NO_SIGNATURE, "there is no signature of the wheelset since it was last turned, on the track as it is now"
+)
 
 _Kind = tuple[str, AxlePosition]
 
@@ -53,7 +56,7 @@ _Kind = tuple[str, AxlePosition]
 def load_library(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Mapping[str, Library]:
     """Return what all answers are made from."""
     classes = ClassLookup(unit, context.settings.estimation)
-    reader = EntryReader(unit, classes, VehicleLookup(unit), context.settings.signatures)
+    reader = EntryReader(unit, classes, context.settings.signatures)
     stored = unit.signatures.known()
     known, without = usable(unit, context, stored.known)
     answered = unit.results.made_from(ANSWERS)
@@ -72,9 +75,8 @@ def load_library(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Map
     for wheelset, start_ns, text in stored.damaged:
         failed[SubjectKind.WINDOW, text_of_key(wheelset, start_ns)] = DamagedError(text)
     shelf = _shelved(made, without, context.settings.signatures)
-    parameters = context.settings.signatures
-    numerics = context.code_version
-    return {EVERYTHING: Library(shelf, subjects, geometries, parameters, numerics, answered, failed, windows)}
+    rest = (context.settings.signatures, context.code_version, answered, failed, windows)
+    return {EVERYTHING: Library(shelf, subjects, geometries, *rest)}
 
 
 def judge(library: Library) -> Outcome[SignatureFinding]:
@@ -84,7 +86,9 @@ def judge(library: Library) -> Outcome[SignatureFinding]:
         if (SubjectKind.WHEELSET, serial) in failed:
             continue
         geometry = library.geometries[serial]
-        digest = _digest(library, subject, geometry)
+        shelf = library.shelf
+        text = repr((shelf.digest, sorted(shelf.left_out.items()), subject, geometry, library.parameters))
+        digest = _sha(text)
         if library.answered.get(serial) == (digest, library.numerics):
             continue
         try:
@@ -235,18 +239,12 @@ class Library:
     damaged: Sequence[WindowKey] = field(metadata={"made_from": False})
 
 
-def _digest(library: Library, subject: _Subject, geometry: Estimate | None) -> str:
-    shelf = library.shelf
-    return _sha(repr((shelf.digest, sorted(shelf.left_out.items()), subject, geometry, library.parameters)))
-
-
 def _finding(library: Library, subject: _Subject, geometry: Estimate | None) -> SignatureFinding:
     """Return the answer about a wheelset."""
-    shelf = library.shelf
+    shelf, answer = library.shelf, SignatureAnswer(subject.wheelset, Estimate.unknown(NO_SIGNATURE))
     signatures = tuple(one for one in subject.signatures if _of_present_track(one, shelf))
     left_out = Counter(shelf.left_out)
-    answer = None if signatures else _silent(subject)
-    if answer is None and subject.kind is not None:
+    if signatures and subject.kind is not None:
         judges = Subject(subject.wheelset, *subject.kind, subject.pair, subject.shares_data)
         left_out.update(shelf.libraries.admitted(judges).left_out)
         found = shelf.libraries.library(judges)
@@ -254,7 +252,6 @@ def _finding(library: Library, subject: _Subject, geometry: Estimate | None) -> 
             answer = SignatureAnswer(subject.wheelset, Estimate.unknown(found))
         else:
             answer = judged(subject.wheelset, signatures, found, library.parameters)
-    assert answer is not None
     return SignatureFinding(
         answer=answer,
         baseline=subject.baseline,
@@ -273,12 +270,6 @@ def _of_present_track(one: Signature, shelf: _Shelf) -> bool:
         return True
     change = shelf.changes.get(((one.vehicle_class, one.position), one.place))
     return change is None or one.start_ns > change.after_ns
-
-
-def _silent(subject: _Subject) -> SignatureAnswer:
-    text = "there is no signature of the wheelset since it was last turned, on the track as it is now"
-    reason = Reason(ReasonCode.NO_SIGNATURE, text)
-    return SignatureAnswer(subject.wheelset, Estimate.unknown(reason))
 
 
 OF_ALL = Stage(
@@ -304,9 +295,6 @@ def run(context: JobContext) -> Mapping[str, int]:
         counts["unchanged"] = len(unit.results.made_from(ANSWERS)) - counts["answered"]
     return counts
 
-
-BESIDE = {"wheelsets", "windows", "looks", "results"}
-"""Counts of stages that are no counts of the job."""
 
 JOB = Job(
     name=JOB_NAME,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
 
@@ -23,12 +23,12 @@ from estimation.alerts.rules.rule import WheelsetFacts, within_reach
 from estimation.alerts.rules.running_gear import LowAdhesionRule, SuspensionChangeRule, WeakDamperRule, section_finding
 from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.jobs.refresh_trends import trend_of
-from estimation.jobs.steps.identities import identity_change
+from estimation.jobs.steps.vehicle_classes import identity_change
 from estimation.jobs.steps.wheelset_facts import hunted_beside, windows_wanted
-from estimation.jobs.steps.window_creep import friction_parameters, pool_ends, pooled_ns, section_length
+from estimation.jobs.steps.window_creep import friction_parameters, pool_ends, pooled_ns
 from estimation.storage import UnitOfWork
 from estimation.trend.trend import TrendParameters, behind_step
-from estimation.values.alerts import Alert, CloseReason, Condition
+from estimation.values.alerts import Alert, CloseReason, Condition, Transition
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
 from estimation.values.opinions import SectionAdhesion
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
@@ -52,10 +52,10 @@ class History:
     current: GeometryRecord | None
     change: IdentityChange | None
     raised: Sequence[Alert]  # all alerts of the wheelset, open and closed
-    window_ends: Sequence[int] = field(default=())
-    interval_ends: Sequence[int] = field(default=())
-    conicities: Sequence[IntervalConicities] = field(default=())
-    hunted: Mapping[str, frozenset[int]] = field(default_factory=dict)  # by vehicle, starts of windows
+    window_ends: Sequence[int]
+    interval_ends: Sequence[int]
+    conicities: Sequence[IntervalConicities]
+    hunted: Mapping[str, frozenset[int]]  # by vehicle, starts of windows
 
 
 def history_of(unit: UnitOfWork, serial: str) -> History:
@@ -80,20 +80,18 @@ def history_of(unit: UnitOfWork, serial: str) -> History:
     )
 
 
-def replayed(
-    history: History, book: RuleBook, span: tuple[int, int], trend: TrendParameters | None = None
-) -> list[Alert]:
+def replayed(history: History, book: RuleBook, span: tuple[int, int]) -> list[Alert]:
     """Return the alerts that rules would have raised and that were open within a span of time, by opening.
 
     Args:
         span: From and to, ns UTC of the vehicle's clock.
     """
-    parameters, kept = trend or TrendParameters(), dict[tuple[int, int, float], WearTrend]()
+    kept: dict[tuple[int, int, float], WearTrend] = {}
 
     def trends(records: Sequence[IntervalConicities], limit: float) -> WearTrend:
         key = (records[-1].baseline, len(records), limit)
         if key not in kept:
-            kept[key] = trend_of(records, limit, parameters)
+            kept[key] = trend_of(records, limit, TrendParameters())
         return kept[key]
 
     standing: dict[str, Alert] = {}
@@ -122,19 +120,24 @@ def _evaluate(
         change = transition(
             standing.get(finding.kind), finding, at_ns, fleet=wheelset.fleet, delays=own.delays_of(finding.kind)
         )
-        if change is None:
-            continue
-        if change.alert.closed_ns is None:
-            standing[finding.kind] = change.alert
-        else:
-            del standing[finding.kind]
-            if change.events:  # one that was never raised leaves nothing
-                closed.append(change.alert)
+        _follow(change, finding.kind, standing, closed)
+
+
+def _follow(change: Transition | None, key: str, standing: dict[str, Alert], closed: list[Alert]) -> None:
+    """Keep what becomes of the alert that stands under a key."""
+    if change is None:
+        return
+    if change.alert.closed_ns is None:
+        standing[key] = change.alert
+    else:
+        standing.pop(key, None)
+        if change.events:  # one that was never raised leaves nothing
+            closed.append(change.alert)
 
 
 def _then(history: History, at_ns: int) -> tuple[WheelsetRecord, VehicleRecord | None]:
     """Return the wheelset and its vehicle as the records had them at a time."""
-    mounted = [one for one in history.mountings if one.from_ns <= at_ns and (one.to_ns is None or at_ns < one.to_ns)]
+    mounted = [one for one in history.mountings if one.covers(at_ns)]
     mounting = replace(mounted[-1], to_ns=None) if mounted else None
     done = tuple(one for one in history.wheelset.reprofilings if one.at_ns <= at_ns)
     wheelset = replace(history.wheelset, mounting=mounting, reprofilings=done)
@@ -286,7 +289,9 @@ def section_replayed(unit: UnitOfWork, section: str, book: RuleBook, span: tuple
         span: From and to, ns UTC of the vehicles' clocks.
     """
     rule = book.rule(LowAdhesionRule)
-    pooled, length = pooled_ns(rule), section_length(unit, section)
+    # one that is not on file any more has no places
+    length = next((one.length_m for one in unit.tracks.sections() if one.code == section), 0.0)
+    pooled = pooled_ns(rule)
     standing: dict[str, Alert] = {}
     closed: list[Alert] = []
     for to_ns in pool_ends(unit.adhesion.starts_with_sums(section, *span), pooled):
@@ -320,11 +325,4 @@ def _evaluate_section(
             delays=own.delays,
             rules_version=book.version,
         )
-        if change is None:
-            continue
-        if change.alert.closed_ns is None:
-            standing[fleet] = change.alert
-        else:
-            standing.pop(fleet, None)
-            if change.events:  # one that was never raised leaves nothing
-                closed.append(change.alert)
+        _follow(change, fleet, standing, closed)

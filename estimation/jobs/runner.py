@@ -15,14 +15,13 @@ from functools import partial
 from itertools import dropwhile, islice
 
 from estimation.errors import ConflictError, NotFiniteError, StoppedError, TreadwatchError
-from estimation.jobs.hand_out import hand_out, unit_size
-from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import JobContext, Work
 from estimation.jobs.stage import AnyStage, Outcome, Part, made_from
+from estimation.jobs.work import Isolation, fails_alone, hand_out, unit_size
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import BinStatus, BinValues
 from estimation.values.quantities import Estimate, Status
-from estimation.values.runs import AnyResult, Due, Mark, Result, StageInputs, SubjectKind
+from estimation.values.runs import AnyResult, Due, Look, Mark, Result, StageInputs, SubjectKind
 
 CLAIMED_TOGETHER = 4
 """Batches of subjects that are claimed together."""
@@ -51,18 +50,23 @@ def run_all(stages: Iterable[AnyStage], context: JobContext, isolation: Isolatio
             listed.add(waiting[0].name)
         due: Mapping[str, Due] = {}
         with context.storage.read() as unit:
+            look = None
             if not looked:
-                looked, waiting = True, _not_at_rest(unit, waiting, context, (counts, isolation, listed))
+                looked, (waiting, look) = True, _not_at_rest(unit, waiting, context, (counts, isolation, listed))
             while waiting and not due and _is_listed(stage := waiting[0], listed):
                 waiting.popleft()
-                due = _due(unit, stage, context, counts)
+                if look is None or stage.kind is SubjectKind.WINDOW:
+                    due = unit.marks.due(stage.inputs(context), context.clock.now_ns())
+                else:
+                    due = look.due.get(stage.name, {})
+                _count_due(stage, due, counts)
             if due:
                 isolation.read(unit)
         if due:
             tried = partial(_tried, stage.inputs(context))
             ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
             _try_again(stage, context, ready, isolation)
-            counts.update(_handed_out(stage, context, ready, due, isolation))
+            counts.update(_handed_out(stage, context, ready, len(due), isolation))
     counts["quarantined"] += isolation.quarantined
     return counts
 
@@ -74,8 +78,8 @@ def _is_listed(stage: AnyStage, listed: Collection[str]) -> bool:
 
 def _not_at_rest(
     unit: UnitOfWork, stages: deque[AnyStage], context: JobContext, seen: tuple[Counter[str], Isolation, set[str]]
-) -> deque[AnyStage]:
-    """Return the stages from the first on of which something is due.
+) -> tuple[deque[AnyStage], Look]:
+    """Return the stages from the first on of which something is due, and what is due of each.
 
     Args:
         seen: Counts all that the stages have seen as at rest, knows what is held, and holds the stages whose windows
@@ -85,8 +89,6 @@ def _not_at_rest(
     for stage in stages:
         counts.update(dict.fromkeys(stage.counted.names, 0))
     counted = {stage.name: stage for stage in stages if stage.counted.same is not None}
-    if len(stages) == 1 and not counted and stages[0].kind is not SubjectKind.WINDOW:
-        return stages
     inputs = [stage.inputs(context) for stage in stages]
     look = unit.marks.look(inputs, context.clock.now_ns(), counted, stages[0].job)
     for name, number in look.seen.items():
@@ -94,16 +96,14 @@ def _not_at_rest(
     if not look.held:
         isolation.nothing_held()
     listed |= look.listed
-    return deque(dropwhile(lambda stage: stage.name not in look.due, stages))
+    return deque(dropwhile(lambda stage: stage.name not in look.due, stages)), look
 
 
-def _due(unit: UnitOfWork, stage: AnyStage, context: JobContext, counts: Counter[str]) -> Mapping[str, Due]:
-    """Return what is due of a stage; it is not at rest."""
-    due = unit.marks.due(stage.inputs(context), context.clock.now_ns())
+def _count_due(stage: AnyStage, due: Mapping[str, Due], counts: Counter[str]) -> None:
+    """Count what is due as not at rest."""
     if stage.counted.same is not None:
         marked = sum(one.marked for one in due.values())
         counts.subtract({stage.counted.looked: marked, stage.counted.same: marked})
-    return due
 
 
 def _try_again(stage: AnyStage, context: JobContext, ready: Collection[str], isolation: Isolation) -> None:
@@ -113,25 +113,24 @@ def _try_again(stage: AnyStage, context: JobContext, ready: Collection[str], iso
             stage.again(unit, failed)
 
 
-def work_of(stage: AnyStage, isolation: Isolation | None = None, due: Mapping[str, Due] | None = None) -> Work:
+def work_of(stage: AnyStage, isolation: Isolation | None = None) -> Work:
     """Return the work of a stage in units, as it is handed out to processes.
 
     Args:
         isolation: Of the run, where this process does the work.
-        due: What was read a moment ago of the first unit, where this process does it.
     """
-    return Work(stage.name, partial(_work, stage, isolation, dict(due or {})), partial(_set_aside, stage))
+    return Work(stage.name, partial(_work, stage, isolation), partial(_set_aside, stage))
 
 
 def _handed_out(
-    stage: AnyStage, context: JobContext, ready: Sequence[str], due: Mapping[str, Due], isolation: Isolation
+    stage: AnyStage, context: JobContext, ready: Sequence[str], total: int, isolation: Isolation
 ) -> Counter[str]:
     if stage.here:
         context = replace(context, executor=None)
     # of a large batch by itself: a stop is looked for between units
     batches = 1 if stage.at_once is None else CLAIMED_TOGETHER
     size = unit_size(context, len(ready), batches * stage.batch(context))
-    done, total = len(due) - len(ready), len(due)
+    done = total - len(ready)
 
     def progress(more: int) -> None:
         nonlocal done
@@ -139,17 +138,13 @@ def _handed_out(
         context.checkpoint(done, total)
 
     context.checkpoint(done, total)
-    # what another process has done between this look and the claim is done again: the same comes of it
-    first = {subject: due[subject] for subject in ready[:size]} if context.executor is None else {}
-    return hand_out(context, work_of(stage, isolation, first), _batches(ready, size), progress)
+    return hand_out(context, work_of(stage, isolation), _batches(ready, size), progress)
 
 
-def _work(
-    stage: AnyStage, of_run: Isolation | None, due: dict[str, Due], context: JobContext, subjects: Sequence[str]
-) -> Mapping[str, int]:
+def _work(stage: AnyStage, of_run: Isolation | None, context: JobContext, subjects: Sequence[str]) -> Mapping[str, int]:
     """Do subjects that are claimed, some in a transaction."""
     isolation = Isolation(context, stage.job) if of_run is None else of_run.of_claims(context)
-    working = _Working(stage, context, stage.inputs(context), isolation, due)
+    working = _Working(stage, context, stage.inputs(context), isolation)
     for batch in _batches(subjects, stage.batch(context)):
         working.do(batch)
     working.counts["quarantined"] = working.isolation.quarantined
@@ -173,7 +168,6 @@ class _Working:
     context: JobContext
     inputs: StageInputs
     isolation: Isolation
-    due: dict[str, Due] = field(default_factory=dict)  # of what was looked at a moment ago
     counts: Counter[str] = field(default_factory=Counter)
     _stored: set[str] = field(default_factory=set)  # subjects of which a part was stored
 
@@ -190,16 +184,12 @@ class _Working:
     def _do(self, subjects: Sequence[str]) -> Sequence[str]:
         """Do subjects together; where that fails, each alone. Return those that are due still.
 
-        Versions are read in the snapshot in which the inputs are, or before: what is committed later leaves a subject
-        due.
+        Versions are read in the snapshot in which the inputs are: what is committed later leaves a subject due.
         """
-        due: Mapping[str, Due] = {subject: self.due.pop(subject) for subject in subjects if subject in self.due}
+        due: Mapping[str, Due] = {}
         try:
             with self.context.storage.read() as unit:
-                if len(due) == len(subjects):
-                    unit.marks.take_over(self.inputs, due)
-                else:
-                    due = unit.marks.due(self.inputs, self.context.clock.now_ns(), subjects)
+                due = unit.marks.due(self.inputs, self.context.clock.now_ns(), subjects)
                 self.isolation.read(unit)
                 if self.stage.kind is SubjectKind.WHEELSET:
                     unit.together.update(due)

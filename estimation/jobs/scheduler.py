@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from queue import SimpleQueue
@@ -48,7 +48,6 @@ def serve_jobs(
     stop_event: Event,
     *,
     holder: str = "scheduler",
-    every_s: Callable[[Job], float] | None = None,
     wait: bool = False,
 ) -> None:
     """Run the jobs on their schedules until ``stop_event`` is set; a job that is running then ends at its next batch.
@@ -56,7 +55,6 @@ def serve_jobs(
     Args:
         stop_event: Set by whoever ends the service, see :func:`estimation.jobs.scheduler.stop_on_signals`.
         holder: Name that the refusal of a second scheduler contains, such as host and process number.
-        every_s: Interval of a job where the deployment sets it apart from the job's default.
         wait: Stand by while another scheduler is at work, and take its place when it has ended.
 
     Raises:
@@ -68,7 +66,7 @@ def serve_jobs(
         try:
             with context.storage.owned(JobTrigger.SCHEDULE, holder, min(context.lease_s, LONGEST_LEASE_S)) as owned:
                 begun, before = True, ""
-                _serve_while_owned(replace(context, storage=owned), owned, jobs, stop_event, every_s)
+                _serve_while_owned(replace(context, storage=owned), jobs, stop_event)
         except AlreadyRunningError as error:
             if not wait:
                 raise
@@ -82,20 +80,14 @@ def serve_jobs(
         stop_event.wait(CHECK_S)
 
 
-def _serve_while_owned(
-    context: JobContext,
-    owned: Storage,
-    jobs: Sequence[Job],
-    stop_event: Event,
-    every_s: Callable[[Job], float] | None,
-) -> None:
+def _serve_while_owned(context: JobContext, jobs: Sequence[Job], stop_event: Event) -> None:
     """Run the jobs until a stop is asked for or the place is lost; then the running job ends at its next batch."""
-    with owned.write() as unit:
+    with context.storage.write() as unit:
         abandoned = unit.jobs.abandon_running(context.clock.now_ns())
     if abandoned:
         _log.warning("%d runs of a process that is gone were marked as abandoned", abandoned)
     over = Event()
-    scheduler = build_scheduler(replace(context, stopping=over.is_set), jobs, every_s or (lambda job: job.every_s))
+    scheduler = build_scheduler(replace(context, stopping=over.is_set), jobs)
     looked_ns = context.clock.now_ns()  # before the first job: the clock may be set while it runs
     scheduler.start()
     _log.info("scheduler started with %s", ", ".join(job.name for job in jobs))
@@ -103,7 +95,7 @@ def _serve_while_owned(
     try:
         while kept is not False and not stop_event.wait(CHECK_S):
             before_ns, looked_ns = looked_ns, context.clock.now_ns()
-            was_kept, kept = kept, _kept(owned)
+            was_kept, kept = kept, _kept(context.storage)
             if clock_was_set(looked_ns - before_ns):
                 _log.warning("the clock went by %g s in a second: all jobs are due now", (looked_ns - before_ns) / 1e9)
                 _make_due(scheduler, jobs)
@@ -128,11 +120,7 @@ def _kept(owned: Storage) -> bool | None:
 
 
 def clock_was_set(passed_ns: int) -> bool:
-    """Return whether somebody has set the clock, or this process stood still, since the look before.
-
-    Args:
-        passed_ns: Between two looks of the scheduler by the clock, ns; the interval itself is :data:`CHECK_S`.
-    """
+    """Return whether somebody set the clock, or this process stood still, by what passed between two looks of it."""
     return abs(passed_ns - CHECK_S * 1e9) > STEP_NS
 
 
@@ -143,7 +131,7 @@ def _make_due(scheduler: BackgroundScheduler, jobs: Sequence[Job]) -> None:
         scheduler.modify_job(job.name, next_run_time=first + timedelta(milliseconds=place))
 
 
-def build_scheduler(context: JobContext, jobs: Sequence[Job], every_s: Callable[[Job], float]) -> BackgroundScheduler:
+def build_scheduler(context: JobContext, jobs: Sequence[Job]) -> BackgroundScheduler:
     """Return a scheduler, not started, that runs every job at once and then at its interval."""
     scheduler = BackgroundScheduler(
         jobstores={"default": MemoryJobStore()},
@@ -157,8 +145,8 @@ def build_scheduler(context: JobContext, jobs: Sequence[Job], every_s: Callable[
         scheduler.add_job(
             _scheduled,
             "interval",
-            args=(job, replace(context, quiet_s=every_s(job))),  # until a run finds nothing new
-            seconds=every_s(job),
+            args=(job, replace(context, quiet_s=job.every_s)),  # until a run finds nothing new
+            seconds=job.every_s,
             id=job.name,
             name=job.name,
             next_run_time=first + timedelta(milliseconds=place),  # due together, they go in order
@@ -184,10 +172,7 @@ def stop_on_signals(stop_event: Event) -> None:
     """Set ``stop_event`` on SIGTERM and SIGINT; for the main thread of a service.
 
     The handler only leaves a note, in a queue that may be entered twice by one thread: it may run while the main thread
-    holds the lock of ``stop_event``, where to set it would wait for ever.
-
-    Args:
-        stop_event: Set soon after the signal, by a thread of its own.
+    holds the lock of ``stop_event``, where to set it would wait for ever. A thread of its own sets the event.
     """
     notes: SimpleQueue[int] = SimpleQueue()
 

@@ -37,11 +37,6 @@ class RailsSettings:
     known_sections: frozenset[KnownSection] = frozenset()
     model: RailsParameters = field(default_factory=RailsParameters)
 
-    @property
-    def period_days(self) -> float:
-        """Length of a period, in which rails hardly wear."""
-        return self.model.period_days
-
 
 _MOTION = ("signals", "gates", "interval_km")  # settings of the motion that alignments are made from
 

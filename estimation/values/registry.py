@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Self
@@ -82,11 +82,20 @@ class Mounting:
     wheelset_mileage_km: Annotated[Kilometres, Served("Mileage of the wheelset at the time of mounting.")]
     reversed: Annotated[bool, Served("The left wheel runs on the right-hand side.")] = False
 
+    def covers(self, at_ns: int) -> bool:
+        """Return whether the wheelset was mounted at a time of the vehicle's clock."""
+        return self.from_ns <= at_ns and (self.to_ns is None or at_ns < self.to_ns)
+
     def of_file(self, _given: Collection[str]) -> Self:
         """Refuse an end before the start."""
         if self.to_ns is not None and self.to_ns <= self.from_ns:
             raise ParameterError("must be later than 'from'", field="to")
         return self
+
+
+def mounting_of(mountings: Iterable[Mounting], axle: int, at_ns: int) -> Mounting | None:
+    """Return which of the mountings on a vehicle was at an axle at a time of its clock; None where there was none."""
+    return next((one for one in mountings if one.axle == axle and one.covers(at_ns)), None)
 
 
 @dataclass(frozen=True, slots=True)

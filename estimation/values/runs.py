@@ -270,7 +270,7 @@ class StageInputs:
 class Due:
     """A subject that a stage has not seen as it is now."""
 
-    seen: int  # sum of the versions of its facets, in the transaction that reads its inputs or before
+    seen: int  # sum of the versions of its facets, in the transaction that reads its inputs
     made_from: str | None = None  # digest of the inputs seen last; None where it is to compute whatever they are
     marked: bool = False  # it has seen the subject before
     again_ns: int | None = None  # our time from which the inputs that it has seen may say something else
@@ -282,13 +282,14 @@ class Look:
     """What is to be done of some stages of a job, by their names.
 
     Attributes:
-        due: Those of which something is due, or whose settings are others.
+        due: Subjects in their order of those of which something is due, or whose settings are others; none of a stage
+            that works window by window.
         seen: How many subjects stages have seen.
         listed: Those that work window by window and have listed all with these settings.
         held: Whether anything of the job is in quarantine.
     """
 
-    due: frozenset[str]
+    due: Mapping[str, Mapping[str, Due]]
     seen: Mapping[str, int]
     listed: frozenset[str]
     held: bool

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
 from sqlalchemy import Connection, and_, case, delete, exists, func, insert, or_, select, tuple_, union_all, update
 
 from estimation.errors import DamagedError
-from estimation.values.runs import Due
 from estimation.values.windows import HUNTING_SHARE, DueStage, PassedOver, Window, WindowKey, WindowRecord
 from fleet_db.due import OF_SAMPLES, raise_sections, windows_changed, windows_left
 from fleet_db.records import ChunkState
-from fleet_db.rows import equal, given, insert_all_new, replace_all, table_of, value_of_row
+from fleet_db.rows import equal, insert_all_new, replace_all, table_of, value_of_row
 from fleet_db.stores.window_rows import list_for_sums, pass_over, to_window_record, window_values
 from fleet_db.subjects import Subjects
 from fleet_db.tables.recordings import ChunkRow, StaleSpanRow
@@ -241,13 +240,6 @@ class StaleSpanStore:
         statement = select(SPANS).where(*equal(SPANS, vehicle=vehicle))
         rows = self.connection.execute(statement.order_by(SPANS.c.vehicle, SPANS.c.from_ns, SPANS.c.id))
         return [value_of_row(StaleSpan, row) for row in rows]
-
-    def due(self, vehicles: Collection[str] | None = None) -> Mapping[str, Due]:
-        """Return the vehicles of which something is stale, by code; of some or of all."""
-        newest = select(SPANS.c.vehicle, func.max(SPANS.c.id).label("newest"))
-        statement = newest.where(*given(vehicles, SPANS.c.vehicle.in_))
-        rows = self.connection.execute(statement.group_by(SPANS.c.vehicle).order_by(SPANS.c.vehicle))
-        return {row.vehicle: Due(row.newest) for row in rows}
 
     def advance(self, spans: Sequence[StaleSpan], to_ns: int) -> None:
         """Remove the part of spans before ``to_ns``, in the transaction that stores the windows of that part."""

@@ -90,14 +90,6 @@ class GeometryStore:
         """Return which of some wheelsets have a geometry."""
         return self.results.having(GEOMETRY, wheelsets, CURRENT)
 
-    def newest_numbers(self, wheelsets: Collection[str]) -> Mapping[str, int]:
-        """Return by wheelset what changes whenever a geometry of it is another: the number of the one put last."""
-        of_wheelset = (RESULTS.c.stage == GEOMETRY.stage, RESULTS.c.subject == WHEELSETS.c.serial)
-        last = select(func.max(RESULTS.c.result_id)).where(*of_wheelset, RESULTS.c.superseded_ns.is_(None))
-        chosen = select(WHEELSETS.c.serial, last.scalar_subquery()).where(WHEELSETS.c.serial.in_(wheelsets))
-        rows = self.connection.execute(chosen)
-        return {serial: number for serial, number in rows if number is not None}
-
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]:
         """Return the current geometry of each baseline that there has been, by its number."""
         if self.once.is_absent(HAVING, wheelset):
@@ -122,10 +114,13 @@ class GeometryStore:
 
         return dict(self.once.of_wheelset("interval digests", wheelset, read) or ())
 
-    def interval_numbers(self, wheelset: str, baseline: int) -> Mapping[int, int]:
-        """Return by interval the number of its newest geometry."""
-        found = self.results.heads(GEOMETRY, [wheelset], _intervals(baseline))
-        return {key_of_part(result.part)[1] or 0: result.number for result in found}
+    def interval_numbers(self, baselines: Mapping[str, int]) -> Mapping[str, Mapping[int, int]]:
+        """Return by wheelset and interval of one baseline of each the number of the newest geometry."""
+        found: dict[str, dict[int, int]] = {serial: {} for serial in baselines}
+        spans = {serial: _intervals(baseline) for serial, baseline in baselines.items()}
+        for serial, part, number in self.results.numbers(GEOMETRY, spans):
+            found[serial][key_of_part(part)[1] or 0] = number
+        return found
 
     def intervals(
         self,

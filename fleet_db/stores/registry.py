@@ -7,11 +7,18 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from sqlalchemy import Connection, Select, or_, select
+from sqlalchemy import Connection, Select, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
-from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.registry import (
+    FleetRecord,
+    Mounting,
+    Reprofiling,
+    VehicleRecord,
+    WheelsetRecord,
+    mounting_of,
+)
 from estimation.values.windows import DueStage
 from estimation.vehicle.vehicle_class import SHIPPED_VERSION, ClassOnFile, VehicleClass, class_document
 from fleet_db.due import list_due
@@ -138,14 +145,7 @@ class RegistryStore:
 
     def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
         """Return which wheelset ran at an axle at a time of the vehicle's clock."""
-        statement = select(MOUNTINGS).where(
-            MOUNTINGS.c.vehicle == vehicle,
-            MOUNTINGS.c.axle == axle,
-            MOUNTINGS.c.from_ns <= at_ns,
-            or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > at_ns),
-        )
-        row = self.connection.execute(statement).first()
-        return None if row is None else value_of_row(Mounting, row)
+        return mounting_of(self._mountings_by_vehicle([vehicle]).get(vehicle, ()), axle, at_ns)
 
     def mountings_on(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
         """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start."""

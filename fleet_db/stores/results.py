@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, Row, Select, bindparam, case, delete, insert, or_, select, update
+from sqlalchemy import Connection, Row, Select, bindparam, case, delete, false, insert, or_, select, update
 
 from estimation.errors import DamagedError
 from estimation.values.fields import JsonValue
@@ -46,7 +46,8 @@ class ResultStore:
         """Read with one statement what :meth:`in_force` is asked next.
 
         Args:
-            asked: Kinds, subjects of each, and parts: first and last; None is all.
+            asked: Kinds, subjects of each, and parts: first and last; None is all. Some hundreds at most, since SQLite
+                takes no deeper condition.
         """
         asked, wanted = list(asked), dict[tuple[str, str], list[tuple[Parts | None, list[Row[Any]]]]]()
         for kind, subjects, parts in asked:
@@ -85,6 +86,13 @@ class ResultStore:
         order = NEWEST_FIRST if kind.one_in_force else (RESULTS.c.subject, RESULTS.c.part)
         statement = _chosen(kind, subjects, as_of_ns, parts).order_by(*order)
         return [_result(kind, row) for row in self.connection.execute(statement)]
+
+    def numbers(self, kind: ResultKind[Any], parts: Mapping[str, Parts]) -> Sequence[tuple[str, str, int]]:
+        """Return subject, part and number of what is in force, of parts of each of some subjects."""
+        chosen = [_chosen(kind, [subject], None, own).whereclause for subject, own in parts.items()]
+        found = select(RESULTS.c.subject, RESULTS.c.part, RESULTS.c.result_id)
+        rows = self.connection.execute(found.where(or_(false(), *(one for one in chosen if one is not None))))
+        return [(row.subject, row.part, row.result_id) for row in rows]
 
     def heads(
         self, kind: ResultKind[V], subjects: Collection[str] | None, parts: Parts | None = None
@@ -159,6 +167,7 @@ class ResultStore:
     def replace_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> None:
         """Put all results that there are of a kind without history; those of other subjects are removed."""
         self.put_all(kind, results)
+        self._ahead.clear()
         known = self.connection.scalars(select(RESULTS.c.subject).where(RESULTS.c.stage == kind.stage).distinct())
         gone = set(known) - {result.subject for result in results}
         if gone:

@@ -8,19 +8,24 @@ from functools import cache
 from typing import Any
 
 from sqlalchemy import (
+    BigInteger,
+    Boolean,
     ColumnElement,
     Connection,
     Insert,
+    Row,
     Select,
     String,
     and_,
     bindparam,
+    case,
     cast,
     delete,
     exists,
     false,
     func,
     literal,
+    null,
     or_,
     select,
     tuple_,
@@ -33,7 +38,7 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.runs import EVERYTHING, Due, Look, Mark, Quarantined, QuarantineState, StageInputs, SubjectKind
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.rows import columns_of, equal, given, row_of, table_of, upsert, value_of_row
-from fleet_db.stores.assembled import SPANS, StaleSpanStore
+from fleet_db.stores.assembled import SPANS
 from fleet_db.subjects import MOUNTINGS, REGISTRY_VERSION, VERSIONS, ReadOnce, Subjects
 from fleet_db.tables.operation import StageMarkRow
 from fleet_db.tables.recordings import ChunkRow, QuarantineRow
@@ -41,7 +46,7 @@ from fleet_db.tables.windows import WindowRow
 
 MARKS, ITEMS = table_of(StageMarkRow), table_of(QuarantineRow)
 CHUNKS, WINDOWS = table_of(ChunkRow), table_of(WindowRow)
-SUM = func.sum(VERSIONS.c.version)
+SUM = cast(func.sum(VERSIONS.c.version), BigInteger)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,39 +73,27 @@ class StageMarkStore:
         """
         self.subjects.flush()
         if inputs.kind is SubjectKind.WINDOW:
-            return self.windows.due(inputs, subjects)
-        if not inputs.facets:
-            if inputs.kind is SubjectKind.VEHICLE:
-                return StaleSpanStore(self.connection).due(subjects)
-            return self.windows.wheelsets(inputs, subjects)
+            return self._with_registry(self.windows.due(inputs, subjects))
 
         def read(some: Collection[str] | None) -> Mapping[str, Due]:
-            rows = self.connection.execute(_due(inputs, now_ns, some))
-            return {
-                row.subject: Due(
-                    seen=int(row.now),
-                    made_from=None if row.come else row.made_from,
-                    marked=row.made_from is not None,
-                    again_ns=row.again_ns,
-                    registry=row.registry,
-                )
-                for row in rows
-            }
+            rows = self.connection.execute(_due(inputs, now_ns, some).order_by("subject"))
+            return {row.subject: _as_due(row) for row in rows}
 
-        return read(None) if subjects is None else self.once.of(f"mark of {inputs.stage}", subjects, read)
+        return self._with_registry(
+            read(None) if subjects is None else self.once.of(f"mark of {inputs.stage}", subjects, read)
+        )
 
-    def take_over(self, inputs: StageInputs, due: Mapping[str, Due]) -> None:
-        """Go on with what a transaction before this one has read of subjects that are due.
-
-        What has changed since then lets them be due again.
-        """
-        self.once.remember(f"mark of {inputs.stage}", due)
+    def _with_registry(self, due: Mapping[str, Due]) -> Mapping[str, Due]:
+        """Return what is due; the version of the registry was read with it, in the same snapshot."""
         self.on_file.renew(next((one.registry for one in due.values()), None))
+        return due
 
     def versions(
         self, subjects: Collection[tuple[SubjectKind, str]], vehicles: Collection[str], facets: Collection[str]
-    ) -> int:
-        """Return the sum of the versions of some facets: it is another where one of them is.
+    ) -> tuple[int, int]:
+        """Return the sums of the versions of some facets, of subjects and of what was mounted on vehicles.
+
+        One of the two is another where a version is: of the subjects none is ever left out, and so theirs only grows.
 
         Records of the registry are read as they are now from here on.
 
@@ -112,13 +105,17 @@ class StageMarkStore:
         own = tuple_(facts.c.kind, facts.c.subject).in_(sorted(subjects))
         mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle.in_(vehicles))
         beside = and_(facts.c.kind == SubjectKind.WHEELSET.value, facts.c.subject.in_(mounted))
-        summed = select(func.sum(facts.c.version).label("now"), REGISTRY_VERSION.label("registry"))
+        summed = select(
+            func.sum(case((own, facts.c.version), else_=0)).label("own"),
+            func.sum(case((beside, facts.c.version), else_=0)).label("beside"),
+            REGISTRY_VERSION.label("registry"),
+        )
         row = self.connection.execute(summed.where(or_(own, beside), facts.c.facet.in_(facets))).one()
         self.on_file.renew(row.registry)
-        return int(row.now or 0)
+        return int(row.own or 0), int(row.beside or 0)
 
     def look(self, stages: Sequence[StageInputs], now_ns: int, counted: Collection[str], job: str) -> Look:
-        """Return of which stages something is due; one statement for all.
+        """Return what is due of stages; one statement for all.
 
         Args:
             counted: Names of the stages of which is counted what they have seen.
@@ -126,7 +123,7 @@ class StageMarkStore:
         """
         of_windows = [inputs for inputs in stages if inputs.kind is SubjectKind.WINDOW]
         held = exists().where(ITEMS.c.stage == job, ITEMS.c.state == QuarantineState.HELD.value)
-        looks = [_look(_DUE, inputs.stage).where(_is_due(inputs, now_ns)) for inputs in stages]
+        looks = [_look_due(inputs, now_ns) for inputs in stages]
         looks += [_look(_LISTED, inputs.stage).where(_with_settings(inputs).exists()) for inputs in of_windows]
         looks += [
             _look(_SEEN, stage, func.count()).where(MARKS.c.stage == stage, MARKS.c.subject != "")
@@ -134,8 +131,12 @@ class StageMarkStore:
         ]
         rows = self.connection.execute(union_all(*looks, _look(_HELD, job).where(held))).all()
         listed = frozenset(row.stage for row in rows if row.what == _LISTED)
+        due: dict[str, dict[str, Due]] = {one.stage: {} for one in of_windows if one.stage not in listed}
+        for row in rows:
+            if row.what == _DUE:
+                due.setdefault(row.stage, {}).update({row.subject: _as_due(row)} if row.subject is not None else {})
         return Look(
-            due=frozenset(row.stage for row in rows if row.what == _DUE) | {one.stage for one in of_windows} - listed,
+            due={stage: dict(sorted(own.items())) for stage, own in due.items()},
             seen={row.stage: row.seen for row in rows if row.what == _SEEN},
             listed=listed,
             held=any(row.what == _HELD for row in rows),
@@ -179,18 +180,33 @@ class StageMarkStore:
 _DUE, _LISTED, _SEEN, _HELD = "due", "listed", "seen", "held"
 
 
-def _look(what: str, stage: str, seen: ColumnElement[int] | None = None) -> Select[Any]:
-    number = literal(0) if seen is None else seen
+def _look(what: str, stage: str, seen: ColumnElement[Any] | None = None) -> Select[Any]:
     columns: list[ColumnElement[Any]] = [literal(what).label("what"), literal(stage).label("stage")]
-    return select(*columns, number.label("seen"))
+    number = literal(0) if seen is None else seen
+    return select(*columns, number.label("seen"), *(cast(null(), kind).label(name) for name, kind in _DETAILS.items()))
 
 
-def _is_due(inputs: StageInputs, now_ns: int) -> ColumnElement[bool]:
-    if inputs.facets and inputs.kind is not SubjectKind.WINDOW:
-        return _due(inputs, now_ns, None).exists()
-    if inputs.kind is SubjectKind.VEHICLE:
-        return exists().select_from(SPANS)
-    return exists().where(DUE.c.stage == inputs.stage)
+_DETAILS = {"subject": String, "made_from": String, "again_ns": BigInteger, "come": Boolean, "registry": String}
+"""What is read of a subject that is due beside what it has seen."""
+
+
+def _look_due(inputs: StageInputs, now_ns: int) -> Select[Any]:
+    """Return what is due of a stage; of one that works window by window a row without a subject where anything is."""
+    if inputs.kind is SubjectKind.WINDOW:
+        return _look(_DUE, inputs.stage).where(exists().where(DUE.c.stage == inputs.stage))
+    due = _due(inputs, now_ns, None).subquery()
+    columns = [literal(_DUE).label("what"), literal(inputs.stage).label("stage"), due.c.seen]
+    return select(*columns, *(due.c[name] for name in _DETAILS))
+
+
+def _as_due(row: Row[Any]) -> Due:
+    return Due(
+        seen=int(row.seen),
+        made_from=None if row.come else row.made_from,
+        marked=row.made_from is not None,
+        again_ns=row.again_ns,
+        registry=row.registry,
+    )
 
 
 def _with_settings(inputs: StageInputs) -> Select[Any]:
@@ -200,31 +216,37 @@ def _with_settings(inputs: StageInputs) -> Select[Any]:
 
 
 def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> Select[Any]:
-    subject: ColumnElement[str] = literal(EVERYTHING) if inputs.together else VERSIONS.c.subject
-    of_stage = and_(MARKS.c.stage == inputs.stage, MARKS.c.subject == subject)
+    """Return the statement of the subjects that are due of a stage, of some or of all."""
+    if not inputs.facets:
+        of_vehicle = inputs.kind is SubjectKind.VEHICLE
+        subject: ColumnElement[str] = SPANS.c.vehicle if of_vehicle else DUE.c.wheelset
+        number: ColumnElement[Any] = func.max(SPANS.c.id) if of_vehicle else func.sum(DUE.c.version)
+        nothing: list[ColumnElement[Any]] = [
+            cast(null(), _DETAILS[name]).label(name) for name in ("made_from", "again_ns", "come")
+        ]
+        columns = [subject.label("subject"), number.label("seen"), REGISTRY_VERSION.label("registry"), *nothing]
+        statement = select(*columns).where(*given(subjects, subject.in_)).group_by(subject)
+        return statement if of_vehicle else statement.where(DUE.c.stage == inputs.stage)
+    of_all: ColumnElement[str] = literal(EVERYTHING) if inputs.together else VERSIONS.c.subject
+    of_stage = and_(MARKS.c.stage == inputs.stage, MARKS.c.subject == of_all)
     come = and_(MARKS.c.again_ns.is_not(None), MARKS.c.again_ns <= now_ns)
     marked = (MARKS.c.seen, MARKS.c.common, MARKS.c.made_from, MARKS.c.again_ns)
-    columns = (
-        subject.label("subject"),
-        SUM.label("now"),
+    statement = select(
+        of_all.label("subject"),
+        SUM.label("seen"),
         MARKS.c.made_from,
         MARKS.c.again_ns,
+        func.coalesce(come, false()).label("come"),
         REGISTRY_VERSION.label("registry"),
-    )
-    statement = select(*columns, func.coalesce(come, false()).label("come")).select_from(
-        VERSIONS.outerjoin(MARKS, of_stage)
-    )
+    ).select_from(VERSIONS.outerjoin(MARKS, of_stage))
     statement = statement.where(VERSIONS.c.facet.in_(inputs.facets))
-    if not inputs.together:
-        statement = statement.where(VERSIONS.c.kind == inputs.kind.value)
-        if subjects is not None:
-            statement = statement.where(VERSIONS.c.subject.in_(subjects))
     changed: ColumnElement[bool] = MARKS.c.common != inputs.common
     if not inputs.inline:
         changed = or_(MARKS.c.seen.is_(None), MARKS.c.seen != SUM, MARKS.c.common != inputs.common, come)
     if inputs.together:
         return statement.group_by(*marked).having(changed)
-    return statement.group_by(VERSIONS.c.subject, *marked).having(changed).order_by(VERSIONS.c.subject)
+    statement = statement.where(VERSIONS.c.kind == inputs.kind.value, *given(subjects, VERSIONS.c.subject.in_))
+    return statement.group_by(VERSIONS.c.subject, *marked).having(changed)
 
 
 @cache

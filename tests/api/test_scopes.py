@@ -7,7 +7,7 @@ from fastapi import APIRouter, Depends, FastAPI
 from fastapi.routing import APIRoute
 
 from api import app
-from api.access.caller import Scope, requires, scope_of
+from api.access.gate import Scope, requires, scope_of
 from api.services import FINDERS, finder_of
 
 

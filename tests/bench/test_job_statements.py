@@ -10,15 +10,15 @@ from bench.house import CORE_JOBS, job_statements
 
 MOST = {
     "refresh_alignment": 39,
-    "estimate_windows": 52,
+    "estimate_windows": 54,
     "refresh_geometry": 39,
-    "refresh_adhesion": 98,
+    "refresh_adhesion": 101,
     "refresh_trends": 23,
-    "evaluate_alerts": 64,
-    "refresh_rails": 54,
-    "refresh_signatures": 64,
+    "evaluate_alerts": 66,
+    "refresh_rails": 55,
+    "refresh_signatures": 66,
 }
-MOST_TO_ALERTS = 217
+MOST_TO_ALERTS = 221
 
 
 @pytest.mark.slow

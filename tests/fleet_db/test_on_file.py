@@ -10,7 +10,10 @@ import pytest
 from sqlalchemy import insert
 
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.runs import Facet, SubjectKind
+from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.stores.registry_history import RecordKey
 from fleet_db.subjects import BRANCHES, KeptRecords
 from tests.executed_statements import executed_statements
 
@@ -105,3 +108,17 @@ def test_who_does_not_see_all_fleets_neither_uses_nor_adds_to_what_was_read(know
         assert not unit.registry.wheelsets_of(["W1"])
     with known.read() as unit:
         assert radius(unit) == RADIUS_M
+
+
+def test_a_mounting_that_is_voided_is_seen_by_the_versions_of_its_vehicle(known: SqlStorage) -> None:
+    key = RecordKey(RecordKind.MOUNTING, "W1", 1_000)
+    subjects, facets = {(SubjectKind.VEHICLE, "V1")}, [Facet.REGISTRY]
+    with known.read() as unit:
+        own, beside = unit.marks.versions(subjects, ["V1"], facets)
+    with known.write() as unit:
+        unit.corrections.void(key, Decision("ada", "never mounted", 77))
+    with known.read() as unit:
+        now = unit.marks.versions(subjects, ["V1"], facets)
+    # the wheelset is not beside it any more: the sum of both could be the same
+    assert now[0] > own
+    assert now[1] == 0 < beside

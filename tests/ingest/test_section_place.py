@@ -14,10 +14,10 @@ from test_receiver import CountingClock
 from vehicle_bus import CATALOGUE, SECOND_NS, SECTION, START_NS, VEHICLE, Run, register
 
 from estimation.errors import InputError
+from estimation.jobs.estimate_windows import JUDGE
 from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps.due_windows import JUDGE
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine, TrackSectionRecord

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import TreadwatchError
@@ -43,24 +44,24 @@ class FileLookup:
     settings: JobSettings
     classes: ClassLookup
     _known: dict[tuple[str, str], OnFile] = field(default_factory=dict)
-    _mountings: dict[str, Sequence[Mounting]] = field(default_factory=dict)
-    _unmeasured: set[str] = field(default_factory=set)
 
     def look_up(self, records: Sequence[WindowRecord]) -> None:
         """Look up the wheelsets and vehicles of windows together."""
-        serials = {record.wheelset for record in records} - self._mountings.keys()
-        if not serials:
-            return
-        self.classes.look_up(sorted(serials), {record.vehicle for record in records})
-        mountings = self.unit.registry.mountings_of(serials)
-        self._mountings.update({serial: mountings.get(serial, ()) for serial in serials})
-        self._unmeasured.update(serials - self.unit.registry.newest_measurement_of(serials).keys())
+        serials = sorted({record.wheelset for record in records})
+        self.classes.look_up(serials, {record.vehicle for record in records})
+        self.unit.registry.mountings_of(serials)
+        self.unit.registry.newest_measurement_of(serials)
 
     def of(self, vehicle: str, wheelset: str) -> OnFile:
         """Return what is on file of a wheelset on a vehicle."""
-        key = (vehicle, wheelset)
+        key, registry = (vehicle, wheelset), self.unit.registry
         if key not in self._known:
-            self._known[key] = self._look_up(vehicle, wheelset)
+            self._known[key] = OnFile(
+                self.classes.wheelset(wheelset),
+                registry.mountings(wheelset),
+                _measured(self.unit, wheelset) if registry.newest_measurement_of([wheelset]) else (),
+                self.classes.digest(vehicle, wheelset),
+            )
         return self._known[key]
 
     def life(self, record: WindowRecord) -> ProfileLife:
@@ -76,22 +77,9 @@ class FileLookup:
             for _, mileage_km, digest in found.measured
             if abs(mileage_km - record.mileage_km) <= self.settings.alignment.measured_km
         ]
-        turned = any(_covers(one, record.start_ns) for one in found.mountings if one.reversed)
+        turned = any(one.covers(record.start_ns) for one in found.mountings if one.reversed)
         text = f"{self.life(record)!r} {turned} {near!r} {record.axle} {found.assumed}"
         return EpochMember(record, found.digest, _digest(text))
-
-    def _look_up(self, vehicle: str, wheelset: str) -> OnFile:
-        mountings = self._mountings.get(wheelset)
-        return OnFile(
-            self.classes.wheelset(wheelset),
-            self.unit.registry.mountings(wheelset) if mountings is None else mountings,
-            () if wheelset in self._unmeasured else _measured(self.unit, wheelset),
-            self.classes.digest(vehicle, wheelset),
-        )
-
-
-def _covers(mounting: Mounting, at_ns: int) -> bool:
-    return mounting.from_ns <= at_ns and (mounting.to_ns is None or at_ns < mounting.to_ns)
 
 
 def _measured(unit: UnitOfWork, wheelset: str) -> Sequence[tuple[int, float, str]]:
@@ -202,9 +190,6 @@ class Found:
         due = self.due
         return due is not None and due.number >= len(self.stored) and due.horizon_ns == OPEN_NS
 
-    def __bool__(self) -> bool:
-        return bool(self.kept) or self.due is not None
-
 
 @dataclass(frozen=True, slots=True)
 class EpochSearch:
@@ -234,7 +219,8 @@ class EpochSearch:
             return self._with_windows(due, {member.record.key for one in kept for member in one.own})
 
         for epoch in stored:
-            if not (epoch.stale or epoch.before != states[epoch.number - 1].key(basis) or self._reaches(epoch)):
+            reached = self.changed_ns is not None and self.changed_ns <= epoch.horizon_ns
+            if not (epoch.stale or epoch.before != states[epoch.number - 1].key(basis) or reached):
                 continue
             due, group = due_of(epoch.number)
             if group is not None and epoch.number == len(stored) and self._leaves_for_later(due, group):
@@ -244,10 +230,6 @@ class EpochSearch:
             kept.append(Kept(replace(epoch, horizon_ns=group.horizon_ns, windows=len(due.own)), due.own))
         due, group = due_of(len(stored) + 1)
         return Found(stored, kept, None if group is None else due)
-
-    def _reaches(self, epoch: TrackEpoch) -> bool:
-        """Return whether the first window that has changed may be one of an epoch."""
-        return self.changed_ns is not None and self.changed_ns <= epoch.horizon_ns
 
     def _with_windows(self, due: Due, taken: Collection[WindowKey]) -> tuple[Due, Group | None]:
         """Return an epoch with its windows; without any where none are left."""
@@ -260,7 +242,8 @@ class EpochSearch:
         group = first_epoch(
             entries(self.lookup, left), settings.most_windows, settings.most_wheelsets, settings.partition
         )
-        before = _waiting_before(due)
+        # those right before it that have identified nothing
+        before = [one.number for one in takewhile(lambda one: one.waits, reversed(due.stored[: due.number - 1]))]
         waiting = self.unit.epochs.windows(code, before) if before else ()
         self.lookup.look_up(waiting)
         own = [self.lookup.member(record) for record, _ in group.entries]
@@ -301,7 +284,12 @@ def changed_from(unit: UnitOfWork, lookup: FileLookup, section: str) -> int | No
         return purged_ns[0] is None or listed.start_ns > purged_ns[0]
 
     for listed in unit.epochs.listed(section):
-        if _has_come(listed, section, in_time) or _is_looked_at_otherwise(listed, section, lookup):
+        if _has_come(listed, section, in_time):
+            return listed.start_ns
+        record, held = listed.record, listed.held
+        if record is None or held is None or held.section != section:
+            continue
+        if lookup.member(record).assumed != held.assumed:  # what is on file changes how it is looked at
             return listed.start_ns
     return None
 
@@ -315,14 +303,6 @@ def _has_come(listed: ListedWindow, section: str, in_time: Callable[[ListedWindo
         return in_time(listed)
     now = (record.track_section, record.vehicle, record.content_digest, record.mileage_km)
     return now != (held.section, held.vehicle, held.content_digest, held.mileage_km)
-
-
-def _is_looked_at_otherwise(listed: ListedWindow, section: str, lookup: FileLookup) -> bool:
-    """Return whether what is on file changes how a window of an epoch is looked at."""
-    record, held = listed.record, listed.held
-    if record is None or held is None or held.section != section:
-        return False
-    return lookup.member(record).assumed != held.assumed
 
 
 def otherwise_on_file(
@@ -345,13 +325,3 @@ def otherwise_on_file(
         if not other:
             unaffected.append((vehicle, wheelset, now))
     return changed, unaffected
-
-
-def _waiting_before(due: Due) -> list[int]:
-    """Return the epochs right before one that have identified nothing."""
-    found: list[int] = []
-    for epoch in reversed(due.stored[: due.number - 1]):
-        if not epoch.waits:
-            break
-        found.append(epoch.number)
-    return found

@@ -6,17 +6,18 @@ import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import WindowLoader
-from estimation.jobs.steps.vehicle_classes import Assumed, VehicleLookup
+from estimation.jobs.steps.vehicle_classes import Assumed
+from estimation.jobs.work import fails_alone
 from estimation.motion.checks import gate, straight_part
 from estimation.storage import UnitOfWork
 from estimation.track.gridded_pass import resampled
 from estimation.track.passes import Entry, Journey, Pass, PassStatus, examine, following, joined
 from estimation.track.update import AlignmentUpdate
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import Mounting, mounting_of
 from estimation.values.runs import code_of_error, first_line
 from estimation.values.track import Correction, TrackLayout
 from estimation.values.windows import Window, WindowKey, WindowMark, WindowPosition, WindowRecord, WindowState
@@ -44,10 +45,10 @@ class EpochPasses:
 
 @dataclass(frozen=True, slots=True)
 class RunsOnFile:
-    """What windows of a section are looked at with: what is assumed, by vehicle and wheelset, mountings and layout."""
+    """What windows of a section are looked at with: by vehicle and wheelset, mountings by vehicle, and the layout."""
 
     assumed: Mapping[tuple[str, str], Assumed | Reason]
-    vehicles: VehicleLookup
+    mountings: Mapping[str, Sequence[Mounting]]
     layout: TrackLayout | None
 
 
@@ -115,8 +116,7 @@ def _runs(context: JobContext, groups: Sequence[Sequence[Entry]], on_file: RunsO
     records = [record for group in groups for record, _ in group]
     settings = context.settings.estimation
     with context.storage.read() as unit:
-        vehicles = replace(on_file.vehicles, unit=unit)
-        loader = WindowLoader(unit, vehicles, {record.key: record for record in records})
+        loader = WindowLoader(unit, {record.key: record for record in records})
 
         def run_of(group: Sequence[Entry]) -> _Run:
             own = [record for record, _ in group]
@@ -124,7 +124,7 @@ def _runs(context: JobContext, groups: Sequence[Sequence[Entry]], on_file: RunsO
             assumed = on_file.assumed[first.vehicle, first.wheelset]
             if isinstance(assumed, Reason):
                 return _Run((), [((record.key,), (), assumed) for record in own], assumed, turned=False)
-            mounting = vehicles.mounting_at(first.vehicle, first.axle, first.start_ns)
+            mounting = mounting_of(on_file.mountings[first.vehicle], first.axle, first.start_ns)
             loaded = [(record, _loaded(loader, record, assumed, on_file.layout, settings)) for record in own]
             windows = [one for _, one in loaded if not isinstance(one, Reason)]
             refused = [((record.key,), (), one) for record, one in loaded if isinstance(one, Reason)]
@@ -185,28 +185,28 @@ class Solved:
     update: AlignmentUpdate
 
 
-@dataclass(frozen=True, slots=True)
-class Placing:
-    """Windows that are placed on a version; journeys ``alone`` on the one before it."""
-
-    part: Solved
-    version: int | None
-    alone: Mapping[Journey, Correction]
-    waits: bool
-
-
-def place_windows(unit: UnitOfWork, placing: Placing, standing: Mapping[WindowKey, WindowRecord]) -> None:
+def place_windows(
+    unit: UnitOfWork,
+    part: Solved,
+    version: int | None,
+    alone: Mapping[Journey, Correction],
+    standing: Mapping[WindowKey, WindowRecord],
+    *,
+    waits: bool,
+) -> None:
     """Store where windows were; what was known of the others is forgotten. Those that were elsewhere wait again.
 
     Args:
+        version: On which they are placed, but for the journeys ``alone``, which are on the one before it.
         standing: The windows as they are.
     """
-    found = {(position.wheelset, position.start_ns): position for position in _positions(placing)}
+    positions = _positions(part, version, alone, waits=waits)
+    found = {(position.wheelset, position.start_ns): position for position in positions}
     before = unit.tracks.put_positions(list(found.values()))
     moved = sorted(key for key, was in before.items() if _moves(found[key], was))
     estimated = [key for key in moved if standing[key].state is not WindowState.PENDING]
     unit.windows.mark_all([WindowMark(*key, WindowState.PENDING) for key in estimated], standing)
-    unit.tracks.forget_positions_of([record.key for record in placing.part.records if record.key not in found])
+    unit.tracks.forget_positions_of([record.key for record in part.records if record.key not in found])
 
 
 def _moves(position: WindowPosition, before: WindowPosition | None) -> bool:
@@ -215,10 +215,17 @@ def _moves(position: WindowPosition, before: WindowPosition | None) -> bool:
     return (position.offset_m, position.scale, position.reason) != was
 
 
-def _positions(placing: Placing) -> Sequence[WindowPosition]:
+def _positions(
+    epoch: Solved, version: int | None, alone: Mapping[Journey, Correction], *, waits: bool
+) -> Sequence[WindowPosition]:
     """Return where the windows were, as far as it has been found."""
-    epoch, update, waits = placing.part, placing.part.update, placing.waits
-    journey_of = _journeys_of_windows(epoch)
+    update = epoch.update
+    journey_of = {  # of every window whose pass was used
+        key: journey
+        for journey, members in update.estimate.grouped.items()
+        for item in members
+        for key in epoch.passes.windows(item)
+    }
     unused = {
         key: outcome
         for item, outcome in zip(epoch.passes.found, update.pass_outcomes, strict=True)
@@ -228,11 +235,11 @@ def _positions(placing: Placing) -> Sequence[WindowPosition]:
     contradicted = {key for key, outcome in unused.items() if outcome.status is PassStatus.REFUSED}
     refusals = {**epoch.passes.refused, **{key: outcome.reason for key, outcome in unused.items() if outcome.reason}}
     outliers = {(one.vehicle, one.from_ns): one.reason for one in update.estimate.report.journeys if not one.used}
-    corrections = {**update.estimate.corrections, **placing.alone}
+    corrections = {**update.estimate.corrections, **alone}
     found = []
     for record in epoch.records:
         key = (record.wheelset, record.start_ns)
-        uncorrected = WindowPosition(record.wheelset, record.start_ns, record.content_digest, placing.version)
+        uncorrected = WindowPosition(record.wheelset, record.start_ns, record.content_digest, version)
         if key in refusals and (key in epoch.passes.refused or not waits):
             # on a survey a window needs no pass, unless its pass contradicts the survey
             accepted = update.outcome.positions_valid and key not in contradicted
@@ -246,25 +253,11 @@ def _positions(placing: Placing) -> Sequence[WindowPosition]:
     return found
 
 
-def _journeys_of_windows(part: Solved) -> dict[WindowKey, Journey]:
-    """Return the journey of every window whose pass was used."""
-    return {
-        key: journey
-        for journey, members in part.update.estimate.grouped.items()
-        for item in members
-        for key in part.passes.windows(item)
-    }
-
-
 def _corrected(uncorrected: WindowPosition, correction: Correction | None, update: AlignmentUpdate) -> WindowPosition:
     if correction is not None:
-        return _moved(uncorrected, correction)
+        return replace(uncorrected, offset_m=correction.offset, scale=correction.scale, middle_m=correction.middle)
     return uncorrected if update.outcome.positions_valid else replace(uncorrected, reason=_uncertain())
 
 
 def _uncertain(why: str = "") -> Reason:
     return Reason(ReasonCode.POSITION_UNCERTAIN, f"its position along the section is not certain{why}")
-
-
-def _moved(uncorrected: WindowPosition, correction: Correction) -> WindowPosition:
-    return replace(uncorrected, offset_m=correction.offset, scale=correction.scale, middle_m=correction.middle)

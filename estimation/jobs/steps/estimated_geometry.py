@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
@@ -11,7 +12,7 @@ from estimation.geometry.model_fit import check_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import load_window
-from estimation.jobs.steps.vehicle_classes import Assumed
+from estimation.jobs.steps.vehicle_classes import Assumed, Membership
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
 from estimation.tables import bin_table
@@ -20,7 +21,7 @@ from estimation.values.fields import JsonValue
 from estimation.values.geometry import RADIUS_DOUBTED, BinTable, Contradiction, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.roll_up import RollingSums, WindowRollingSums
+from estimation.values.roll_up import MOST_CHOSEN, RollingSums, RollUp, WindowRollingSums
 from estimation.values.windows import WindowRecord
 
 
@@ -31,6 +32,20 @@ class EstimatedWith:
     settings: EstimationSettings
     assumed: Assumed
     uncertainty: ParameterUncertainty
+
+    @classmethod
+    def of(
+        cls,
+        unit: UnitOfWork,
+        settings: EstimationSettings,
+        assumed: Assumed,
+        wheelset: str,
+        versions: Mapping[str, Sequence[int]],
+    ) -> EstimatedWith:
+        """Return it with the newest of the versions of each section."""
+        newest = [unit.tracks.alignment(section, used[-1]) for section, used in versions.items()]
+        of_class = ParameterUncertainty.of(assumed.on_file.vehicle_class)
+        return cls(settings, assumed, of_class.on([track for track in newest if track is not None], wheelset))
 
     @property
     def bins(self) -> BinParameters:
@@ -191,3 +206,30 @@ def remembered(record: GeometryRecord | None) -> Contradiction | None:
         return None
     before = Reason(ReasonCode(str(doubt["code"])), str(doubt["text"]))
     return Contradiction(before, certain=False, relative=float(str(doubt["relative"])))
+
+
+def windows_of_newest(roll_ups: Sequence[RollUp]) -> list[tuple[str, int]]:
+    """Return windows that stand for the newest of some roll-ups, as many as one has at most."""
+    chosen: list[tuple[str, int]] = []
+    for one in sorted(roll_ups, key=lambda one: one.last_ns, reverse=True):
+        chosen += one.chosen
+        if len(chosen) >= MOST_CHOSEN:
+            break
+    return sorted(chosen[:MOST_CHOSEN], key=lambda item: item[1])
+
+
+def versions_of(roll_ups: Sequence[RollUp]) -> Mapping[str, tuple[int, ...]]:
+    """Return by section the versions of its alignment that tables rest on, increasing."""
+    found: defaultdict[str, set[int]] = defaultdict(set)
+    for one in roll_ups:
+        for section, versions in one.versions.items():
+            found[section].update(versions)
+    return {section: tuple(sorted(found[section])) for section in sorted(found)}
+
+
+def mean_km(rules: Membership, roll_ups: Sequence[RollUp]) -> float:
+    """Return the mean mileage with forgetting."""
+    newest_km = max(one.last_km for one in roll_ups)
+    weights = [rules.weight(one.key, newest_km) for one in roll_ups]
+    total = sum(weight * one.weighted_km for weight, one in zip(weights, roll_ups, strict=True))
+    return total / sum(w * one.weight for w, one in zip(weights, roll_ups, strict=True))

@@ -6,14 +6,15 @@ read again in the transaction that stores results where it may be another by the
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from estimation.errors import DamagedError, NotFoundError, PurgedError
-from estimation.jobs.isolation import fails_alone
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup, VehicleLookup
+from estimation.jobs.job import JobContext
+from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.axle_distance import (
     bogie_runs_backwards,
     check_axle_distance,
@@ -25,21 +26,32 @@ from estimation.motion.checks import runs_backwards
 from estimation.motion.without_blows import without_blows
 from estimation.storage import UnitOfWork
 from estimation.values.opinions import FRICTION
-from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import Mounting
-from estimation.values.runs import Facet, SubjectKind
-from estimation.values.track import AlignmentRecord, TrackAlignment, TrackLayout
-from estimation.values.windows import Window, WindowKey, WindowPosition, WindowRecord
+from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.registry import Mounting, mounting_of
+from estimation.values.roll_up import MOST_CHOSEN
+from estimation.values.runs import FAILED, Facet, SubjectKind
+from estimation.values.track import Correction, TrackAlignment, TrackLayout
+from estimation.values.windows import (
+    Window,
+    WindowKey,
+    WindowPosition,
+    WindowRecord,
+    WindowState,
+    key_of_text,
+    text_of_key,
+)
 from estimation.vehicle.vehicle_class import VehicleClass
 
 FACETS = (Facet.REGISTRY, Facet.PLACES, Facet.WINDOWS, FRICTION)
 """Of wheelsets, vehicles and sections: one is raised with whatever a window is estimated with."""
+Stretches = tuple[tuple[float, float], ...]  # from and to, m
+LATEST_NS = 2**63 - 1
 KEPT = 4  # windows, of a megabyte each: both of a bogie need both
 
 
 def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleClass) -> Window | Reason:
     """Return a stored window as :meth:`WindowLoader.load` does."""
-    return WindowLoader(unit, VehicleLookup(unit)).load(record, vehicle_class)
+    return WindowLoader(unit).load(record, vehicle_class)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +59,10 @@ class WindowLoader:
     """Loads windows, as one transaction sees them; those that were loaded last are kept for the other of their bogie.
 
     Attributes:
-        vehicles: Of the same transaction.
         known: Records that the transaction has read; others are looked up.
     """
 
     unit: UnitOfWork
-    vehicles: VehicleLookup
     known: Mapping[WindowKey, WindowRecord] = field(default_factory=dict)
     _kept: dict[WindowKey, Window] = field(default_factory=dict)
 
@@ -84,7 +94,7 @@ class WindowLoader:
 
     def _in_bogie(self, window: Window, partner: Window, record: WindowRecord) -> Window | Reason:
         """Return the window of one axle of a bogie with the yaw of their frame, or what contradicts the registry."""
-        offsets = self.vehicles.vehicle(record.vehicle).axle_offsets_m
+        offsets = self.unit.registry.vehicle(record.vehicle).axle_offsets_m
         behind = offsets[record.axle - 1]
         ahead = offsets[partner.axle - 1] - behind
         backwards = bogie_runs_backwards(window, partner, ahead)
@@ -102,7 +112,7 @@ class WindowLoader:
         """
         if not runs_backwards(window):
             return window
-        vehicle = self.vehicles.vehicle(record.vehicle)
+        vehicle = self.unit.registry.vehicle(record.vehicle)
         others = [runs_backwards(other) for other in self._others(window, vehicle.axles)]
         if others.count(False) > others.count(True):
             return window
@@ -111,7 +121,7 @@ class WindowLoader:
     def _others(self, window: Window, axles: int) -> Iterator[Window]:
         """Yield what the other nodes of the vehicle measured at the time of a window."""
         for axle in range(1, axles + 1):
-            mounting = self.vehicles.mounting_at(window.vehicle, axle, window.start_ns)
+            mounting = self.unit.registry.mounting_at(window.vehicle, axle, window.start_ns)
             if axle == window.axle or mounting is None:
                 continue
             try:
@@ -138,7 +148,7 @@ class WindowLoader:
         first, last = (int(valid[0]), int(valid[-1])) if len(valid) else (0, len(window.valid) - 1)
         for place in (first, last):
             at_ns = window.start_ns + place * window.length_ns // len(window.valid)
-            mounting = self.vehicles.mounting_at(window.vehicle, window.axle, at_ns)
+            mounting = self.unit.registry.mounting_at(window.vehicle, window.axle, at_ns)
             if mounting is None or mounting.wheelset != window.wheelset:
                 there = "no wheelset" if mounting is None else f"wheelset {mounting.wheelset}"
                 text = f"the registry has {there} at axle {window.axle} of vehicle {window.vehicle} then"
@@ -146,7 +156,7 @@ class WindowLoader:
         return None
 
     def _partner(self, record: WindowRecord, axle: int) -> Window | Reason:
-        mounting = self.vehicles.mounting_at(record.vehicle, axle, record.start_ns)
+        mounting = self.unit.registry.mounting_at(record.vehicle, axle, record.start_ns)
         if mounting is None:
             return _unknown(axle, "has no wheelset on file")
         try:
@@ -182,19 +192,31 @@ class WindowInputs:
     assumed: Assumed | Reason  # of its vehicle
     mounting: Mounting | None  # at its begin
     partner: str | None  # digest of the window on the other axle of the bogie
-    low_adhesion: tuple[tuple[float, float], ...] = ()  # m, stretches of its section that surely had little friction
+    low_adhesion: Stretches = ()  # stretches of its section that surely had little friction
+
+    @property
+    def mounted_reversed(self) -> bool:
+        """Whether the wheelset is mounted the other way round."""
+        return self.mounting is not None and self.mounting.reversed
+
+    def correction(self, record: WindowRecord) -> Correction | None:
+        """Return by what the position is corrected; None where it was not found from these samples."""
+        at = self.position
+        if at is None or at.content_digest != record.content_digest:
+            return None
+        return Correction(at.offset_m, at.scale, at.middle_m)
 
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Subjects of which something is read for windows of a batch, with the sum of their versions then.
+    """Subjects of which something is read for windows of a batch, with the sums of their versions then.
 
     Those of other wheelsets of the vehicles are counted as well: one may be on the other axle of a bogie.
     """
 
     subjects: frozenset[tuple[SubjectKind, str]]
     vehicles: frozenset[str]
-    versions: int
+    versions: tuple[int, int]
 
     def are_same(self, unit: UnitOfWork) -> bool:
         """Return whether nothing that was read is another by now."""
@@ -214,129 +236,150 @@ class BatchInputs:
     """What the windows of a batch are estimated with, as one transaction sees it.
 
     Attributes:
-        vehicles: Of the transaction.
         records: Of the windows and of those on the other axles of their bogies.
         facts: What all of this is of.
-    """
-
-    vehicles: VehicleLookup
-    records: Mapping[WindowKey, WindowRecord]
-    facts: Facts
-    _found: Mapping[WindowKey, WindowInputs | Exception]
-
-    def of(self, key: WindowKey) -> WindowInputs:
-        """Return what a window of the batch is estimated with.
-
-        Raises:
-            Exception: It could not be read for this window.
-        """
-        found = self._found[key]
-        if isinstance(found, Exception):
-            raise found
-        return found
-
-
-def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: ClassLookup) -> BatchInputs:
-    """Return what windows are estimated with.
-
-    Args:
-        classes: Of the same transaction.
-    """
-    # before records of the registry are read: those that were read earlier may be of the time before
-    facts, vehicles = _facts(unit, records), VehicleLookup(unit)
-    positions = unit.tracks.positions([record.key for record in records])
-    sections = {record.track_section for record in records} - {None}
-    layouts = {section: unit.tracks.layout_version(section) for section in sorted(filter(None, sections))}
-    low = _low_adhesion(unit, records)
-    classes.look_up([record.wheelset for record in records])
-    assumed = {record.key: _assumed(classes, record) for record in records}
-    partners = {record.key: _partner(vehicles, record, assumed[record.key]) for record in records}
-    missing = sorted({key for key in partners.values() if key is not None} - {record.key for record in records})
-    known = {record.key: record for record in [*records, *(unit.windows.several(missing) if missing else ())]}
-    found: dict[WindowKey, WindowInputs | Exception] = {}
-    for record in records:
-        key = record.key
-        of_vehicle, partner = assumed[key], partners[key]
-        if isinstance(of_vehicle, Exception):
-            found[key] = of_vehicle
-            continue
-        found[key] = WindowInputs(
-            positions.get(key),
-            None if record.track_section is None else layouts[record.track_section],
-            of_vehicle,
-            vehicles.mounting_at(record.vehicle, record.axle, record.start_ns),
-            known[partner].content_digest if partner in known else None,
-            low.get(key, ()),
-        )
-    return BatchInputs(vehicles, known, facts, found)
-
-
-def _low_adhesion(
-    unit: UnitOfWork, records: Sequence[WindowRecord]
-) -> Mapping[WindowKey, tuple[tuple[float, float], ...]]:
-    """Return where the sections of windows surely had little friction, m: one statement for each section."""
-    found: dict[WindowKey, tuple[tuple[float, float], ...]] = {}
-    for section in sorted({record.track_section for record in records} - {None}, key=str):
-        own = [record for record in records if record.track_section == section]
-        starts = [record.start_ns for record in own]
-        known = unit.adhesion.during(str(section), min(starts), max(starts))
-        for record in own:
-            hours = (one for one in known if one.from_ns <= record.start_ns <= one.to_ns)
-            newest = next(hours, None)
-            found[record.key] = () if newest is None else newest.certain_stretches
-    return found
-
-
-def _assumed(classes: ClassLookup, record: WindowRecord) -> Assumed | Reason | Exception:
-    """Return what is assumed of a window's vehicle, or what was raised: the other windows of the batch go on."""
-    try:
-        return classes.assumed(record.vehicle, record.wheelset)
-    except Exception as error:
-        if not fails_alone(error):
-            raise
-        return error
-
-
-def _partner(vehicles: VehicleLookup, record: WindowRecord, assumed: Assumed | Reason | Exception) -> WindowKey | None:
-    """Return the key that the window on the other axle of the bogie has; None without one."""
-    axle = assumed.windows.vehicle_class.partner(record.axle) if isinstance(assumed, Assumed) else None
-    mounting = None if axle is None else vehicles.mounting_at(record.vehicle, axle, record.start_ns)
-    return None if mounting is None else (mounting.wheelset, record.start_ns)
-
-
-@dataclass(frozen=True, slots=True)
-class TrackLookup:
-    """Looks up sections.
-
-    Attributes:
-        versions: By window, on which versions those of epochs are estimated.
+        versions: Of the alignment, on which the windows of epochs are estimated.
     """
 
     unit: UnitOfWork
+    records: Mapping[WindowKey, WindowRecord]
+    facts: Facts
+    found: Mapping[WindowKey, WindowInputs]
     versions: Mapping[WindowKey, int | None]
-    _in_force: dict[str, AlignmentRecord | None] = field(default_factory=dict)
 
-    def in_force(self, record: WindowRecord) -> AlignmentRecord | None:
-        """Return which alignment of a window's section is in force; None where none is, or the section is not known."""
+    def alignment(self, record: WindowRecord) -> TrackAlignment | None:
+        """Return the alignment that a window is estimated on: that of its epoch, else the one in force."""
         section = record.track_section
         if section is None:
             return None
-        if section not in self._in_force:
-            self._in_force[section] = self.unit.tracks.in_force(section)
-        return self._in_force[section]
-
-    def alignment(self, record: WindowRecord) -> TrackAlignment | None:
-        """Return the alignment that a window is estimated on; None where there is none."""
-        section, version = record.track_section, self.versions.get(record.key)
-        if record.key not in self.versions and (now := self.in_force(record)) is not None:
-            version = now.version
-        return None if section is None or version is None else self.unit.tracks.alignment(section, version)
+        if record.key not in self.versions:
+            return self.unit.tracks.alignment(section)
+        version = self.versions[record.key]
+        return None if version is None else self.unit.tracks.alignment(section, version)
 
     def layout(self, record: WindowRecord) -> TrackLayout | None:
         """Return the layout of a window's section; None where there is none."""
         return None if record.track_section is None else self.unit.tracks.layout(record.track_section)
 
 
-def tracks_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord]) -> TrackLookup:
-    """Return the look-up of the sections of some windows."""
-    return TrackLookup(unit, unit.epochs.alignment_versions([record.key for record in records]))
+def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: ClassLookup) -> BatchInputs:
+    """Return what windows are estimated with."""
+    # before records of the registry are read: those that were read earlier may be of the time before
+    facts = _facts(unit, records)
+    mountings = {code: unit.registry.mountings_on(code, 0, LATEST_NS) for code in facts.vehicles}
+    positions = unit.tracks.positions([record.key for record in records])
+    sections = {record.track_section for record in records} - {None}
+    layouts = {section: unit.tracks.layout_version(section) for section in sorted(filter(None, sections))}
+    low = _low_adhesion(unit, records)
+    classes.look_up([record.wheelset for record in records])
+    assumed = {record.key: classes.assumed(record.vehicle, record.wheelset) for record in records}
+    partners = {record.key: _partner_key(mountings[record.vehicle], record, assumed[record.key]) for record in records}
+    missing = sorted({key for key in partners.values() if key is not None} - {record.key for record in records})
+    known = {record.key: record for record in [*records, *(unit.windows.several(missing) if missing else ())]}
+    found = {}
+    for record in records:
+        key, partner = record.key, partners[record.key]
+        found[key] = WindowInputs(
+            positions.get(key),
+            None if record.track_section is None else layouts[record.track_section],
+            assumed[key],
+            mounting_of(mountings[record.vehicle], record.axle, record.start_ns),
+            known[partner].content_digest if partner in known else None,
+            low.get(key, ()),
+        )
+    return BatchInputs(unit, known, facts, found, unit.epochs.alignment_versions(list(found)))
+
+
+def _low_adhesion(unit: UnitOfWork, records: Sequence[WindowRecord]) -> Mapping[WindowKey, Stretches]:
+    """Return where the sections of windows surely had little friction: one statement for each section."""
+    found: dict[WindowKey, Stretches] = {}
+    for section in sorted({record.track_section for record in records} - {None}, key=str):
+        own = [record for record in records if record.track_section == section]
+        stretches = certain_stretches(unit, str(section), [record.start_ns for record in own])
+        found |= {record.key: stretches[record.start_ns] for record in own}
+    return found
+
+
+def certain_stretches(unit: UnitOfWork, section: str, starts: Sequence[int]) -> Mapping[int, Stretches]:
+    """Return the stretches of certainly low friction of a section at some times."""
+    hours = unit.adhesion.during(section, min(starts), max(starts)) if starts else ()
+    return {
+        start_ns: next((one.certain_stretches for one in hours if one.from_ns <= start_ns <= one.to_ns), ())
+        for start_ns in starts
+    }
+
+
+def _partner_key(mountings: Sequence[Mounting], record: WindowRecord, assumed: Assumed | Reason) -> WindowKey | None:
+    """Return the key that the window on the other axle of the bogie has; None without one."""
+    axle = None if isinstance(assumed, Reason) else assumed.windows.vehicle_class.partner(record.axle)
+    mounting = None if axle is None else mounting_of(mountings, axle, record.start_ns)
+    return None if mounting is None else (mounting.wheelset, record.start_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class TableInputs:
+    """A window, and what it is estimated with.
+
+    Attributes:
+        window: As its vehicle's class reads it, or why it is not to be used.
+        rolls: Whether somebody will ask for what it says of its rolling radius.
+    """
+
+    record: WindowRecord
+    inputs: WindowInputs
+    facts: Facts = field(metadata={"made_from": False})
+    window: Window | Reason = field(metadata={"made_from": False})
+    track: TrackAlignment | None = field(metadata={"made_from": False})
+    layout: TrackLayout | None = field(metadata={"made_from": False})
+    rolls: bool
+
+
+def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Mapping[str, TableInputs]:
+    """Return windows that wait or failed, with what they are estimated with; the others are left out."""
+    standing = unit.windows.several([key_of_text(key) for key in keys])
+    waiting = (one for one in standing if one.state is WindowState.PENDING or code_of(one.reason) in FAILED)
+    # the windows of a bogie next to each other: each needs the samples of the other
+    records = sorted(waiting, key=lambda record: (record.vehicle, record.start_ns, record.axle))
+    if not records:
+        return {}
+    batch = inputs_of_batch(unit, records, ClassLookup(unit, context.settings.estimation))
+    loader = WindowLoader(unit, batch.records)
+    chosen, inputs = likely_chosen(unit, records), {}
+    for record in records:
+        found = batch.found[record.key]
+        inputs[text_of_key(*record.key)] = TableInputs(
+            record=record,
+            inputs=found,
+            facts=batch.facts,
+            window=_window(loader, record, found.assumed),
+            track=batch.alignment(record),
+            layout=batch.layout(record),
+            rolls=record.key in chosen,
+        )
+    return inputs
+
+
+def _window(loader: WindowLoader, record: WindowRecord, assumed: Assumed | Reason) -> Window | Reason:
+    if record.implausible is not None:
+        return record.implausible
+    if isinstance(assumed, Reason):
+        return assumed
+    try:
+        return loader.load(record, assumed.windows.vehicle_class)
+    except DamagedError as error:
+        return Reason(ReasonCode.FILE_DAMAGED, str(error))  # names the file; the other windows go on
+
+
+def likely_chosen(unit: UnitOfWork, records: Sequence[WindowRecord]) -> set[WindowKey]:
+    """Return which windows of a batch would be chosen beside those of the newest roll-up of their wheelset."""
+    of_wheelset: defaultdict[str, list[WindowRecord]] = defaultdict(list)
+    for record in records:
+        if not record.quality.hunting.sustained:
+            of_wheelset[record.wheelset].append(record)
+    stored = unit.roll_ups.newest_chosen(sorted(of_wheelset)) if of_wheelset else {}
+    found: set[WindowKey] = set()
+    for wheelset, several in of_wheelset.items():
+        digests = {*stored.get(wheelset, ()), *(record.content_digest for record in several)}
+        smallest = set(sorted(digests)[:MOST_CHOSEN])
+        found |= {record.key for record in several if record.content_digest in smallest}
+    return found

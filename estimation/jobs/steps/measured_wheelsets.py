@@ -11,8 +11,7 @@ from estimation.accuracy.fleet_accuracy import Comparison, baseline_at, compared
 from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ContactError, DamagedError, ProfileError
-from estimation.jobs.steps.identities import last_change
-from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.steps.vehicle_classes import ClassLookup, last_change
 from estimation.storage import UnitOfWork
 from estimation.track.panel.basis import MeasuredCurve, measured_curve
 from estimation.track.passes import ProfileLife
@@ -44,7 +43,6 @@ def measured(
     Args:
         records, lives: Windows, and the life of its wheelset for each.
         within_km: Mileage between measurement and window at which the profile still is what it was.
-        classes: Of the vehicles: sensors that measure gravity show the displacement at rail level.
     """
     curves: dict[ProfileLife, MeasuredCurve] = {}
     notes: list[str] = []
@@ -61,7 +59,18 @@ def measured(
             continue
         name = measurement_name(found)
         try:
-            curves[life] = _curve(name, found, section, at_rails=_measures_gravity(classes, record.vehicle))
+            on_class = classes.of_vehicle(record.vehicle)
+            curves[life] = measured_curve(
+                name,
+                found.left,
+                found.right,
+                found.std,
+                rail=section.rail_profile,
+                inclination=section.rail_inclination,
+                gauge=section.nominal_gauge_m,
+                # sensors that measure gravity show the displacement at rail level
+                at_rails=not isinstance(on_class, Reason) and on_class.vehicle_class.sensors.measures_gravity,
+            )
         except (ContactError, ProfileError) as error:
             notes.append(f"measured profiles of {name} are not used: {error}")
     return Measured(curves, tuple(dict.fromkeys(notes)))
@@ -84,24 +93,6 @@ def _newest(
 def measurement_name(item: MeasuredProfiles) -> str:
     """Return how reports of alignments name a measurement."""
     return f"{item.wheelset} of {datetime.fromtimestamp(item.at_ns // 10**9, UTC):%Y-%m-%d}"
-
-
-def _measures_gravity(classes: ClassLookup, vehicle: str) -> bool:
-    on_file = classes.of_vehicle(vehicle)
-    return not isinstance(on_file, Reason) and on_file.vehicle_class.sensors.measures_gravity
-
-
-def _curve(name: str, item: MeasuredProfiles, section: TrackSectionRecord, *, at_rails: bool) -> MeasuredCurve:
-    return measured_curve(
-        name,
-        item.left,
-        item.right,
-        item.std,
-        rail=section.rail_profile,
-        inclination=section.rail_inclination,
-        gauge=section.nominal_gauge_m,
-        at_rails=at_rails,
-    )
 
 
 ContactSearch = Callable[[WheelPair, Sequence[RailShare]], WheelContact | Reason]

@@ -12,16 +12,15 @@ import numpy as np
 from estimation.geometry.estimate import GeometryParameters
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import JobContext
-from estimation.jobs.steps.rolling import Part, members, rolled
+from estimation.jobs.steps.rolling import Part, by_interval, members, rolled
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup, Membership, membership
 from estimation.rails.cell import section_conicity
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import BinParameters, bin_parameters, merge_all
 from estimation.values.geometry import BinTable
-from estimation.values.opinions import RailKey, SectionConicity, StoredCell, WheelKey
+from estimation.values.opinions import RailKey, StoredCell, WheelKey
 from estimation.values.reasons import Reason
-from estimation.values.roll_up import Member, Side
-from estimation.values.track import TrackAlignment
+from estimation.values.roll_up import Member
 
 DAY_NS = 86_400_000_000_000
 CellKey = tuple[WheelKey, RailKey]
@@ -110,10 +109,10 @@ def _of_wheelset(
     reader = _CellReader(unit, rules, context)
     found = WheelsetCells()
     seen: set[CellKey] = set()
-    for part in _chosen(rules, rolled(unit, rules).parts):
-        wheel = WheelKey(rules.wheelset, part.roll_up.key.baseline, part.roll_up.key.interval)
-        interval = intervals.get((wheel.baseline, wheel.interval))
-        refused = None if interval is None else interval.reason
+    filled = [part for part in rolled(unit, rules).parts if part.roll_up.windows]
+    for place, part in by_interval(part for part in filled if rules.assumed(part.roll_up) is not None).items():
+        wheel = WheelKey(rules.wheelset, *place)
+        refused = intervals[place].reason if place in intervals else None
         own = _within(part, wheel, cells) if part.roll_up.sealed else []
         if own:
             moved = [_sealed(replace(one, wheel=wheel), refused) for one in own]
@@ -148,11 +147,9 @@ def _sealed(before: StoredCell, refused: Reason | None) -> StoredCell:
         return replace(before, digest=LOST)
     if before.cell is None:
         return before
-    return replace(before, cell=_of_wheel(before.cell, before.wheel), reason=refused)
-
-
-def _of_wheel(cell: SectionConicity, wheel: WheelKey) -> SectionConicity:
-    return cell if cell.wheel == wheel else replace(cell, wheel=wheel)
+    # cells with equal arrays are equal only where they are the same object
+    same = before.cell.wheel == before.wheel
+    return replace(before, cell=before.cell if same else replace(before.cell, wheel=before.wheel), reason=refused)
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +161,7 @@ class _CellReader:
     def interval_digest(self, part: Part, refused: Reason | None) -> str:
         """Return the digest of all that the cells of a mileage interval are made from."""
         text = self._common(self._assumed(part), refused)
-        text.update(f"{self.context.settings.rails.period_days!r} {part.roll_up.content}".encode())
+        text.update(f"{self.context.settings.rails.model.period_days!r} {part.roll_up.content}".encode())
         return text.hexdigest()
 
     def interval(
@@ -178,8 +175,11 @@ class _CellReader:
         """Return the cells of an interval that are to be made, those that are as they were, and the keys of all."""
         assumed, to_make, kept, keys = self._assumed(part), [], [], set()
         windows = members(self.unit, self.rules, part)
-        for rail, there in _by_rail(windows, self.context.settings.rails.period_days).items():
-            digest, last = self._digest(there, assumed, refused), there[-1].window.record
+        for rail, there in _by_rail(windows, self.context.settings.rails.model.period_days).items():
+            text, last = self._common(assumed, refused), there[-1].window.record
+            for one in there:
+                text.update(f"{one.line}\n".encode())
+            digest = text.hexdigest()
             before = stored.get((wheel, rail))
             keys.add((wheel, rail))
             if before is not None and before.digest == digest:
@@ -202,41 +202,21 @@ class _CellReader:
             f"{CELL_VERSION} {self.context.code_version} {assumed.digest} {code} {settings!r}\n".encode()
         )
 
-    def _digest(self, own: Sequence[Member], assumed: Assumed, refused: Reason | None) -> str:
-        """Return the digest of all that a cell is made from."""
-        text = self._common(assumed, refused)
-        for one in own:
-            text.update(f"{one.line}\n".encode())
-        return text.hexdigest()
-
     def _windows(self, cell: StoredCell, own: Sequence[Member], assumed: Assumed) -> CellWindows:
         bins, settings = bin_parameters(assumed.windows), self.context.settings.estimation
         starts = [one.start_ns for one in own]
         table = merge_all((cells for _, cells in self.unit.tables.cells_of(cell.wheel.wheelset, starts)), bins)
         versions = sorted({one.window.track_version for one in own if one.window.track_version is not None})
         used = [self.unit.tracks.alignment(cell.rail.section, version) for version in versions]
-        tracks = [at_own_gauge(track) for track in used if track is not None]
+        # without the mean of the gauge deviation: what a section's gauge does belongs to its rails
+        tracks = [
+            replace(track, gauge_deviation=track.gauge_deviation - np.mean(track.gauge_deviation))
+            for track in used
+            if track is not None
+        ]
         uncertainty = ParameterUncertainty.of(assumed.on_file.vehicle_class).on(tracks, cell.wheel.wheelset)
         geometry = replace(settings.geometry, uncertainty=uncertainty)
         return CellWindows(table, bins, geometry, max((track.scale_std for track in tracks), default=0.0))
-
-
-def at_own_gauge(track: TrackAlignment) -> TrackAlignment:
-    """Return an alignment whose gauge deviation has no mean: what a section's gauge does belongs to its rails."""
-    return replace(track, gauge_deviation=track.gauge_deviation - np.mean(track.gauge_deviation))
-
-
-def _chosen(rules: Membership, parts: Sequence[Part]) -> list[Part]:
-    """Return one part for each mileage interval: after an identity change, of the class with most windows."""
-    places: defaultdict[tuple[int, int], list[Part]] = defaultdict(list)
-    for part in parts:
-        if part.roll_up.windows and rules.assumed(part.roll_up) is not None:
-            places[part.roll_up.key.baseline, part.roll_up.key.interval].append(part)
-    found = []
-    for place in sorted(places):
-        after = [part for part in places[place] if part.roll_up.key.side is Side.AFTER]
-        found.append(max(after or places[place], key=lambda part: (part.roll_up.windows, part.roll_up.last_ns)))
-    return found
 
 
 def _by_rail(found: Sequence[Member], period_days: float) -> dict[RailKey, list[Member]]:

@@ -25,6 +25,7 @@ from estimation.values.roll_up import (
     RollUp,
     RollUpKey,
     RollUpState,
+    Side,
     TabledWindow,
     with_members,
 )
@@ -34,6 +35,7 @@ KEPT_WAITING = 32  # windows that are added again each time before they are roll
 READ_AHEAD = 256  # packed sums or tables that are held at once, 50 kB each
 READ_TOGETHER = 64  # windows whose mileage is looked at before it is asked whether those behind them have to be, too
 Run = tuple[TabledWindow, float]  # a window with the mileage that the wheelset had run
+Place = tuple[int, int]  # baseline and interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +53,29 @@ class Part:
         """Whether something else is stored."""
         return bool(self.added or self.afresh or self.moved)
 
+    @property
+    def place(self) -> Place:
+        """Its mileage interval."""
+        return self.roll_up.key.baseline, self.roll_up.key.interval
+
+
+def by_interval(parts: Iterable[Part]) -> dict[Place, Part]:
+    """Return what stands for each mileage interval: after an identity change, of the class with most windows."""
+    places: defaultdict[Place, list[Part]] = defaultdict(list)
+    for part in parts:
+        places[part.place].append(part)
+    found = {}
+    for place in sorted(places):
+        after = [part for part in places[place] if part.roll_up.key.side is Side.AFTER]
+        found[place] = max(after or places[place], key=lambda part: (part.roll_up.windows, part.roll_up.last_ns))
+    return found
+
 
 @dataclass(frozen=True, slots=True)
 class Rolled:
-    """The roll-ups of a wheelset as they should be, beside what is stored.
+    """The roll-ups of a wheelset as they should be, in the order of their keys, beside what is stored.
 
     Attributes:
-        state: By which they were made.
-        parts: The roll-ups, in the order of their keys.
         mileages: By start, of the windows that have another one than is stored of them.
         looked_at: Start and version of the due windows.
         dropped: Numbers of roll-ups without windows.
@@ -247,12 +264,10 @@ class _Mileages:
 
     def __init__(self, baseline: Baseline, sealed: Iterable[RollUp]) -> None:
         self.baseline = baseline
-        own = [one for one in sealed if baseline.from_ns <= one.last_ns and not self._is_behind(one.last_ns)]
+        end_ns = math.inf if baseline.to_ns is None else baseline.to_ns
+        own = (one for one in sealed if baseline.from_ns <= one.last_ns < end_ns)
         self._sealed = sorted(own, key=lambda one: one.last_ns)
         self._ends = [one.last_ns for one in self._sealed]
-
-    def _is_behind(self, at_ns: int) -> bool:
-        return self.baseline.to_ns is not None and at_ns >= self.baseline.to_ns
 
     def before(self, unit: UnitOfWork, wheelset: str, start_ns: int) -> Odometer | None:
         """Return where the odometer stands before a time; None where there is no earlier reading."""
@@ -274,11 +289,7 @@ class _Mileages:
     def of(
         self, windows: Sequence[TabledWindow], at: Odometer | None
     ) -> Iterator[tuple[TabledWindow, float, Odometer | None]]:
-        """Yield windows with their mileage, and where the odometer stands behind them.
-
-        Args:
-            windows: Oldest first; without ``at`` all of the baseline.
-        """
+        """Yield windows, oldest first, with mileage and odometer behind them; without ``at`` all of the baseline."""
         for window in windows:
             record = window.record
             place = bisect_left(self._ends, record.start_ns)
@@ -333,12 +344,7 @@ def _summed(
     new: Mapping[RollUpKey, Sequence[Member]],
     again: Mapping[RollUpKey, Sequence[Member]],
 ) -> list[Part]:
-    """Return the roll-ups with what is new, in the order of their keys.
-
-    Args:
-        held: As they are stored.
-        again: The windows that those keep which are to be summed again.
-    """
+    """Return stored roll-ups with what is new, by key; of those to be summed again the windows that they keep."""
     parts = []
     for key in sorted([*held, *(key for key in new if key not in held)]):
         part, added = held.get(key) or Part(RollUp(key), afresh=True), new.get(key, ())

@@ -12,14 +12,13 @@ import numpy as np
 from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelPair, wheel_contact
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
-from estimation.jobs.steps.identities import suspected
-from estimation.jobs.steps.vehicle_classes import Baseline, ClassLookup, VehicleLookup, baselines
+from estimation.jobs.steps.vehicle_classes import Baseline, ClassLookup, baselines, suspected
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, extrapolated
 from estimation.values.geometry import KnownConicity, interval_conicities
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import Mounting, WheelsetRecord
+from estimation.values.registry import WheelsetRecord
 from estimation.values.signatures import ConicitySource, DesignPair, KnownSignatures, LibraryEntry, Place
 from estimation.values.track import TrackSectionRecord
 
@@ -57,19 +56,15 @@ class EntryReader:
     """Finds what the fleet knows of wheelsets, as one transaction sees it.
 
     Attributes:
-        unit: Registry, geometries and sections are read.
-        classes, vehicles: Of the same transaction.
         parameters: How old and how uncertain a conicity may be.
     """
 
     unit: UnitOfWork
     classes: ClassLookup
-    vehicles: VehicleLookup
     parameters: SignatureParameters
     _sections: dict[str, TrackSectionRecord] = field(default_factory=dict)
     _baselines: dict[str, Sequence[Baseline]] = field(default_factory=dict)
     _labels: dict[tuple[str, int], Sequence[_Label]] = field(default_factory=dict)
-    _measured: dict[str, Sequence[MeasuredProfiles]] = field(default_factory=dict)
     _damaged: dict[str, DamagedError] = field(default_factory=dict)
     _contacts: dict[tuple[str, int, RailShare], tuple[float, float] | None] = field(default_factory=dict)
 
@@ -111,7 +106,9 @@ class EntryReader:
             return ReasonCode.FILE_DAMAGED
         if label is None or isinstance(label, ReasonCode):
             return label or ReasonCode.SECTION_UNKNOWN
-        return self._entries(one, baseline, label)
+        conicity, std, source = label
+        shared, pair = self.sharing(one), self.pair(one)
+        return [LibraryEntry(item, baseline, conicity, std, source, shared, pair) for item in one.found.signatures]
 
     def baseline_at(self, wheelset: str, at_ns: int) -> Baseline:
         """Return the life of a wheelset's profile at a time."""
@@ -126,11 +123,12 @@ class EntryReader:
     def sharing(self, one: KnownSignatures) -> tuple[str, ...]:
         """Return the wheelsets whose samples are in a window's signatures: its own, and the other of its bogie."""
         found, on_file = one.found, self.classes.of_vehicle(one.found.vehicle)
-        mounting = next((m for m in self._mountings(found.wheelset) if _within(m, found.vehicle, found.start_ns)), None)
+        own = (one for one in self.unit.registry.mountings(found.wheelset) if one.vehicle == found.vehicle)
+        mounting = next((one for one in own if one.covers(found.start_ns)), None)
         if isinstance(on_file, Reason) or mounting is None:
             return (found.wheelset,)
         partner = on_file.vehicle_class.partner(mounting.axle)
-        other = None if partner is None else self.vehicles.mounting_at(found.vehicle, partner, found.start_ns)
+        other = None if partner is None else self.unit.registry.mounting_at(found.vehicle, partner, found.start_ns)
         return (found.wheelset,) if other is None else (found.wheelset, other.wheelset)
 
     def pair(self, one: KnownSignatures) -> DesignPair:
@@ -138,9 +136,6 @@ class EntryReader:
         section = self._section(one)
         rail = None if section is None else f"{section.rail_profile} {section.rail_inclination:.6f}"
         return DesignPair(self.classes.wheelset(one.found.wheelset).wheel_profile, rail)
-
-    def _mountings(self, wheelset: str) -> Sequence[Mounting]:
-        return self.unit.registry.mountings(wheelset)
 
     def _section(self, one: KnownSignatures) -> TrackSectionRecord | None:
         place = one.found.signatures[0].place
@@ -150,13 +145,6 @@ class EntryReader:
             self._sections.update({found.code: found for found in self.unit.tracks.sections()})
         return self._sections.get(place.section)
 
-    def _entries(
-        self, one: KnownSignatures, baseline: int, label: tuple[float, float, ConicitySource]
-    ) -> list[LibraryEntry]:
-        conicity, std, source = label
-        shared, pair = self.sharing(one), self.pair(one)
-        return [LibraryEntry(item, baseline, conicity, std, source, shared, pair) for item in one.found.signatures]
-
     def _label(
         self, one: KnownSignatures, baseline: int, section: TrackSectionRecord
     ) -> tuple[float, float, ConicitySource] | ReasonCode:
@@ -164,24 +152,21 @@ class EntryReader:
         measured, turned = self._of_measurement(one, baseline, section)
         if measured is not None:
             return (*measured, ConicitySource.MEASURED_PROFILES)
-        near = [item for item in self._estimates(one.found.wheelset, baseline) if self._is_near(item.mileage_km, one)]
-        if near:
-            best = min((item.at(one.mileage_km) for item in near), key=lambda known: known[1])
-            if best[1] <= self.parameters.most_std:
-                return (*best, ConicitySource.GEOMETRY)
+        far_km = self.parameters.most_mileage_km
+        labels = self._estimates(one.found.wheelset, baseline)
+        near = [label.at(one.mileage_km) for label in labels if abs(label.mileage_km - one.mileage_km) <= far_km]
+        best = min(near, key=lambda known: known[1], default=None)
+        if best is not None and best[1] <= self.parameters.most_std:
+            return (*best, ConicitySource.GEOMETRY)
         return ReasonCode.WHEELSET_TURNED if turned else ReasonCode.NO_CONICITY
-
-    def _is_near(self, mileage_km: float, one: KnownSignatures) -> bool:
-        return abs(mileage_km - one.mileage_km) <= self.parameters.most_mileage_km
 
     def _of_measurement(
         self, one: KnownSignatures, baseline: int, section: TrackSectionRecord
     ) -> tuple[tuple[float, float] | None, bool]:
         """Return conicity and std by the nearest measurement of the same profile; and whether one is of another."""
         wheelset = one.found.wheelset
-        if wheelset not in self._measured:
-            self._measured[wheelset] = self.unit.registry.measured_profiles(wheelset)
-        near = [item for item in self._measured[wheelset] if self._is_near(item.mileage_km, one)]
+        measured, far_km = self.unit.registry.measured_profiles(wheelset), self.parameters.most_mileage_km
+        near = [item for item in measured if abs(item.mileage_km - one.mileage_km) <= far_km]
         same = [item for item in near if self.baseline_at(wheelset, item.at_ns).number == baseline]
         rails = RailShare(section.rail_profile, section.rail_inclination, section.nominal_gauge_m, 1.0)
         for item in sorted(same, key=lambda item: abs(item.mileage_km - one.mileage_km)):
@@ -231,8 +216,3 @@ def at_limit(known: Sequence[KnownConicity]) -> tuple[float, float] | None:
     below = [one for one in known if one.amplitude < LIMIT_AMPLITUDE]
     found = extrapolated(below) if below else None
     return None if found is None else (found.value, found.std)
-
-
-def _within(mounting: Mounting, vehicle: str, at_ns: int) -> bool:
-    open_end = mounting.to_ns is None or at_ns < mounting.to_ns
-    return mounting.vehicle == vehicle and mounting.from_ns <= at_ns and open_end

@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 from estimation.errors import DamagedError, PurgedError, TreadwatchError
-from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.load_window import WindowLoader
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup, VehicleLookup
+from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
+from estimation.jobs.work import fails_alone
 from estimation.motion.integration import WindowParameters
 from estimation.signatures.window_signatures import SignatureParameters, window_signatures
 from estimation.storage import UnitOfWork
@@ -20,7 +20,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import Facet, SubjectKind, code_of_error, first_line
 from estimation.values.signatures import SIGNATURES, KnownSignatures, Signature, WindowSignatures
 from estimation.values.track import TrackLayout
-from estimation.values.windows import Window, WindowRecord, key_of_text, text_of_key
+from estimation.values.windows import Window, key_of_text, text_of_key
 
 JOB_NAME = "refresh_signatures"
 VERSION = 2
@@ -29,36 +29,24 @@ OF_SIGNATURES = ("step", "cell", "block", "wavelengths")
 AT_ONCE = 32  # windows, of a megabyte each
 
 
-@dataclass(frozen=True, slots=True)
-class Assumptions:
-    """What the signatures of a wheelset rest on beside the samples, by vehicle: digests."""
-
-    of_vehicles: tuple[tuple[str, str], ...]
-
-
-def load_assumptions(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mapping[str, Assumptions]:
-    """Return what the signatures of some wheelsets rest on; a vehicle whose class is not on file is left out."""
+def load_assumptions(
+    unit: UnitOfWork, serials: Sequence[str], context: JobContext
+) -> Mapping[str, tuple[tuple[str, str], ...]]:
+    """Return vehicle and digest of what the signatures of some wheelsets rest on there, where its class is on file."""
     expected = _Expected.of(unit, context)
     expected.classes.look_up(serials)
-    found: dict[str, list[tuple[str, str]]] = {}
+    found: dict[str, tuple[tuple[str, str], ...]] = {}
     for wheelset, vehicle in unit.signatures.vehicles(serials):
-        assumed = expected.classes.assumed(vehicle, wheelset)
-        if not isinstance(assumed, Reason):
-            found.setdefault(wheelset, []).append((vehicle, expected.digest(assumed)))
-    return {wheelset: Assumptions(tuple(own)) for wheelset, own in found.items()}
-
-
-def nothing(_: Assumptions) -> Outcome[None]:
-    """Return no result: what follows is that windows are due."""
-    return Outcome()
+        if digest := expected.digest(vehicle, wheelset):
+            found[wheelset] = (*found.get(wheelset, ()), (vehicle, digest))
+    return found
 
 
 def list_other(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Assumptions | None, Outcome[None]]]
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[tuple[tuple[str, str], ...] | None, Outcome[None]]]
 ) -> Mapping[str, int]:
     """List the windows whose signatures were made with other assumptions, or that waited for their class."""
-    rests_on = {wheelset: assumptions.of_vehicles for wheelset, (assumptions, _) in made.items() if assumptions}
-    unit.signatures.list_other([(wheelset, *one) for wheelset, own in rests_on.items() for one in own])
+    unit.signatures.list_other([(wheelset, *one) for wheelset, (own, _) in made.items() for one in own or ()])
     return {}
 
 
@@ -67,16 +55,27 @@ class _Expected:
     """What signatures are made with now."""
 
     classes: ClassLookup
-    layouts: Mapping[str, int | None]
+    layouts: Mapping[str, int | None]  # versions by section
     parameters: SignatureParameters
+    _digests: dict[tuple[str, str], str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, unit: UnitOfWork, context: JobContext) -> _Expected:
-        classes = ClassLookup(unit, context.settings.estimation)
-        return cls(classes, _layout_versions(unit), context.settings.signatures)
+        versions = {code: standing.layout for code, standing in unit.tracks.standings().items()}
+        layouts = {one.code: versions.get(one.code) for one in unit.tracks.sections()}
+        return cls(ClassLookup(unit, context.settings.estimation), layouts, context.settings.signatures)
 
-    def digest(self, assumed: Assumed) -> str:
-        return assumed_digest(assumed, self.parameters, self.layouts)
+    def digest(self, vehicle: str, wheelset: str) -> str:
+        """Return the digest of all that signatures rest on beside samples; empty where the class is not on file."""
+        if (vehicle, wheelset) not in self._digests:
+            assumed = self.classes.assumed(vehicle, wheelset)
+            self._digests[vehicle, wheelset] = "" if isinstance(assumed, Reason) else self._digest(assumed)
+        return self._digests[vehicle, wheelset]
+
+    def _digest(self, assumed: Assumed) -> str:
+        chosen = {name: value for name, value in asdict(self.parameters).items() if name in OF_SIGNATURES}
+        text = repr((VERSION, assumed.digest, sorted(chosen.items()), sorted(self.layouts.items(), key=str)))
+        return hashlib.sha256(text.encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,17 +109,20 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
     made_of, expected = unit.signatures.made_of(windows), _Expected.of(unit, context)
     records = sorted(unit.windows.several(windows), key=lambda one: (one.vehicle, one.start_ns, one.axle))
     expected.classes.look_up([one.wheelset for one in records], {one.vehicle for one in records})
-    loader = WindowLoader(unit, VehicleLookup(unit), {record.key: record for record in records})
+    loader = WindowLoader(unit, {record.key: record for record in records})
     inputs = {}
     for record in (one for one in records if not one.samples_purged):
         assumed, before = expected.classes.assumed(record.vehicle, record.wheelset), made_of.get(record.key)
-        digest = "" if isinstance(assumed, Reason) else expected.digest(assumed)
+        digest = expected.digest(record.vehicle, record.wheelset)
         is_same = before is not None and (before.window_digest, before.assumed) == (record.content_digest, digest)
         if before is not None and is_same and not before.lacked_others:
             continue
         without, window = "waiting_for_class", None
         if not isinstance(assumed, Reason):
-            without, window = _samples(loader, record, assumed)
+            try:
+                without, window = "", loader.load(record, assumed.windows.vehicle_class)
+            except (DamagedError, PurgedError):
+                without = "damaged"
         inputs[text_of_key(*record.key)] = WindowInputs(
             *(record.wheelset, record.start_ns, record.vehicle, record.content_digest, digest),
             again=before is not None and not is_same and before.window_digest == record.content_digest,
@@ -131,13 +133,6 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
             parameters=context.settings.signatures,
         )
     return inputs
-
-
-def _samples(loader: WindowLoader, record: WindowRecord, assumed: Assumed) -> tuple[str, Window | Reason | None]:
-    try:
-        return "", loader.load(record, assumed.windows.vehicle_class)
-    except (DamagedError, PurgedError):
-        return "damaged", None
 
 
 def sign(inputs: WindowInputs) -> Outcome[WindowSignatures]:
@@ -186,7 +181,7 @@ ASSUMED = Stage(
     facets=(Facet.REGISTRY, Facet.LAYOUTS),
     settings=lambda settings: (VERSION, settings.estimation, settings.signatures),
     load=load_assumptions,
-    compute=nothing,
+    compute=lambda _: Outcome(),  # what follows is that windows are due
     counted=Counted(looked="wheelsets", changed="results"),
     store=list_other,
     at_once=200,
@@ -205,17 +200,6 @@ OF_WINDOWS = Stage(
 )
 
 
-def assumed_digest(assumed: Assumed, parameters: SignatureParameters, layouts: Mapping[str, int | None]) -> str:
-    """Return the digest of all that the signatures of a wheelset on a vehicle rest on beside the samples.
-
-    Args:
-        layouts: Versions by section.
-    """
-    chosen = {name: value for name, value in asdict(parameters).items() if name in OF_SIGNATURES}
-    text = repr((VERSION, assumed.digest, sorted(chosen.items()), sorted(layouts.items(), key=str)))
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def usable(
     unit: UnitOfWork, context: JobContext, known: Sequence[KnownSignatures]
 ) -> tuple[list[KnownSignatures], Counter[ReasonCode]]:
@@ -223,27 +207,14 @@ def usable(
 
     Those that were made otherwise and whose samples are purged cannot be made again: their places may be others.
     """
-    classes, layouts = ClassLookup(unit, context.settings.estimation), _layout_versions(unit)
-    classes.look_up([one.found.wheelset for one in known], {one.found.vehicle for one in known})
-    found, left_out, digests = [], Counter[ReasonCode](), dict[tuple[str, str], str]()
+    expected, found, left_out = _Expected.of(unit, context), [], Counter[ReasonCode]()
+    expected.classes.look_up([one.found.wheelset for one in known], {one.found.vehicle for one in known})
     for one in known:
-        pair = one.found.vehicle, one.found.wheelset
-        if pair not in digests:
-            assumed = classes.assumed(*pair)
-            digests[pair] = (
-                "" if isinstance(assumed, Reason) else assumed_digest(assumed, context.settings.signatures, layouts)
-            )
         finite = tuple(item for item in one.found.signatures if item.finite)
-        if digests[pair] != one.found.assumed:
+        if expected.digest(one.found.vehicle, one.found.wheelset) != one.found.assumed:
             left_out[ReasonCode.SAMPLES_PURGED] += 1
         elif not finite:
             left_out[ReasonCode.NOT_FINITE] += 1
         else:
             found.append(replace(one, found=replace(one.found, signatures=finite)))
     return found, left_out
-
-
-def _layout_versions(unit: UnitOfWork) -> dict[str, int | None]:
-    standings = unit.tracks.standings()
-    versions = {code: standing.layout for code, standing in standings.items()}
-    return {one.code: versions.get(one.code) for one in unit.tracks.sections()}

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.epoch_inputs import Due, given
-from estimation.jobs.steps.epoch_passes import Placing, Solved, place_windows
+from estimation.jobs.steps.epoch_passes import Solved, place_windows
 from estimation.jobs.steps.load_window import assemble_if_lost
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
@@ -32,42 +32,6 @@ from estimation.vehicle.vehicle_class import ClassOnFile
 LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of the ratio
 
 
-def store_suspension(
-    unit: UnitOfWork,
-    epoch: TrackEpoch,
-    records: Sequence[WindowRecord],
-    update: AlignmentUpdate,
-    classes: Mapping[str, ClassOnFile],
-    context: JobContext,
-) -> int:
-    """Store the stiffness ratio of every vehicle that the epoch shows; return of how many."""
-    iterated = update.estimate.iterated
-    if iterated is None or not update.estimate.report.converged or update.outcome.windows_wait:
-        return 0
-    known = 0
-    for code, ratio in sorted(iterated.ratios.items()):
-        own = [record for record in records if record.vehicle == code]
-        if not own or code not in classes or not 0.0 < ratio.std <= LEARNT * PRIOR_STD:
-            continue
-        vehicle = classes[code].vehicle_class.parameters
-        unit.suspensions.put(
-            SuspensionFinding(
-                vehicle=code,
-                section=epoch.section,
-                from_ns=min(record.start_ns for record in own),
-                to_ns=max(record.start_ns + record.length_ns for record in own),
-                ratio=ratio.value,
-                ratio_std=ratio.std,
-                assumed=vehicle.yaw_stiffness / vehicle.longitudinal_creep_coefficient,
-                code_version=context.code_version,
-                recorded_ns=context.clock.now_ns(),
-            ),
-            epoch.number,
-        )
-        known += 1
-    return known
-
-
 _UNDECIDED = {None, ReasonCode.SURVEY_NOT_ASSESSABLE, ReasonCode.MODEL_CONTRADICTED}  # a survey is judged again
 
 
@@ -80,9 +44,7 @@ class Computed:
     parts: Sequence[Solved]
     classes: Mapping[str, ClassOnFile]  # by vehicle; those on file when it was read
     notes: tuple[str, ...]  # on evidence that could not be used
-    alone: Mapping[Journey, Correction] = field(
-        default_factory=dict
-    )  # journeys on the alignment before, each by itself
+    alone: Mapping[Journey, Correction]  # journeys on the alignment before, each by itself
 
     @property
     def update(self) -> AlignmentUpdate:
@@ -91,11 +53,7 @@ class Computed:
 
 
 def survey_checked(survey: Reason | None) -> bool:
-    """Return whether a survey has been decided on.
-
-    Args:
-        survey: What the fleet has found of it; None where it was not checked.
-    """
+    """Return whether a survey has been decided on, by what the fleet has found of it; None: it was not checked."""
     return code_of(survey) not in _UNDECIDED
 
 
@@ -105,10 +63,7 @@ def store_epoch(
     """Store what an epoch makes of a section.
 
     Windows of an epoch that identified nothing are left for the next, but for those that hold no pass: it is computed
-    again with them.
-
-    Args:
-        standing: Its windows as they are, which this transaction holds.
+    again with them. This transaction holds its windows as they are ``standing``.
     """
     due, section = computed.due, computed.due.section.code
     after = _after(unit, computed, context)
@@ -131,19 +86,44 @@ def store_epoch(
         unit.epochs.start_again(section, due.number)
     _supersede(unit, due, after, context, kept=0 if behind else due.number)
     unit.suspensions.forget(section, due.number, behind=behind)
-    store_suspension(unit, epoch, computed.parts[0].records, computed.update, computed.classes, context)
+    _store_suspensions(unit, epoch, computed, context)
     for part in computed.parts:
         for record in part.records:
             if (refusal := part.passes.refused.get((record.wheelset, record.start_ns))) is not None:
                 assemble_if_lost(unit, record, refusal)
         alone = computed.alone if epoch.estimated_on == due.before.version else {}
-        place_windows(unit, Placing(part, after.version, alone, epoch.waits), standing)
+        place_windows(unit, part, after.version, alone, standing, waits=epoch.waits)
     of_vehicles = _of_vehicles(unit, computed, after, context.settings.alignment)
     unit.epochs.put(epoch, due.own)
     if due.old is not None or of_vehicles is not None:
         unit.epochs.put_found(section, due.number, of_vehicles)
     if epoch.waits and not behind and due.number < len(due.stored):
         unit.epochs.stale(section, due.number + 1)
+
+
+def _store_suspensions(unit: UnitOfWork, epoch: TrackEpoch, computed: Computed, context: JobContext) -> None:
+    """Store the stiffness ratio of every vehicle that the epoch shows."""
+    update, records = computed.update, computed.parts[0].records
+    iterated = update.estimate.iterated
+    if iterated is None or not update.estimate.report.converged or update.outcome.windows_wait:
+        return
+    for code, ratio in sorted(iterated.ratios.items()):
+        own = [record for record in records if record.vehicle == code]
+        if not own or code not in computed.classes or not 0.0 < ratio.std <= LEARNT * PRIOR_STD:
+            continue
+        vehicle = computed.classes[code].vehicle_class.parameters
+        finding = SuspensionFinding(
+            vehicle=code,
+            section=epoch.section,
+            from_ns=min(record.start_ns for record in own),
+            to_ns=max(record.start_ns + record.length_ns for record in own),
+            ratio=ratio.value,
+            ratio_std=ratio.std,
+            assumed=vehicle.yaw_stiffness / vehicle.longitudinal_creep_coefficient,
+            code_version=context.code_version,
+            recorded_ns=context.clock.now_ns(),
+        )
+        unit.suspensions.put(finding, epoch.number)
 
 
 def cut(unit: UnitOfWork, due: Due, context: JobContext) -> None:

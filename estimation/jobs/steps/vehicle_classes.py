@@ -5,18 +5,19 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
+from estimation.alerts.rules.sensor_data import MOUNTED
 from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.identities import last_change
 from estimation.motion.integration import WindowParameters
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import bin_parameters
+from estimation.values.alerts import Alert
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.roll_up import Member, RollUp, RollUpKey, Side, TabledWindow
-from estimation.values.trend import IdentityChange
+from estimation.values.trend import AFTER, IDENTITY, TREND, IdentityChange, baseline_part, latest_identity_change
 from estimation.values.windows import PassedOver
 from estimation.vehicle.vehicle_class import ClassOnFile
 
@@ -29,16 +30,16 @@ class Assumed:
         on_file: Class of the vehicle.
         windows: What turns the window into motion.
         table_key: Of the bin tables that follow.
-        digest: Of all that a result rests on, standard deviations included.
     """
 
     on_file: ClassOnFile
     windows: WindowParameters
     table_key: str
-    digest: str = field(init=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "digest", f"{self.table_key} {self.on_file.digest}")
+    @property
+    def digest(self) -> str:
+        """Digest of all that a result rests on, standard deviations included."""
+        return f"{self.table_key} {self.on_file.digest}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,11 +59,7 @@ class ClassLookup:
         return self._wheelsets[serial]
 
     def look_up(self, serials: Sequence[str], vehicles: Collection[str] = ()) -> None:
-        """Look up several wheelsets, and the classes of vehicles, together.
-
-        Args:
-            serials, vehicles: Those that are not on file are looked up again when they are asked for.
-        """
+        """Look up wheelsets, and the classes of vehicles, together; those that are not on file again when asked for."""
         missing = sorted(set(serials) - self._wheelsets.keys())
         if missing:
             self._wheelsets.update({one.serial: one for one in self.unit.registry.wheelsets_of(missing)})
@@ -110,51 +107,6 @@ class ClassLookup:
 def class_unknown(code: str) -> Reason:
     """Return the reason why windows of a vehicle wait whose class is not on file."""
     return Reason(ReasonCode.CLASS_UNKNOWN, f"class {code!r} of the vehicle is not on file")
-
-
-LATEST_NS = 2**63 - 1
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleLookup:
-    """Looks up vehicles and mountings.
-
-    Attributes:
-        unit: Vehicles and mountings are read.
-    """
-
-    unit: UnitOfWork
-    _vehicles: dict[str, VehicleRecord] = field(default_factory=dict)
-    _mountings: dict[str, Sequence[Mounting]] = field(default_factory=dict)
-
-    def vehicle(self, code: str) -> VehicleRecord:
-        """Return a vehicle.
-
-        Raises:
-            NotFoundError: There is none of that code.
-        """
-        if code not in self._vehicles:
-            self._vehicles[code] = self.unit.registry.vehicle(code)
-        return self._vehicles[code]
-
-    def with_mountings(self, vehicles: Iterable[str]) -> VehicleLookup:
-        """Return the lookup with all mountings on some vehicles, to go on with in another transaction."""
-        self._mountings.update({code: self.unit.registry.mountings_on(code, 0, LATEST_NS) for code in vehicles})
-        return self
-
-    def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
-        """Return which wheelset ran at an axle at a time; None where there was none.
-
-        Args:
-            vehicle, axle: Code, and the axle from 1.
-            at_ns: ns UTC on the vehicle's clock.
-        """
-        if vehicle not in self._mountings:
-            self._mountings[vehicle] = self.unit.registry.mountings_on(vehicle, 0, LATEST_NS)
-        for one in self._mountings[vehicle]:
-            if one.axle == axle and one.from_ns <= at_ns and (one.to_ns is None or at_ns < one.to_ns):
-                return one
-        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +189,7 @@ class Membership:
         """Return a window as part of its roll-up."""
         record, at_ns = window.record, window.record.start_ns
         table = f"{window.parameter_key} {window.content_digest}"
-        if any(m.from_ns <= at_ns and (m.to_ns is None or at_ns < m.to_ns) for m in self.turned):
+        if any(mounting.covers(at_ns) for mounting in self.turned):
             table = f"{table} reversed"
         weight = float(0.5 ** ((self.end_km(key) - mileage_km) / self.half_life_km))
         line = f"{at_ns} {record.content_digest} {table} {window.track_version} {mileage_km!r} {weight!r}"
@@ -267,6 +219,10 @@ class Membership:
         """Return the mileage at which an interval ends."""
         baseline = self.baselines[min(key.baseline, len(self.baselines) - 1)]
         return baseline.mileage_km + (key.interval + 1) * self.interval_km
+
+    def weight(self, key: RollUpKey, at_km: float) -> float:
+        """Return the weight with forgetting that the end of an interval has at a mileage."""
+        return float(0.5 ** ((at_km - self.end_km(key)) / self.half_life_km))
 
     def _side(self, start_ns: int) -> Side | None:
         if self.change is None:
@@ -320,3 +276,58 @@ class PassedOverWindows:
         counts = self.counts([roll_up])
         other_class = PassedOver.CLASS_CHANGED in counts and self.rules.assumed(roll_up) is None
         return other_class or PassedOver.RECORD_CHANGED in counts or not self.rules.of_its_baseline(roll_up)
+
+
+def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
+    """Return the last identity change of a wheelset that is on record, from its alerts of this kind.
+
+    One that was found in another place than the registry has for the wheelset now is none: what was recorded after it
+    is another wheelset's by now.
+    """
+    return identity_changes(unit, [serial]).get(serial)
+
+
+def identity_changes(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, IdentityChange]:
+    """Return the last identity change of each of some wheelsets that has one on record, by serial."""
+    alerts: dict[str, list[Alert]] = {}
+    for alert in unit.alerts.of_kind(IDENTITY, serials):
+        alerts.setdefault(str(alert.wheelset), []).append(alert)
+    mountings = unit.registry.mountings_of(list(alerts)) if alerts else {}
+    changes = {
+        serial: latest_identity_change([one for one in own if _still_there(one, mountings.get(serial, ()))])
+        for serial, own in alerts.items()
+    }
+    return {serial: change for serial, change in changes.items() if change is not None}
+
+
+def suspected(unit: UnitOfWork) -> frozenset[str]:
+    """Return the wheelsets with an identity alert, open or closed: all others have had no identity change."""
+    return unit.alerts.wheelsets_of_kind(IDENTITY)
+
+
+def _still_there(alert: Alert, mountings: Sequence[Mounting]) -> bool:
+    """Whether a wheelset was mounted after a change where the alert says; its way round may have been corrected."""
+    place, after_ns = alert.evidence.get(MOUNTED), alert.evidence.get(AFTER)
+    if not isinstance(place, dict) or not isinstance(after_ns, int):
+        return True
+    at = [place.get(name) for name in ("vehicle", "axle", "from_ns")]
+    same = [one for one in mountings if [one.vehicle, one.axle, one.from_ns] == at]
+    return any(one.to_ns is None or one.to_ns > after_ns for one in same)
+
+
+def last_change(unit: UnitOfWork, wheelset: WheelsetRecord) -> IdentityChange | None:
+    """Return the last change that data of a wheelset are not merged across: of its identity, or a step of its trend."""
+    identity = identity_change(unit, wheelset.serial)
+    changes = [identity, _step(unit, wheelset)]
+    return max((one for one in changes if one is not None), key=lambda one: one.after_ns, default=None)
+
+
+def _step(unit: UnitOfWork, wheelset: WheelsetRecord) -> IdentityChange | None:
+    """Return the newest step of the present profile as a change; None where there is none."""
+    trend = unit.results.latest_head(TREND, wheelset.serial)
+    if trend is None or trend.part != baseline_part(len(wheelset.reprofilings)) or not isinstance(trend.head, list):
+        return None
+    before_ns, after_ns = trend.head
+    assert isinstance(before_ns, int)
+    assert isinstance(after_ns, int)
+    return IdentityChange(before_ns, after_ns)

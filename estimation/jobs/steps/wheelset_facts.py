@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeVar
+
+import numpy as np
 
 from estimation.accuracy.wheel_contact import RailShare
 from estimation.alerts.identity import IDENTITY_EVENT, IdentityEvent
@@ -14,13 +17,15 @@ from estimation.alerts.rules.running_gear import HuntingRule
 from estimation.alerts.rules.sensor_data import DataQualityRule, SensorFaultRule
 from estimation.alerts.rules.wheels import WheelFlatRule
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps.identities import identity_changes, rails_of, step_of, surroundings
+from estimation.jobs.steps.vehicle_classes import identity_changes
+from estimation.rails.cell import conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
 from estimation.trend.trend import behind_step
 from estimation.values.alerts import Alert
 from estimation.values.geometry import GeometryRecord, IntervalConicities
 from estimation.values.opinions import GEAR_DAMPERS, GearDamper
 from estimation.values.registry import VehicleRecord, WheelsetRecord
+from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import (
     SUSPENSION,
     TREND,
@@ -92,7 +97,7 @@ class _Read:
         vehicles, mounted = unit.registry.vehicles_of(codes), _by(unit.registry.mounted_on(codes), lambda m: m.vehicle)
         places = {code: [mounting.wheelset for mounting in own] for code, own in mounted.items()}
         books = {one.serial: _book(settings.rules, one, vehicles) for one in wheelsets}
-        unit.geometries.read_with(RESULTS, [*serials, *codes])
+        unit.geometries.read_with(RESULTS, dict.fromkeys([*serials, *codes]))
         trends = unit.trends.of(serials)
         steps = _steps_beside(unit, wheelsets, places, trends)
         results = unit.results
@@ -272,3 +277,48 @@ def _latest_windows(unit: UnitOfWork, books: Mapping[str, RuleBook]) -> Mapping[
                 del wanted[serial]
         count *= MORE
     return latest
+
+
+AMPLITUDES = (1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)  # m, at which a profile behind a step is compared with its design
+
+
+def step_of(record: TrendRecord | None, wheelset: WheelsetRecord) -> TrendStep | None:
+    """Return the newest step of the present profile; None where there is none."""
+    return None if record is None or record.baseline != len(wheelset.reprofilings) else record.trend.step
+
+
+def surroundings(
+    wheelset: WheelsetRecord,
+    behind: Sequence[IntervalConicities],
+    beside: Sequence[TrendStep | None],
+    rails: Collection[RailShare],
+) -> StepSurroundings:
+    """Return what else is known about the time of a step: the design of the wheel, and the other wheelsets.
+
+    Args:
+        behind: Its intervals behind the step.
+        beside: Steps of the other wheelsets of its vehicle that have a trend.
+        rails: Of all sections.
+    """
+    newest = max(behind, key=lambda one: one.to_ns, default=None)
+    return StepSurroundings(() if newest is None else newest.known, _designed(wheelset, rails), tuple(beside))
+
+
+def rails_of(sections: Iterable[TrackSectionRecord]) -> frozenset[RailShare]:
+    """Return the kinds of rails that there are."""
+    return frozenset(RailShare(s.rail_profile, s.rail_inclination, s.nominal_gauge_m, 1.0) for s in sections)
+
+
+def _designed(wheelset: WheelsetRecord, rails: Collection[RailShare]) -> Mapping[float, float] | None:
+    if len(rails) != 1:
+        return None  # on several kinds of rails no one conicity is that of the design
+    found = _conicities(wheelset.wheel_profile, wheelset.nominal_radius_m, next(iter(rails)))
+    return {at: value for at, value in zip(AMPLITUDES, found, strict=True) if np.isfinite(value)} or None
+
+
+@lru_cache(64)
+def _conicities(profile: str, radius: float, rails: RailShare) -> tuple[float, ...]:
+    wheel = designed_wheel(profile, radius)
+    if wheel is None:
+        return (float("nan"),) * len(AMPLITUDES)
+    return tuple(conicity_on_rails(wheel, rails, np.array(AMPLITUDES))[0].tolist())

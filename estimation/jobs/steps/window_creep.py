@@ -11,11 +11,10 @@ from estimation.alerts.rules.running_gear import LowAdhesionRule
 from estimation.dampers.damper import looked_at, window_damper
 from estimation.errors import DamagedError, PurgedError
 from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.load_window import BatchInputs, TrackLookup, WindowLoader, inputs_of_batch, tracks_of_batch
+from estimation.jobs.steps.load_window import BatchInputs, WindowLoader, inputs_of_batch
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.window_motion import window_motion
 from estimation.storage import UnitOfWork
-from estimation.values.geometry import GeometryRecord
 from estimation.values.opinions import WindowAdhesion, WindowDamper
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout, TrackSectionRecord
@@ -115,19 +114,17 @@ def creep_inputs(
     """Return what the creep of windows with samples is found from, as one transaction sees it."""
     records = sorted(records, key=lambda record: (record.vehicle, record.start_ns, record.axle))
     classes = ClassLookup(unit, settings)
-    batch = inputs_of_batch(unit, records, classes)
-    found = _Batch(unit, batch, tracks_of_batch(unit, records), classes)
-    return {record.key: found.of(record) for record in records}
+    batch = _Batch(unit, inputs_of_batch(unit, records, classes), classes)
+    return {record.key: batch.of(record) for record in records}
 
 
 class _Batch:
     """Windows of one transaction."""
 
-    def __init__(self, unit: UnitOfWork, inputs: BatchInputs, tracks: TrackLookup, classes: ClassLookup) -> None:
-        self.unit, self.inputs, self.tracks, self.classes = unit, inputs, tracks, classes
-        self.loader = WindowLoader(unit, inputs.vehicles, inputs.records)
+    def __init__(self, unit: UnitOfWork, inputs: BatchInputs, classes: ClassLookup) -> None:
+        self.unit, self.inputs, self.classes = unit, inputs, classes
+        self.loader = WindowLoader(unit, inputs.records)
         self.sections: Mapping[str, TrackSectionRecord] = {one.code: one for one in unit.tracks.sections()}
-        self.geometries: dict[str, GeometryRecord | None] = {}
         self.gears: dict[tuple[WindowKey, ...], Gear | Reason] = {}
 
     def of(self, record: WindowRecord) -> CreepInputs:
@@ -141,27 +138,24 @@ class _Batch:
         return CreepInputs(record, found) if isinstance(found, Reason) else CreepInputs(record, None, found)
 
     def _run(self, record: WindowRecord) -> Run | Reason:
-        inputs = self.inputs.of(record.key)
+        inputs = self.inputs.found[record.key]
         section, assumed = self.sections.get(record.track_section or ""), inputs.assumed
         if isinstance(assumed, Reason):
             return assumed
-        geometry = self._geometry(record.wheelset)
+        geometry = self.unit.geometries.current(record.wheelset)
         if geometry is None or section is None:
             return Reason(ReasonCode.NO_CREEP_CURVE, f"wheelset {record.wheelset} has no geometry on a section yet")
         window = self.loader.load(record, assumed.windows.vehicle_class)
         if isinstance(window, Reason):
             return window
-        position, correction = inputs.position, None
-        if position is not None and position.reason is not None:
-            return position.reason
-        if position is not None and position.content_digest == record.content_digest:
-            correction = Correction(position.offset_m, position.scale, position.middle_m)
-        turned = inputs.mounting is not None and inputs.mounting.reversed
+        if inputs.position is not None and inputs.position.reason is not None:
+            return inputs.position.reason
+        correction, turned = inputs.correction(record), inputs.mounted_reversed
         profile = self.classes.wheelset(record.wheelset).wheel_profile
         at = correction or Correction()
         own = AdhesionInputs(assumed.windows, geometry.geometry, profile, section, turned, at)
         gear, place = self._gear(record, window, assumed)
-        track, layout = self.tracks.alignment(record), self.tracks.layout(record)
+        track, layout = self.inputs.alignment(record), self.inputs.layout(record)
         return Run(window, track, layout, correction, assumed, own, gear, place)
 
     def _gear(self, record: WindowRecord, window: Window, assumed: Assumed) -> tuple[Gear | Reason, int]:
@@ -178,7 +172,7 @@ class _Batch:
         axle = assumed.windows.vehicle_class.partner(record.axle)
         if axle is None:
             return (record.key,)
-        mounting = self.inputs.vehicles.mounting_at(record.vehicle, axle, record.start_ns)
+        mounting = self.unit.registry.mounting_at(record.vehicle, axle, record.start_ns)
         if mounting is None or (mounting.wheelset, record.start_ns) not in self.inputs.records:
             return Reason(ReasonCode.FRAME_UNKNOWN, f"the other axle of the bogie, axle {axle}, has no window")
         other = (mounting.wheelset, record.start_ns)
@@ -200,11 +194,6 @@ class _Batch:
         says = record is not None and record.implausible is None and looked_at(first)
         return Gear(tuple(loaded), assumed, record.content_digest if says and record is not None else None)
 
-    def _geometry(self, wheelset: str) -> GeometryRecord | None:
-        if wheelset not in self.geometries:
-            self.geometries[wheelset] = self.unit.geometries.current(wheelset)
-        return self.geometries[wheelset]
-
 
 HOUR_NS = 3_600_000_000_000
 
@@ -219,8 +208,7 @@ def friction_parameters(
 ) -> FrictionParameters:
     """Return the limits of a rule as the friction of a section is found with them, and what the file leaves open.
 
-    Args:
-        passes: That are pooled; a vehicle whose class is not on file counts as one without stds of its own.
+    A vehicle whose class is not on file counts as one without stds of its own.
     """
     codes = {unit.registry.vehicle(code).vehicle_class for code in {one.vehicle for one in passes}}
     found = [unit.registry.vehicle_class(code) for code in sorted(codes)]
@@ -228,18 +216,8 @@ def friction_parameters(
     return FrictionParameters(low=rule.raise_friction, likely=rule.raise_probability, file=file)
 
 
-def section_length(unit: UnitOfWork, section: str) -> float:
-    """Return the length of a section, m; 0 of one that is not on file any more: it has no places."""
-    return next((one.length_m for one in unit.tracks.sections() if one.code == section), 0.0)
-
-
 def pool_ends(starts: Collection[int], length_ns: int) -> Sequence[int]:
-    """Return the ends of as few spans as hold all times, oldest first; the last ends with the newest.
-
-    Args:
-        starts: Times, ns.
-        length_ns: Of a span, both ends included.
-    """
+    """Return the ends of as few spans, both ends included, as hold all times; oldest first, the last is the newest."""
     ends: list[int] = []
     for start in sorted(set(starts), reverse=True):
         if not ends or ends[-1] - start > length_ns:

@@ -183,7 +183,7 @@ def test_one_run_leaves_certainly_low_friction_out_and_a_second_one_changes_noth
     with deployed.storage.read() as unit:
         windows = [record for one in unit.registry.wheelsets() for record in unit.windows.list(one.serial)]
         for one in windows:
-            read = inputs_of_batch(unit, [one], ClassLookup(unit, deployed.context.settings.estimation)).of(one.key)
+            read = inputs_of_batch(unit, [one], ClassLookup(unit, deployed.context.settings.estimation)).found[one.key]
             assert read.low_adhesion == found.certain_stretches
     refused = {record.reason.code for record in windows if record.reason is not None}
     assert refused <= {ReasonCode.LOW_ADHESION, ReasonCode.TOO_FEW_SAMPLES}

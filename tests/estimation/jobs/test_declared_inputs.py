@@ -80,7 +80,6 @@ READS: Mapping[str, str] = {
     "dampers.gears": CREEP,
     "adhesion.made_with": FRICTION,
     "due.of_section": CREEP,
-    "geometries.newest_numbers": GEOMETRY.stage,
     "geometries.interval_numbers": GEOMETRY.stage,
     "geometries.intervals": GEOMETRY.stage,
     "geometries.current_of": GEOMETRY.stage,

@@ -13,11 +13,10 @@ from sqlalchemy import select
 from wheelset_life import DAY_NS, START_NS, WINDOW_NS, SetClock, register, sample_window
 
 from estimation.jobs import estimate_windows
+from estimation.jobs.estimate_windows import JUDGE
 from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps import due_windows
-from estimation.jobs.steps.due_windows import JUDGE
 from estimation.motion.mileage import implausible_mileages
 from estimation.storage import Storage
 from estimation.values.reasons import Reason
@@ -106,7 +105,7 @@ def test_new_windows_are_judged_beside_those_next_to_them(storage: SqlStorage, m
         judge(storage)
         put(storage, 10 * count + 5)
         put(storage, 55)
-        monkeypatch.setattr(due_windows, "implausible_mileages", lambda *_: read.append(1))
+        monkeypatch.setattr(estimate_windows, "implausible_mileages", lambda *_: read.append(1))
         with executed_statements() as executed:
             assert judge(storage) == 0
         monkeypatch.undo()
@@ -125,7 +124,7 @@ def test_windows_a_day_apart_are_read_for_themselves(storage: SqlStorage) -> Non
     put(storage, 8 * DAY_NS // WINDOW_NS + 1)
     with storage.read() as unit:
         new = unit.plausibility.new_readings(["W1"])["W1"]
-        spans = due_windows._spans("W1", [one.start_ns for one in new])
+        spans = estimate_windows._spans(("W1", one.start_ns) for one in new)["W1"]
         around = unit.plausibility.readings_around(spans)
-    assert due_windows.APART_NS == DAY_NS
+    assert estimate_windows.APART_NS == DAY_NS
     assert [len(found) for found in around.values()] == [3, 2]

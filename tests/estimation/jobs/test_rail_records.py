@@ -15,14 +15,23 @@ from sqlalchemy import update
 
 from bench.standing_clock import StandingClock
 from estimation.contact.profiles import MeasuredProfiles, wheel_profile
+from estimation.jobs import refresh_rails
 from estimation.jobs.job import JobContext
-from estimation.jobs.refresh_rails import OF_ALL, OF_WHEELSETS, make_cells, store_cells
+from estimation.jobs.refresh_rails import (
+    OF_ALL,
+    OF_WHEELSETS,
+    AnchorInputs,
+    anchor_inputs,
+    anchors,
+    make_cells,
+    store_cells,
+)
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
-from estimation.jobs.steps import rail_anchors, rail_cells
-from estimation.jobs.steps.rail_anchors import AnchorInputs, anchor_inputs, anchors
+from estimation.jobs.steps import rail_cells
 from estimation.jobs.steps.rail_cells import LOST, wheelset_cells
 from estimation.jobs.steps.rolling import Part
+from estimation.jobs.steps.vehicle_classes import Membership
 from estimation.values.geometry import IntervalDigest
 from estimation.values.opinions import (
     SECTION_RAILS,
@@ -170,7 +179,7 @@ def by_now(
     place_of = {(part.roll_up.key.baseline, part.roll_up.key.interval): part for part in parts}
     intervals = {place: IntervalDigest("", 6, reason) for place in place_of}
     monkeypatch.setattr(rail_cells, "rolled", lambda *_: SimpleNamespace(parts=parts))
-    monkeypatch.setattr(rail_cells, "_chosen", lambda _, given: given)
+    monkeypatch.setattr(Membership, "assumed", lambda *_: "of the class still")
     monkeypatch.setattr("fleet_db.stores.geometries.GeometryStore.interval_digests", lambda *_: intervals)
     at = context(storage)
     with storage.read() as unit:
@@ -312,7 +321,7 @@ def test_profiles_of_before_an_identity_change_are_not_those_of_the_wheels_after
         (IdentityChange(4 * DAY_NS, 5 * DAY_NS), 1),
         (IdentityChange(2 * DAY_NS, 4 * DAY_NS), 0),  # measured within the change
     ):
-        monkeypatch.setattr(rail_anchors, "last_change", lambda *_, found=change: found)
+        monkeypatch.setattr(refresh_rails, "last_change", lambda *_, found=change: found)
         assert len(inputs(registered, fleet()).measured) == count
 
 

@@ -19,9 +19,9 @@ from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.errors import DamagedError
 from estimation.jobs import refresh_rails
 from estimation.jobs.job import JobContext
+from estimation.jobs.refresh_rails import anchor_inputs, anchors
 from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.jobs.steps import rail_cells
-from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors
 from estimation.jobs.steps.rolling import Rolled, rolled
 from estimation.jobs.steps.vehicle_classes import Membership
 from estimation.rails.cell import RailsParameters

@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from threading import Event, Semaphore, Thread
@@ -62,12 +62,8 @@ def serving(
 
     def serve() -> None:
         try:
-            serve_jobs(
-                JobContext(storage, clock or SetClock(7), "test", JobSettings()),
-                jobs,
-                stop,
-                every_s=lambda _job: interval_s,
-            )
+            context = JobContext(storage, clock or SetClock(7), "test", JobSettings())
+            serve_jobs(context, [replace(one, every_s=interval_s) for one in jobs], stop)
         except BaseException as error:  # noqa: BLE001 - handed to the test's own thread
             raised.append(error)
 
@@ -161,7 +157,7 @@ def test_a_hundred_missed_runs_become_one_and_none_is_dropped_for_being_late(sql
     worked = Event()
     late = job("late", worked.set)
     context = JobContext(sqlite_storage, SetClock(7), "test", JobSettings())
-    scheduler = build_scheduler(context, [late], lambda _job: 3600.0)
+    scheduler = build_scheduler(context, [replace(late, every_s=3600.0)])
     scheduler.start(paused=True)
     scheduler.modify_job("late", next_run_time=datetime.now(UTC) - timedelta(hours=100, minutes=30))
     scheduler.resume()

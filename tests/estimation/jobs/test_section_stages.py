@@ -16,11 +16,11 @@ from bench.put_values import put_table
 from bench.standing_clock import StandingClock
 from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.jobs import estimate_windows, refresh_alignment
+from estimation.jobs.estimate_windows import OUTDATED
 from estimation.jobs.job import JobContext
 from estimation.jobs.refresh_alignment import ALIGNMENT
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import AnyStage
-from estimation.jobs.steps.due_windows import OUTDATED
 from estimation.jobs.steps.epoch_inputs import FileLookup, changed_from
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.reasons import Reason, ReasonCode

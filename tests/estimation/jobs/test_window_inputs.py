@@ -11,10 +11,9 @@ from bogie_run import of_bogie
 from executed_statements import executed_statements
 from test_load_window import SECOND, register, window
 
-from estimation.errors import NotFoundError
 from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.load_window import WindowInputs, WindowLoader, inputs_of_batch, tracks_of_batch
-from estimation.jobs.steps.vehicle_classes import ClassLookup, VehicleLookup
+from estimation.jobs.steps.load_window import WindowInputs, WindowLoader, inputs_of_batch
+from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.quantities import Status
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
@@ -41,8 +40,7 @@ def bogie(sqlite_storage: SqlStorage) -> SqlStorage:
 def inputs(storage: SqlStorage) -> dict[WindowKey, WindowInputs]:
     with storage.read() as unit:
         records = unit.windows.several(KEYS)
-        batch = inputs_of_batch(unit, records, ClassLookup(unit, EstimationSettings()))
-        return {record.key: batch.of(record.key) for record in records}
+        return dict(inputs_of_batch(unit, records, ClassLookup(unit, EstimationSettings())).found)
 
 
 def test_inputs_are_those_of_each_window(bogie: SqlStorage) -> None:
@@ -99,29 +97,18 @@ def test_every_change_is_noticed_by_the_windows_that_it_concerns(
     assert {key for key in KEYS if before[key] != after[key]} == noticed_by
 
 
-def test_what_fails_at_one_window_is_raised_there_alone(bogie: SqlStorage) -> None:
-    with bogie.read() as unit:
-        records = unit.windows.several(KEYS)
-        strange = [replace(records[0], vehicle="no such vehicle"), *records[1:]]
-        batch = inputs_of_batch(unit, strange, ClassLookup(unit, EstimationSettings()))
-        assert batch.of(KEYS[2]).mounting is not None
-        with pytest.raises(NotFoundError, match="no vehicle"):
-            batch.of(KEYS[0])
-
-
 def test_mountings_end_before_their_last_moment(bogie: SqlStorage) -> None:
     with bogie.write() as unit:
         unit.registry.add_mounting(Mounting("W1", "V", 1, 0, LATER, 0.0, 0.0))
-        found = VehicleLookup(unit)
         places = [("V", 1, -1), ("V", 1, 0), ("V", 1, LATER - 1), ("V", 1, LATER), ("V", 2, LATER), ("X", 1, 0)]
-        assert [found.mounting_at(*place) for place in places] == [unit.registry.mounting_at(*p) for p in places]
-        assert [found.mounting_at(*place) is None for place in places] == [True, False, False, True, False, True]
+        absent = [unit.registry.mounting_at(*place) is None for place in places]
+    assert absent == [True, False, False, True, False, True]
 
 
 def test_the_samples_of_a_bogie_are_read_once_for_both_of_its_axles(bogie: SqlStorage) -> None:
     with bogie.read() as unit:
         records = {record.key: record for record in unit.windows.several(KEYS)}
-        loader = WindowLoader(unit, VehicleLookup(unit), records)
+        loader = WindowLoader(unit, records)
         front = loader.load(records["W1", START], BOGIE_CLASS)
         for path in (bogie.data_dir / "windows").rglob("*.window"):
             path.unlink()
@@ -136,11 +123,10 @@ def test_statements_do_not_grow_with_the_windows_of_a_batch(bogie: SqlStorage) -
         with bogie.read() as unit:
             records = unit.windows.several(keys)
             with executed_statements() as executed:
-                inputs_of_batch(unit, records, ClassLookup(unit, EstimationSettings()))
-                tracks = tracks_of_batch(unit, records)
+                batch = inputs_of_batch(unit, records, ClassLookup(unit, EstimationSettings()))
                 for record in records:
-                    tracks.alignment(record)
-                    tracks.layout(record)
+                    batch.alignment(record)
+                    batch.layout(record)
         return len(executed)
 
     assert statements(KEYS[:1]) <= 12
@@ -153,7 +139,7 @@ def test_windows_are_estimated_on_the_alignment_in_force_or_that_of_their_epoch(
         for shift in (0.0, 1e-3):
             unit.tracks.add_alignment(replace(alignment, alignment=alignment.alignment + shift))
         records = unit.windows.several(KEYS)
-        found = tracks_of_batch(unit, records)
+        found = inputs_of_batch(unit, records, ClassLookup(unit, EstimationSettings()))
         versions = [None if (one := found.alignment(record)) is None else one.version for record in records]
         assert versions == [2, 2, None]  # the last is of no section
         former = replace(found, versions={KEYS[0]: 1, KEYS[1]: None})
