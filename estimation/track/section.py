@@ -245,8 +245,7 @@ def _state_of(
     if known is not None and known.has_alignment:
         status, reason = Status.ESTIMATED, None
     elif status is Status.ESTIMATED:
-        iterated = accepted.iterated
-        unknown = _stiffness_open(iterated) or _not_converged_reason(iterated, p) or _slope_open(iterated)
+        unknown = _left_open(accepted.iterated, p)
         if unknown is not None:
             return Status.UNESTIMATED, unknown
     if status is Status.ESTIMATED and len(accepted.outliers) == len(grouped):
@@ -255,19 +254,15 @@ def _state_of(
     return status, reason
 
 
-def _stiffness_open(iterated: IterationResult) -> Reason | None:
-    """Return how little the passes determine the stiffness ratio, where most of R depends on it; else None."""
+def _left_open(iterated: IterationResult, p: SectionParameters) -> Reason | None:
+    """Return what is not found well enough: a stiffness ratio that most of R depends on, or the slope of all curves."""
     error = error_of_difference(iterated.ratios, iterated.passes)
-    if iterated.solution.curves_fixed or error <= MOST_DIFFERENCE_ERROR:
-        return None
-    text = f"the passes leave the stiffness ratio open: {100 * error:.0f} % of rL - rR depend on what is assumed"
-    return Reason(ReasonCode.STIFFNESS_OPEN, text)
-
-
-def _slope_open(iterated: IterationResult) -> Reason | None:
-    """Return by how much the slope of all curves together is open, where that is too much; else None."""
-    if iterated.slope is None or iterated.slope.std <= MOST_SLOPE_STD:
-        return None
+    if not (iterated.solution.curves_fixed or error <= MOST_DIFFERENCE_ERROR):
+        text = f"the passes leave the stiffness ratio open: {100 * error:.0f} % of rL - rR depend on what is assumed"
+        return Reason(ReasonCode.STIFFNESS_OPEN, text)
+    moving = _not_converged_reason(iterated, p)
+    if moving is not None or iterated.slope is None or iterated.slope.std <= MOST_SLOPE_STD:
+        return moving
     text = f"the passes are too alike: they leave the slope of all curves open by {100 * iterated.slope.std:.0f} %"
     return Reason(ReasonCode.PASSES_ALIKE, text)
 

@@ -6,9 +6,8 @@ Of those that are drawn wear is by rank or distribution, wheel and rail by seed.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 from typing import Annotated, Self, TypeVar
 
 import numpy as np
@@ -278,12 +277,6 @@ class WheelsetTable:
         if self.wheel_file is not None and (self.wheel_left_file, self.wheel_right_file) != (None, None):
             raise field_error("cannot be given beside the files of one side", "wheel_file")
         return self
-
-    def wheels_to_read(self) -> Iterator[tuple[str, Path]]:
-        """Yield key and path of the files that are given."""
-        for key in ("wheel_file", "wheel_left_file", "wheel_right_file"):
-            if (path := getattr(self, key)) is not None:
-                yield key, path
 
     def plan(self, radius: float) -> WheelsetPlan:
         """Return the wheelset; where wear is not located, as measured on such wheels."""

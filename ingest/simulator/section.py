@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Self
@@ -90,13 +90,6 @@ class RailFiles:
         if self.rail_file is not None:
             return self.rail_file_mirror, self.rail_file_mirror
         return self.rail_left_file_mirror, self.rail_right_file_mirror
-
-    def rails_to_read(self) -> Iterator[tuple[str, Path, bool | None]]:
-        """Yield key, file and mirror of the rails from files."""
-        for key in ("rail_file", "rail_left_file", "rail_right_file"):
-            path: Path | None = getattr(self, key)
-            if path is not None:
-                yield key, path, getattr(self, f"{key}_mirror")
 
 
 Depth = Annotated[float, between(0.0, DEEPEST_BAND / 1e-3), MM]
