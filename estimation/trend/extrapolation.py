@@ -22,9 +22,9 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.trend.wear_curve import NormalMixture
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.geometry import IntervalConicities, KnownConicity, WheelsetGeometry, known_conicities
+from estimation.values.mixture import NormalMixture
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.trend import TrendPoint

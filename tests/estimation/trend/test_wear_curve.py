@@ -9,7 +9,8 @@ from scipy.optimize import brentq
 
 from bench.wear_histories import History, histories
 from estimation.trend import wear_curve
-from estimation.trend.wear_curve import NormalMixture, WearCurve, fit_wear_curve
+from estimation.trend.wear_curve import WearCurve, fit_wear_curve
+from estimation.values.mixture import NormalMixture
 from estimation.values.quantities import Estimate
 
 
