@@ -48,9 +48,8 @@ class Link:
 def misplaced(links: Sequence[Link], journey_of: IntArray, middle: FloatArray, tolerance: float) -> Mapping[int, float]:
     """Return by pass how far it is from the rest of its journey, m, where its position jumped.
 
-    Args:
-        journey_of, middle: (n,) number of each pass's journey; m along the section.
-        tolerance: m by which neighbours in a journey may differ, besides the scale of an odometer.
+    Neighbours in a journey may differ by ``tolerance``, m, besides the scale of an odometer; ``middle`` (n,) is along the
+    section, m.
     """
     if not links:
         return {}
