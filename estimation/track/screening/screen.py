@@ -48,8 +48,8 @@ class Link:
 def misplaced(links: Sequence[Link], journey_of: IntArray, middle: FloatArray, tolerance: float) -> Mapping[int, float]:
     """Return by pass how far it is from the rest of its journey, m, where its position jumped.
 
-    Neighbours in a journey may differ by ``tolerance``, m, besides the scale of an odometer; ``middle`` (n,) is along the
-    section, m.
+    Neighbours in a journey may differ by ``tolerance``, m, besides the scale of an odometer. ``middle`` (n,) is along
+    the section, m.
     """
     if not links:
         return {}
