@@ -111,7 +111,8 @@ def _staying(passes: Sequence[WindowAdhesion], left_out: Sequence[LeftOut]) -> S
 
 
 def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> tuple[CellFriction, ...]:
-    counts, vehicles = sums.counts, sums.vehicles_of_places
+    counts, passed = sums.counts, np.unique(sums.place * len(sums.vehicles) + sums.vehicle) // len(sums.vehicles)
+    vehicles = np.bincount(passed, minlength=len(sums.cells))
     # what noise and what is known beforehand leave to the passes of a place alone; about 1/mu g is in proportion to it
     known = sums.by_place(sums.at(found.inverse)[1]) / np.maximum(found.inverse, TINY) ** 2 / max(found.noise, TINY)
     left = np.asarray(1.0 / np.sqrt(known + 1.0 / parameters.usual_std**2))

@@ -61,12 +61,6 @@ class PassSums(FrozenArrays):
         """How many passes there are of each place, (c,)."""
         return np.bincount(self.place, minlength=len(self.cells)).astype(np.int64)
 
-    @property
-    def vehicles_of_places(self) -> IntArray:
-        """How many vehicles have passed each place, (c,)."""
-        passed = np.unique(self.place * len(self.vehicles) + self.vehicle) // len(self.vehicles)
-        return np.bincount(passed, minlength=len(self.cells)).astype(np.int64)
-
     def by_place(self, values: FloatArray) -> FloatArray:
         """Return the sums of values of entries, (n,) or (n, k), over each place, (c,) or (c, k)."""
         first = np.searchsorted(self.place, np.arange(len(self.cells)))
@@ -312,9 +306,7 @@ def creep_levels(
 ) -> tuple[FloatArray, float]:
     """Return b (v,) of the vehicles, and the std that what all share leaves to it.
 
-    Args:
-        slippery: (c,) places that are no usual rails; a vehicle that has met them for the most part is held against all
-            of its.
+    A vehicle that has met ``slippery`` places (c,), no usual rails, for the most part is held against all of its.
     """
     usual = sums.at(np.full(len(sums.cells), before.usual))[2]
     entry = sums.vehicle * len(sums.cells) + sums.place

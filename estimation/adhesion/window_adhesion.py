@@ -66,8 +66,7 @@ def contact_angles(
 ) -> ContactAngles | Reason:
     """Return the angles over R of the wear that meets an estimated curve best, or why the profiles on file do not.
 
-    Args:
-        displacement, difference: (b,) y - d and rL - rR there, m; NaN where it is not estimated.
+    The curve (b,) is rL - rR over y - d, m; NaN where it is not estimated.
     """
     known = np.isfinite(difference)
     if known.sum() < FEWEST_NODES:
@@ -188,11 +187,6 @@ class CreepSignals(FrozenArrays):
     spin: Annotated[FloatArray, "n"]  # N, lateral, of a wheel by the spin of its inclined contact, the other's reversed
     valid: Annotated[BoolArray, "n"]
 
-    def resultants(self, half_contact_distance: float) -> FloatArray:
-        """Return the resultant creep force of left and right wheel (2, n), N."""
-        lateral = np.stack([0.5 * self.lateral + self.spin, 0.5 * self.lateral - self.spin])
-        return np.asarray(np.hypot(0.5 * self.moment / half_contact_distance, lateral))
-
 
 def creep_signals(
     forces: ContactForces,
@@ -239,8 +233,7 @@ def friction_sums(
 ) -> FrictionSums:
     """Return the sums of a window by place, over samples that are ``SUMMED_S`` apart or what is next below.
 
-    Args:
-        curve: (b,) centres of bins of y - d, m, and (b,) rL - rR there, m, NaN where it is not known.
+    The curve has centres of bins of y - d (b,), m, and rL - rR there (b,), m, NaN where it is not known.
     """
     p, step = vehicle, max(1, int(SUMMED_S / sample_interval_s + 1e-6))
     difference = _on_curve(motion.displacement, *curve) - signals.linear_difference
@@ -342,7 +335,9 @@ def _forces(
     if isinstance(angles, Reason):
         return contact_force, Estimate.unknown(angles, 1.0), yaw_creep, Estimate.unknown(angles, 1.0)
     lateral = _rms(found.lateral[found.valid])
-    larger = found.resultants(vehicle_class.parameters.half_contact_distance)[:, found.valid].max(axis=0)
+    along = 0.5 * found.moment / vehicle_class.parameters.half_contact_distance
+    across = np.stack([0.5 * found.lateral + found.spin, 0.5 * found.lateral - found.spin])  # of left and right wheel
+    larger = np.hypot(along, across)[:, found.valid].max(axis=0)
     used = float(np.quantile(larger, USED_QUANTILE)) / (0.5 * vehicle_class.parameters.load)
     error = math.hypot(LATERAL_ERROR, of_lateral, of_load)
     return (

@@ -259,11 +259,12 @@ class HiddenDisplacement:
         return curve_estimate(Replicates(x, R, left_out, shifted, samples, state.stretches), state.parameters)
 
     def _expected(self, state: HiddenState) -> tuple[FloatArray, FloatArray]:
-        """Return sums of R and numbers of samples (g, FINE) by group and cell, after the last round."""
         sums, counts = _expectation(state, None)
-        if state.parameters.band_limited:
-            for _ in range(self.rounds):
-                sums, counts = _expectation(state, _filled(sums.sum(axis=0), counts.sum(axis=0)))
+        for _ in range(self.rounds if state.parameters.band_limited else 0):
+            number = counts.sum(axis=0)
+            known = number >= min(LEAST_IN_CELL, number.max())
+            curve = np.asarray(np.interp(MIDDLES, MIDDLES[known], sums.sum(axis=0)[known] / number[known]))
+            sums, counts = _expectation(state, curve)
         return sums, counts
 
 
@@ -283,11 +284,6 @@ def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArr
                 smooth(likelihood, prior, MOVE, posterior)
             add_expected(x, R, chunk, posterior, grid, -REACH, CELL, piece.weight, sums[group], counts[group])
     return sums, counts
-
-
-def _filled(sums: FloatArray, counts: FloatArray) -> FloatArray:
-    known = counts >= min(LEAST_IN_CELL, counts.max())
-    return np.asarray(np.interp(MIDDLES, MIDDLES[known], sums[known] / counts[known]))
 
 
 def _systematic(x: FloatArray, curve: FloatArray, state: HiddenState) -> FloatArray:

@@ -68,7 +68,15 @@ def estimate(motion: Motion, p: VehicleParameters, parameters: PaperAlgorithm) -
     nearest = np.floor(motion.displacement[keep] / parameters.width + 0.5).astype(np.int64)
     first, bins = int(nearest.min()), int(nearest.max() - nearest.min()) + 1
     features = np.column_stack([motion.yaw[keep], motion.roll_rate[keep], np.ones(int(keep.sum()))])
-    lateral, count = recursion_in_bins(features, _lateral(motion, p, V, keep), nearest - first, bins, parameters)
+    known = (
+        -(2 * p.lateral_creep_coefficient / V) * motion.lateral_velocity
+        + p.lateral_damping * motion.suspension_deflection_rate
+        + p.lateral_stiffness * motion.suspension_deflection
+        - (2 * p.lateral_spin_creep_coefficient / V) * motion.yaw_rate
+        - p.load * motion.roll
+    ) / p.wheelset_mass
+    output = np.asarray((motion.lateral_acceleration - known)[keep])
+    lateral, count = recursion_in_bins(features, output, nearest - first, bins, parameters)
     yaw, _ = recursion_in_bins(features, yaw_output(motion, p, V, keep), nearest - first, bins, parameters)
     f11, f22, f23 = p.longitudinal_creep_coefficient, p.lateral_creep_coefficient, p.lateral_spin_creep_coefficient
     r0, l = p.nominal_radius, p.half_contact_distance  # noqa: E741 - the paper's l
@@ -80,17 +88,6 @@ def estimate(motion: Motion, p: VehicleParameters, parameters: PaperAlgorithm) -
         contact_angle_sum=(p.yaw_inertia * yaw[:, 0] + p.yaw_stiffness + 2 * f23) / (l * p.load / 2),
         contact_angle_difference=p.wheelset_mass * lateral[:, 2] / (f23 / r0 - p.load / 2),
     )
-
-
-def _lateral(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) -> FloatArray:
-    known = (
-        -(2 * p.lateral_creep_coefficient / V) * motion.lateral_velocity
-        + p.lateral_damping * motion.suspension_deflection_rate
-        + p.lateral_stiffness * motion.suspension_deflection
-        - (2 * p.lateral_spin_creep_coefficient / V) * motion.yaw_rate
-        - p.load * motion.roll
-    ) / p.wheelset_mass
-    return np.asarray((motion.lateral_acceleration - known)[keep])
 
 
 def yaw_output(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) -> FloatArray:

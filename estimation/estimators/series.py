@@ -28,7 +28,7 @@ from estimation.estimators.interface import (
 )
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
@@ -45,49 +45,51 @@ class SeriesState(FrozenArrays):
     """Sums over samples; states add up in any order."""
 
     parameters: EstimatorParameters
-    gram: Annotated[FloatArray, "g", "m", "m"]
-    cross: Annotated[FloatArray, "g", "m", len(YAW_TARGETS)]  # m, with R and its derivatives by the log parameters
-    squares: float  # m2, weighted sum of R^2
-    sums: Annotated[FloatArray, CELLS]  # m, weighted sum of R by displacement
+    gram: Annotated[FloatArray, "g", "m", "m"]  # of the functions, by group
+    cross: Annotated[FloatArray, "g", "m", "t"]  # with the target and its derivatives by the log parameters
+    squares: float  # weighted, of the target
+    sums: Annotated[FloatArray, "k", CELLS]  # weighted, by displacement: the target first
     counts: Annotated[FloatArray, CELLS]  # effective samples by displacement
     samples: int
     stretches: int
 
 
-def empty(parameters: EstimatorParameters, functions: int) -> SeriesState:
+def empty(
+    parameters: EstimatorParameters, functions: int, targets: int = len(YAW_TARGETS), sums: int = 1
+) -> SeriesState:
     """Return empty sums for ``functions`` basis functions."""
-    gram, cross = np.zeros((GROUPS, functions, functions)), np.zeros((GROUPS, functions, len(YAW_TARGETS)))
-    return SeriesState(parameters, gram, cross, 0.0, np.zeros(CELLS), np.zeros(CELLS), 0, 0)
+    gram, cross = np.zeros((GROUPS, functions, functions)), np.zeros((GROUPS, functions, targets))
+    return SeriesState(parameters, gram, cross, 0.0, np.zeros((sums, CELLS)), np.zeros(CELLS), 0, 0)
 
 
-def grouped(
-    state: SeriesState | RecursionState, block: IntArray, weight: float, features: FloatArray, targets: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the sums of a state with samples (n,) added to the groups of their blocks."""
-    gram, cross, groups = state.gram.copy(), state.cross.copy(), group_of(block, GROUPS)
+def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> SeriesState:
+    """Return the state with ``motion`` added, R its target."""
+    keep = usable(motion)
+    equations = regression(motion, state.parameters.vehicle)
+    targets = equations.yaw_targets[keep] / equations.yaw[keep, -1:]
+    return summed(state, motion, basis(motion.displacement[keep]), targets, targets[:, :1], weight)
+
+
+def summed(
+    state: SeriesState, motion: Motion, features: FloatArray, targets: FloatArray, by_cell: FloatArray, weight: float
+) -> SeriesState:
+    """Return the state with the usable samples (n,) of ``motion`` added, ``by_cell`` (n, k) by displacement."""
+    keep = usable(motion)
+    x, groups = motion.displacement[keep], group_of(motion.block[keep], GROUPS)
+    gram, cross = state.gram.copy(), state.cross.copy()
     for group in np.unique(groups):
         in_group = groups == group
         weighted = weight * features[in_group].T
         gram[group] += weighted @ features[in_group]
         cross[group] += weighted @ targets[in_group]
-    return gram, cross
-
-
-def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> SeriesState:
-    """Return the state with ``motion`` added."""
-    keep = usable(motion)
-    equations = regression(motion, state.parameters.vehicle)
-    targets = equations.yaw_targets[keep] / equations.yaw[keep, -1:]
-    functions = basis(motion.displacement[keep])
-    gram, cross = grouped(state, motion.block[keep], weight, functions, targets)
     return replace(
         state,
         gram=gram,
         cross=cross,
         squares=state.squares + weight * float(targets[:, 0] @ targets[:, 0]),
-        sums=state.sums + weight * counted(motion.displacement[keep], targets[:, 0]),
-        counts=state.counts + weight * counted(motion.displacement[keep]),
-        samples=state.samples + int(keep.sum()),
+        sums=state.sums + weight * np.array([counted(x, column) for column in by_cell.T]),
+        counts=state.counts + weight * counted(x),
+        samples=state.samples + len(x),
         stretches=state.stretches + 1,
     )
 
@@ -147,7 +149,7 @@ def shifts(state: SeriesState, functions: FloatArray, ridge: float) -> FloatArra
 
 def misfit(state: SeriesState, x: FloatArray, value: FloatArray) -> FloatArray:
     """Return what the curve cannot follow (n,), m: by how much the mean of R is above it, cell by cell."""
-    return beside(x, value, state.sums, state.counts)
+    return beside(x, value, state.sums[0], state.counts)
 
 
 def _small(gram: FloatArray, ridge: float) -> FloatArray:
@@ -159,20 +161,6 @@ MILLIMETRE = 1e-3
 LEAST_SHARE = 1e-9  # smallest to largest eigenvalue of scaled sums that still are solved
 LEAST_STIFF = 0.2  # of the creep coefficient on file: below, the moments beside creep say too little
 TARGETS = ("yaw_stiffness", "yaw_inertia", "spin_creep", "saturation")  # what is uncertain beside f11
-
-
-@dataclass(frozen=True, slots=True)
-class RecursionState(FrozenArrays):
-    """Sums over samples; states add up in any order."""
-
-    parameters: EstimatorParameters
-    gram: Annotated[FloatArray, "g", UNKNOWNS, UNKNOWNS]
-    cross: Annotated[FloatArray, "g", UNKNOWNS, 1 + len(TARGETS)]  # with the moments and their derivatives, N m
-    squares: float  # N2 m2, weighted
-    sums: Annotated[FloatArray, 2, CELLS]  # N m and m, weighted: the moments and 2 l^2 psi'/V, by displacement
-    counts: Annotated[FloatArray, CELLS]
-    samples: int
-    stretches: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,30 +179,17 @@ class KnownIrregularity:
     name: str = "known_irregularity"
     title: str = "linear wheelset, creep unknown"
 
-    def init(self, parameters: EstimatorParameters) -> RecursionState:
+    def init(self, parameters: EstimatorParameters) -> SeriesState:
         """Return the empty sums."""
-        gram, cross = np.zeros((GROUPS, UNKNOWNS, UNKNOWNS)), np.zeros((GROUPS, UNKNOWNS, 1 + len(TARGETS)))
-        return RecursionState(parameters, gram, cross, 0.0, np.zeros((2, CELLS)), np.zeros(CELLS), 0, 0)
+        return empty(parameters, UNKNOWNS, 1 + len(TARGETS), sums=2)
 
-    def update(self, state: RecursionState, motion: Motion, weight: float = 1.0) -> RecursionState:
-        """Return the state with ``motion`` added, ``weight`` times."""
-        keep = usable(motion)
-        features, targets = equations(motion, state.parameters.vehicle)
-        features, targets, x = features[keep], targets[keep], motion.displacement[keep]
-        sums = np.array([counted(x, targets[:, 0]), counted(x, -features[:, 0])])
-        gram, cross = grouped(state, motion.block[keep], weight, features, targets)
-        return replace(
-            state,
-            gram=gram,
-            cross=cross,
-            squares=state.squares + weight * float(targets[:, 0] @ targets[:, 0]),
-            sums=state.sums + weight * sums,
-            counts=state.counts + weight * counted(x),
-            samples=state.samples + int(keep.sum()),
-            stretches=state.stretches + 1,
-        )
+    def update(self, state: SeriesState, motion: Motion, weight: float = 1.0) -> SeriesState:
+        """Return the state with ``motion`` added, ``weight`` times: the moments and 2 l^2 psi'/V by displacement."""
+        features, targets = (part[usable(motion)] for part in equations(motion, state.parameters.vehicle))
+        by_cell = np.column_stack([targets[:, 0], -features[:, 0]])
+        return summed(state, motion, features, targets, by_cell, weight)
 
-    def result(self, state: RecursionState) -> CurveEstimate:
+    def result(self, state: SeriesState) -> CurveEstimate:
         """Return the straight line; nothing where the moments do not tell the creep coefficient."""
         span = covered_range(state.counts)
         present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
@@ -256,7 +231,7 @@ def equations(motion: Motion, vehicle: VehicleParameters) -> tuple[FloatArray, F
     return features, np.column_stack([without_creep, of_yaw[:, columns]])
 
 
-def _refusal(state: RecursionState, groups: int) -> Reason | None:
+def _refusal(state: SeriesState, groups: int) -> Reason | None:
     if groups < FEWEST_GROUPS:
         return too_few_blocks(groups)
     gram = state.gram.sum(axis=0)

@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 from estimation.signatures.calibration import NORMAL, Calibration, conicity_grid, outside
 from estimation.signatures.library import Library
-from estimation.signatures.mixed_model import Likelihood, Rows, level_of, likelihood
+from estimation.signatures.mixed_model import Rows, level_of, likelihood
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.arrays import IntArray
 from estimation.values.quantities import Estimate, Status
@@ -74,7 +74,11 @@ def _answer(
     grid = conicity_grid(np.array(library.conicity), parameters.margin)
     found = likelihood(library.model, _rows(signatures), known, grid)
     novelty = calibration.novelty(found)
-    refusal = _outside(found, library, parameters)
+    refusal = None
+    if outside(found, library.conicity, parameters.margin):
+        low, high = library.conicity[0] - parameters.margin, library.conicity[1] + parameters.margin
+        text = f"the signature is like that of a conicity outside {low:.2f} to {high:.2f}, which the library covers"
+        refusal = Reason(ReasonCode.NOT_IN_LIBRARY, text)
     if novelty > 1.0:
         text = f"the signature is {novelty:.1f} times as far from the library as any that it answers"
         refusal = Reason(ReasonCode.NOT_IN_LIBRARY, text)
@@ -99,14 +103,6 @@ def _answer(
         library_sections=len(library.sections),
         novelty=novelty,
     )
-
-
-def _outside(found: Likelihood, library: Library, parameters: SignatureParameters) -> Reason | None:
-    if not outside(found, library.conicity, parameters.margin):
-        return None
-    low, high = library.conicity[0] - parameters.margin, library.conicity[1] + parameters.margin
-    text = f"the signature is like that of a conicity outside {low:.2f} to {high:.2f}, which the library covers"
-    return Reason(ReasonCode.NOT_IN_LIBRARY, text)
 
 
 def states(conicity: float, std: float, ends: Sequence[float]) -> tuple[StateProbability, ...]:

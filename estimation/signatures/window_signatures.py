@@ -95,10 +95,7 @@ def band_spectra(signals: FloatArray, parameters: SignatureParameters) -> tuple[
     """Return the mean cross-spectra (b, 9) of a stretch in the bands, and the wavelength at which R is strongest, m.
 
     Blocks lose their mean and slope and have Hann's window; they overlap by half (P. D. Welch, IEEE Trans. Audio and
-    Electroacoustics 15, 1967).
-
-    Args:
-        signals: (3, n) y in m, R in m, roll in rad, every ``step`` m.
+    Electroacoustics 15, 1967). Signals (3, n) are y in m, R in m, roll in rad, every ``step`` m.
     """
     size = round(parameters.block / parameters.step)
     starts = range(0, signals.shape[1] - size + 1, size // 2)

@@ -203,8 +203,20 @@ def _report(
     status, reason = _state_of(accepted, grouped, known, p)
     not_converged = _not_converged_reason(iterated, p)
     journeys_reported = tuple(
-        _journey(journey, members, iterated.corrections.get(journey, Correction()), accepted)
+        JourneyReport(
+            vehicle=journey[0],
+            from_ns=journey[1],
+            to_ns=max(item.start_ns for item in members),
+            passes=len(members),
+            offset_m=correction.offset,
+            scale_1=correction.scale,
+            middle_m=correction.middle,
+            residual_rms_m=accepted.rms[journey],
+            used=journey not in accepted.outliers,
+            reason=accepted.outliers.get(journey),
+        )
         for journey, members in grouped.items()
+        for correction in [iterated.corrections.get(journey, Correction())]
     )
     certain = np.isfinite(solution.alignment_std)
     return AlignmentReport(
@@ -233,8 +245,7 @@ def _state_of(
     if known is not None and known.has_alignment:
         status, reason = Status.ESTIMATED, None
     elif status is Status.ESTIMATED:
-        iterated = accepted.iterated
-        unknown = _stiffness_open(iterated) or _not_converged_reason(iterated, p) or _slope_open(iterated)
+        unknown = _left_open(accepted.iterated, p)
         if unknown is not None:
             return Status.UNESTIMATED, unknown
     if status is Status.ESTIMATED and len(accepted.outliers) == len(grouped):
@@ -243,19 +254,15 @@ def _state_of(
     return status, reason
 
 
-def _stiffness_open(iterated: IterationResult) -> Reason | None:
-    """Return how little the passes determine the stiffness ratio, where most of R depends on it; else None."""
+def _left_open(iterated: IterationResult, p: SectionParameters) -> Reason | None:
+    """Return what is not found well enough: a stiffness ratio that most of R depends on, or the slope of all curves."""
     error = error_of_difference(iterated.ratios, iterated.passes)
-    if iterated.solution.curves_fixed or error <= MOST_DIFFERENCE_ERROR:
-        return None
-    text = f"the passes leave the stiffness ratio open: {100 * error:.0f} % of rL - rR depend on what is assumed"
-    return Reason(ReasonCode.STIFFNESS_OPEN, text)
-
-
-def _slope_open(iterated: IterationResult) -> Reason | None:
-    """Return by how much the slope of all curves together is open, where that is too much; else None."""
-    if iterated.slope is None or iterated.slope.std <= MOST_SLOPE_STD:
-        return None
+    if not (iterated.solution.curves_fixed or error <= MOST_DIFFERENCE_ERROR):
+        text = f"the passes leave the stiffness ratio open: {100 * error:.0f} % of rL - rR depend on what is assumed"
+        return Reason(ReasonCode.STIFFNESS_OPEN, text)
+    moving = _not_converged_reason(iterated, p)
+    if moving is not None or iterated.slope is None or iterated.slope.std <= MOST_SLOPE_STD:
+        return moving
     text = f"the passes are too alike: they leave the slope of all curves open by {100 * iterated.slope.std:.0f} %"
     return Reason(ReasonCode.PASSES_ALIKE, text)
 
@@ -288,18 +295,3 @@ def _not_converged_reason(iterated: IterationResult, p: SectionParameters) -> Re
     if not moving:
         return None
     return Reason(ReasonCode.NOT_CONVERGED, f"not converged after {iterated.rounds} rounds: {' and '.join(moving)}")
-
-
-def _journey(journey: Journey, members: Sequence[Pass], correction: Correction, accepted: _Accepted) -> JourneyReport:
-    return JourneyReport(
-        vehicle=journey[0],
-        from_ns=journey[1],
-        to_ns=max(item.start_ns for item in members),
-        passes=len(members),
-        offset_m=correction.offset,
-        scale_1=correction.scale,
-        middle_m=correction.middle,
-        residual_rms_m=accepted.rms[journey],
-        used=journey not in accepted.outliers,
-        reason=accepted.outliers.get(journey),
-    )

@@ -6,9 +6,8 @@ Of those that are drawn wear is by rank or distribution, wheel and rail by seed.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 from typing import Annotated, Self, TypeVar
 
 import numpy as np
@@ -160,6 +159,8 @@ def _wheelset(scenario: Scenario, fleet: DrawnFleet, seed: int, rank: int) -> Wh
     if fleet.wear_alike:
         depth, apart = pair.deepest_wear * 0.5, 0.0
     smaller, uneven = generator(seed, Stream.DIAMETER, rank).standard_normal(2)
+    files: tuple[SideFiles, ...] = pair.wheel_files or ((None, None),)
+    place = int(generator(seed, Stream.WHEEL, rank).integers(len(files))) if pair.wheels_drawn else rank
     course = wear_course(WearFamily.S1002_ON_60E1 if "1002" in pair.wheel_profile else WearFamily.P8_ON_56E1, 0.0)
     return WheelsetPlan(
         serial=drawn_serial(rank),
@@ -176,7 +177,7 @@ def _wheelset(scenario: Scenario, fleet: DrawnFleet, seed: int, rank: int) -> Wh
         reprofilings=(),
         diameter_difference=fleet.diameter_difference_std * uneven,
         fault=None,
-        wheel_files=_wheel_files(pair, seed, rank),
+        wheel_files=files[place % len(files)],
     )
 
 
@@ -197,13 +198,6 @@ def _depth(fleet: DrawnFleet, pair: ProfilePair, rank: int, rng: np.random.Gener
             return depth
     reason = f"{MOST_DRAWS} draws gave no wear between {1e3 * wear.lowest:g} and {1e3 * highest:g} mm"
     raise ScenarioError(reason, field="drawn_fleet.wear.mean_mm")
-
-
-def _wheel_files(pair: ProfilePair, seed: int, rank: int) -> SideFiles:
-    if not pair.wheel_files:
-        return None, None
-    place = int(generator(seed, Stream.WHEEL, rank).integers(len(pair.wheel_files))) if pair.wheels_drawn else rank
-    return pair.wheel_files[place % len(pair.wheel_files)]
 
 
 ROUNDING = 1e-3  # m, of axle offsets
@@ -283,12 +277,6 @@ class WheelsetTable:
         if self.wheel_file is not None and (self.wheel_left_file, self.wheel_right_file) != (None, None):
             raise field_error("cannot be given beside the files of one side", "wheel_file")
         return self
-
-    def wheels_to_read(self) -> Iterator[tuple[str, Path]]:
-        """Yield key and path of the files that are given."""
-        for key in ("wheel_file", "wheel_left_file", "wheel_right_file"):
-            if (path := getattr(self, key)) is not None:
-                yield key, path
 
     def plan(self, radius: float) -> WheelsetPlan:
         """Return the wheelset; where wear is not located, as measured on such wheels."""

@@ -220,9 +220,7 @@ def wheelset(
 ) -> None:
     """Write the time derivative of one wheelset (5,) into ``rates`` (5,).
 
-    Args:
-        traction: Force of the axle, N, negative in braking.
-        suspension, turned: Force and moment of the suspension, N and N m.
+    Traction is negative in braking; ``suspension`` and ``turned`` are force and moment of the suspension, N and N m.
     """
     per_speed = 1.0 / speed
     v, psi, psi_rate, roll, roll_rate = state[1], state[2], state[3], contact[4], contact[7]
@@ -261,9 +259,7 @@ def carried(
 ) -> None:
     """Write the time derivative of frame and body into ``rates`` (16,).
 
-    Args:
-        force, moment: Of the primary suspensions on the wheelsets: sum of the forces, and of their moments about the
-            frame's middle.
+    Force and moment are those of the primary suspensions on the wheelsets, about the frame's middle.
     """
     y, v, psi, psi_rate = state[FRAME], state[FRAME + 1], state[FRAME + 2], state[FRAME + 3]
     above = 0.0
@@ -307,7 +303,8 @@ def integrate_gear(
     outside[:] = 0
     for i in range(len(speed)):
         if speed[i] < STANDSTILL:
-            stand_still(state)
+            for first in (0, AXLE_STATES):  # the wheels stick
+                state[first + 1] = state[first + 3] = state[first + 4] = 0.0
         forced[:] = path[min(i, len(path) - 1)]
         last = i == len(speed) - 1
         slope = 0.0 if last else (speed[i + 1] - speed[i]) / step
@@ -326,14 +323,6 @@ def integrate_gear(
             if part > 0:
                 gear_rates(gear, known, v, slope, s, forced, state, stages[0])
             runge_kutta(gear_rates, gear, known, v, slope, s, h, forced, rise, state, stages)
-
-
-@stepped
-def stand_still(state: FloatArray) -> None:
-    """Take the velocities of both wheelsets from ``state`` (16,): below ``STANDSTILL`` the wheels stick."""
-    for axle in range(2):
-        first = AXLE_STATES * axle
-        state[first + 1] = state[first + 3] = state[first + 4] = 0.0
 
 
 @stepped

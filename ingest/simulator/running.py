@@ -88,10 +88,7 @@ class Creep:
 def share_of_linear(c: CreepConstants, linear: float, bound: float, slip_velocity: float) -> float:
     """Return by what factor (0 to 1) a law, not the linear one, multiplies the linear creep forces of one wheel.
 
-    Args:
-        linear: Resultant of the linear longitudinal and lateral force, N, not negative.
-        bound: mu0 N, N, positive.
-        slip_velocity: Of the contact, m/s, not negative.
+    ``linear`` is the resultant of the linear longitudinal and lateral force, ``bound`` mu0 N, both N.
     """
     if c.law == VERMEULEN_JOHNSON:
         u = linear / bound

@@ -55,11 +55,8 @@ def gear_path(
     Per axle of the former: accelerations added to y'' and psi'', curvature, o, o', t, t'; then the accelerations added
     to frame (and body). The latter are in the order of ``ACCELERATIONS``.
 
-    Args:
-        curves: Curvature (m,), 1/m, and cant (m,), m, on the grid ``s``.
-        s: (m,) m along the section.
-        distance: (n,) m of the frame's middle at each sample.
-        places: (a,) m by which each axle is ahead of the frame's middle.
+    Curves are on the grid ``s`` (m,), m along the section; ``distance`` (n,), m, is that of the frame's middle, and the
+    axles are ahead of it by ``places`` (a,), m.
     """
     curvature = CubicSpline(s, curves.curvature)
     heading, line = curvature.antiderivative(1), curvature.antiderivative(2)

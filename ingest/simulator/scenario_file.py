@@ -266,15 +266,17 @@ def _rail_reads(table: ScenarioTable) -> Iterator[_Read]:
     for index, pair in enumerate(() if table.drawn_fleet is None else table.drawn_fleet.pairs):
         tables.append((("drawn_fleet", "pairs", index), pair))
     for place, rails in tables:
-        for key, path, mirror in rails.rails_to_read():
-            yield (*place, key), partial(rail_in, path, mirror)
+        for key in ("rail_file", "rail_left_file", "rail_right_file"):
+            if (path := getattr(rails, key)) is not None:
+                yield (*place, key), partial(rail_in, path, getattr(rails, f"{key}_mirror"))
 
 
 def _wheel_reads(table: ScenarioTable) -> Iterator[_Read]:
     for i, vehicle in enumerate(table.vehicles):
         for k, wheelset in enumerate(vehicle.wheelsets):
-            for key, path in wheelset.wheels_to_read():
-                yield ("vehicles", i, "wheelsets", k, key), partial(wheel_in, path)
+            for key in ("wheel_file", "wheel_left_file", "wheel_right_file"):
+                if (path := getattr(wheelset, key)) is not None:
+                    yield ("vehicles", i, "wheelsets", k, key), partial(wheel_in, path)
     for index, pair in enumerate(() if table.drawn_fleet is None else table.drawn_fleet.pairs):
         for k, sides in enumerate(pair.wheel_files):
             for side, wheel in zip(("left", "right"), sides, strict=True):

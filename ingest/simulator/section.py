@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Self
@@ -91,13 +91,6 @@ class RailFiles:
             return self.rail_file_mirror, self.rail_file_mirror
         return self.rail_left_file_mirror, self.rail_right_file_mirror
 
-    def rails_to_read(self) -> Iterator[tuple[str, Path, bool | None]]:
-        """Yield key, file and mirror of the rails from files."""
-        for key in ("rail_file", "rail_left_file", "rail_right_file"):
-            path: Path | None = getattr(self, key)
-            if path is not None:
-                yield key, path, getattr(self, f"{key}_mirror")
-
 
 Depth = Annotated[float, between(0.0, DEEPEST_BAND / 1e-3), MM]
 
@@ -112,11 +105,6 @@ class RailWearTable:
     centre: Annotated[float, between(-40.0, 40.0), MM] = 0.0
     half_width: Annotated[Positive, MM] = 1e-3 * 25.0
     growth: Annotated[NotNegative, FileUnit("", 1e-3), Key("growth_mm_per_100_mgt")] = 0.0
-
-    def of_sides(self) -> tuple[RailWear, RailWear]:
-        """Return the wear of left and right rail."""
-        left, right = (self.depth if one is None else one for one in (self.depth_left, self.depth_right))
-        return RailWear(left, self.centre, self.half_width), RailWear(right, self.centre, self.half_width)
 
     def deepest(self, traffic_mgt: float) -> float:
         """Return the depth of the deeper band after some traffic, m."""
@@ -209,7 +197,9 @@ class SectionTable(SectionPlan):
         wear = self.rail_wear_of_file
         if wear is None:
             return taken(SectionPlan, self)
-        return taken(SectionPlan, self, rail_wear=wear.of_sides(), rail_growth=wear.growth)
+        depths = (wear.depth if one is None else one for one in (wear.depth_left, wear.depth_right))
+        left, right = (RailWear(depth, wear.centre, wear.half_width) for depth in depths)
+        return taken(SectionPlan, self, rail_wear=(left, right), rail_growth=wear.growth)
 
 
 def _check_recipe(recipe: TrackRecipe | None) -> None:

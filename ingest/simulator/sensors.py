@@ -105,17 +105,14 @@ def measure(
     node: SensorNode,
     rng: np.random.Generator,
     offsets: FloatArray,
-    errors: NodeErrors | None = None,
+    errors: NodeErrors | None = None,  # how this node differs from its data sheet; None: not at all
     *,
     short_pulses: bool = False,
 ) -> SensorRecord:
     """Return the record of a sensor node: noise, offset, drift, limits and the filter before decimation applied.
 
-    Args:
-        offsets: (4,) constant offsets of this sensor, m/s^2 and rad/s^2 (of a gyroscope rad/s), in the order of
-            ``ACCELERATIONS``.
-        errors: How this node differs from its data sheet; None: not at all.
-        short_pulses: Whether the motion accelerates for less time than passes between two of its samples.
+    The constant offsets (4,) of this sensor are in its units, in the order of ``ACCELERATIONS``. ``short_pulses`` says
+    that the motion accelerates for less time than passes between two of its samples.
     """
     n, stride = len(motion), node.stride
     size = -(-n // stride)

@@ -66,13 +66,8 @@ def measured_curve(
 ) -> MeasuredCurve:
     """Return the curve of the measured profiles of a wheelset on a track.
 
-    Args:
-        std: Of the displacement that follows, m.
-        rail, inclination, gauge: Name of the rail's profile; tangent; nominal gauge, m.
-        at_rails: Whether passes have their displacement at rail level, as EN 15302, or that of the axle, which rolls.
-
-    Raises:
-        ContactError, ProfileError: The profiles do not meet the rails; no such rail.
+    ``std`` is that of the displacement, m; ``at_rails`` says that passes have it at rail level, as EN 15302, and not as
+    that of the axle, which rolls. ContactError: the profiles do not meet the rails; ProfileError: no such rail.
     """
     rails = rail_profile(rail)
     wheelset = WheelsetOnTrack(left, right, rails, rails, inclination, gauge)

@@ -48,9 +48,8 @@ class Link:
 def misplaced(links: Sequence[Link], journey_of: IntArray, middle: FloatArray, tolerance: float) -> Mapping[int, float]:
     """Return by pass how far it is from the rest of its journey, m, where its position jumped.
 
-    Args:
-        journey_of, middle: (n,) number of each pass's journey; m along the section.
-        tolerance: m by which neighbours in a journey may differ, besides the scale of an odometer.
+    Neighbours in a journey may differ by ``tolerance``, m, besides the scale of an odometer. ``middle`` (n,) is along
+    the section, m.
     """
     if not links:
         return {}
@@ -109,13 +108,10 @@ CHAIN_NEIGHBOURS = 2  # passes that continue along the section
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
-    """Two passes by index; they agree where there is no reason against it."""
+class Comparison(Link):
+    """Two passes; they agree where there is no reason against it."""
 
-    first: int
-    second: int
     reason: Reason | None
-    link: Link
 
 
 def compare_pairs(
@@ -131,7 +127,7 @@ def compare_pairs(
         found = agreement(filtered[i], filtered[j], p.positions.largest_offset, p.cutoff_wavelength)
         if found.samples >= p.least_samples or found.log10_chance <= p.log10_chance:
             reason = disagreement(found, 1.0, p, "other passes of the place")
-            comparisons.append(Comparison(i, j, reason, Link(i, j, found.shift)))
+            comparisons.append(Comparison(i, j, found.shift, reason))
     return comparisons
 
 
@@ -233,7 +229,7 @@ def screen(
     comparable = {i: one for i, one in filtered.items() if i not in refused}
     comparisons = compare_pairs(comparable, journey_of, p)
     refused |= minority(comparisons, journey_of, frozenset() if known_contradicted else agreed)
-    links = [c.link for c in comparisons if c.reason is None and not {c.first, c.second} & refused.keys()]
+    links = [c for c in comparisons if c.reason is None and not {c.first, c.second} & refused.keys()]
     middle = np.array([0.5 * (item.at[0] + item.at[-1]) for item in passes])
     for i, apart in misplaced(links, journey_of, middle, p.misplaced).items():
         refused[i] = Reason(

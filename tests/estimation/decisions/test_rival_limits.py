@@ -23,7 +23,7 @@ from estimation.estimators.interface import (
 )
 from estimation.estimators.paper_algorithm import GROUPS as OF_CELLS
 from estimation.estimators.paper_algorithm import CellMeans, PaperAlgorithm, PaperState
-from estimation.estimators.series import KnownIrregularity, RecursionState
+from estimation.estimators.series import KnownIrregularity, SeriesState
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
@@ -130,7 +130,7 @@ def test_a_jump_is_three_times_as_steep_as_the_curve_is_usually(times: float, ju
     assert len(stepped(x, np.append(0.0, np.cumsum(rise))).jumps) == jumps
 
 
-def proportional(apart: float) -> RecursionState:
+def proportional(apart: float) -> SeriesState:
     """Return sums of whose unknowns two are nearly proportional: by ``apart``, the least eigenvalue."""
     state = KnownIrregularity().init(SURE)
     gram = np.eye(3)

@@ -85,7 +85,7 @@ def test_a_high_correlation_of_few_samples_agrees() -> None:
     first, second = pair(260, 4, 0.01)
     (found,) = compare_pairs({0: first, 1: second}, np.array([0, 1]), P)
     assert found.reason is None
-    assert (found.link.first, found.link.second, found.link.shift) == (0, 1, 2.0)
+    assert (found.first, found.second, found.shift) == (0, 1, 2.0)
     assert compare_pairs({0: first, 1: second}, np.array([0, 0]), P) == []
 
 
@@ -98,11 +98,11 @@ def test_passes_of_one_place_have_one_scale(factor: float, *, agrees: bool) -> N
 
 
 def same(first: int, second: int) -> Comparison:
-    return Comparison(first, second, None, Link(first, second, 0.0))
+    return Comparison(first, second, 0.0, None)
 
 
 def apart(first: int, second: int) -> Comparison:
-    return Comparison(first, second, WHY, Link(first, second, 0.0))
+    return Comparison(first, second, 0.0, WHY)
 
 
 def test_the_minority_is_refused_and_as_many_against_as_many_both() -> None:
