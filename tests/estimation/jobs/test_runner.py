@@ -11,11 +11,10 @@ import pytest
 from wheelset_life import SetClock, register, run_windows
 
 from estimation.errors import NotFiniteError, StorageError
-from estimation.jobs import runner
 from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.stage import AnyStage, Counted, Outcome, Part, Stage
+from estimation.jobs.stage import AnyStage, Counted, Outcome, Part, Stage, check_finite
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import BinStatus, BinValues
 from estimation.values.quantities import Estimate, Status
@@ -44,6 +43,7 @@ class Facts:
     values: dict[str, float | Exception] = field(default_factory=dict)
     computed: list[str] = field(default_factory=list)
     again_ns: int | None = None
+    here: bool = False
 
     def set(self, serial: str, value: float | Exception) -> None:
         self.values[serial] = value
@@ -71,6 +71,7 @@ class Facts:
             compute=self.compute,
             counted=Counted("wheelsets", "changed", "unchanged"),
             results=LENGTH,
+            here=self.here,
         )
 
 
@@ -79,10 +80,10 @@ def clock() -> SetClock:
     return SetClock(10**15)
 
 
-@pytest.fixture
-def facts(sqlite_storage: SqlStorage) -> Facts:
+@pytest.fixture(params=["claimed", "here"])
+def facts(sqlite_storage: SqlStorage, request: pytest.FixtureRequest) -> Facts:
     register(sqlite_storage, "W1", "W2", "W3")
-    facts = Facts(sqlite_storage)
+    facts = Facts(sqlite_storage, here=request.param == "here")
     for number, serial in enumerate(("W1", "W2", "W3"), start=1):
         facts.set(serial, float(number))
     return facts
@@ -161,9 +162,9 @@ def test_what_fails_keeps_its_result_and_harms_nobody(facts: Facts, clock: SetCl
 def test_a_bin_that_is_estimated_and_no_number_is_refused_and_one_that_is_not_estimated_may_be_nan(wrong: str) -> None:
     status = (BinStatus.ESTIMATED, BinStatus.TOO_FEW)
     bins = BinValues(np.array([1.0, np.nan]), np.array([0.1, np.nan]), status)
-    runner._check_finite(Part((bins,)))
+    check_finite(Part((bins,)))
     with pytest.raises(NotFiniteError, match="nan"):
-        runner._check_finite(Part((replace(bins, **{wrong: np.array([np.nan, np.nan])}),)))
+        check_finite(Part((replace(bins, **{wrong: np.array([np.nan, np.nan])}),)))
 
 
 def test_what_changes_while_it_is_computed_is_due_again(facts: Facts, clock: SetClock) -> None:
@@ -248,3 +249,21 @@ def test_a_stage_of_windows_does_each_until_it_is_another(facts: Facts, clock: S
     other = JobSettings(trend=replace(JobSettings().trend, horizon_km=1.0))
     run(stage, context(facts, clock, other))
     assert sorted(looked[3:]) == sorted(keys)
+
+
+def test_what_another_process_has_stored_meanwhile_is_not_stored_again(facts: Facts, clock: SetClock) -> None:
+    """The other one has read what has changed since: what was made of it stays in force."""
+    others: list[Mapping[str, int]] = []
+    stage = facts.stage()
+
+    def interrupted(inputs: tuple[str, float | Exception]) -> Outcome[Length]:
+        if not others:
+            others.append({})
+            facts.set("W1", 7.0)
+            others[0] = run(replace(stage, here=True), context(facts, clock))
+        return facts.compute(inputs)
+
+    found = run(replace(stage, here=True, compute=interrupted), context(facts, clock))
+    assert in_force(facts) == {"W1": 7.0, "W2": 2.0, "W3": 3.0}
+    assert (others[0]["changed"], found["changed"]) == (3, 0)
+    assert run(stage, context(facts, clock))["changed"] == 0
