@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from scipy.special import chdtrc, stdtrit
 
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason
@@ -110,10 +109,14 @@ def parts_of(estimate: Estimate, groups: int) -> tuple[float, float]:
 
 
 def _student_95(groups: int) -> float:
+    from scipy.special import stdtrit  # noqa: PLC0415 - commands that compute nothing start without it
+
     return float(stdtrit(groups - 1, 0.975))
 
 
 def log10_chance(statistic: float, degrees: float) -> float:
     """Return the decimal logarithm of the chance that a chi-square variable exceeds a value; -inf beyond about 1400."""
     with np.errstate(divide="ignore"):
+        from scipy.special import chdtrc  # noqa: PLC0415 - the same
+
         return float(np.log10(chdtrc(degrees, statistic)))

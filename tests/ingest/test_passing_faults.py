@@ -229,7 +229,7 @@ def test_a_database_that_breaks_off_anywhere_in_decoding_is_a_fault_that_passes(
     event.listen(postgres_storage.engine, "before_cursor_execute", count)
     for number in range(4):
         record, _ = receiver.keep(recording(tmp_path, number).read_bytes(), ".blf", VEHICLE, "a")
-        statements, break_at = 0, 1 + 8 * number
+        statements, break_at = 0, 1 + 5 * number
         (outcome,) = receiver.decode([record])
         broken += statements >= break_at
         if isinstance(outcome, ChunkReceipt):
