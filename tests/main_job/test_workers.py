@@ -215,7 +215,5 @@ def kill_whoever_has(storage: SqlStorage, key: str, over: threading.Event) -> No
     while not over.wait(0.02):
         for pid in holders(storage, key):
             if pid not in killed and pid != os.getpid() and len(killed) < 3:
-                os.kill(pid, signal.SIGSTOP)
-                still = pid in holders(storage, key)  # it may have done its work before it was stopped
-                os.kill(pid, signal.SIGKILL if still else signal.SIGCONT)
-                killed |= {pid} if still else set()
+                os.kill(pid, signal.SIGKILL)
+                killed.add(pid)
