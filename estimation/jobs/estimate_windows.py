@@ -180,7 +180,6 @@ JUDGE = Stage(
     counted=Counted(looked="wheelsets", changed="results"),
     store=store_verdicts,
     at_once=50,
-    here=True,
 )
 
 

@@ -190,7 +190,8 @@ class Stage(Generic[I, V]):
         inline: Whether the transaction that raises a facet makes what the stage is for, at its end; a run makes all of
             it again where the settings are others.
         here: Whether it is cheaper than handing it out, or its results are brought together: the process that runs the
-            job does it, without a claim.
+            job does it, without a claim. Not one that goes by due windows: only a claim tells a window that was listed
+            anew from one that was seen.
     """
 
     name: str

@@ -10,7 +10,7 @@ from bench.house import CORE_JOBS, job_statements
 
 MOST = {
     "refresh_alignment": 40,
-    "estimate_windows": 47,
+    "estimate_windows": 50,
     "refresh_geometry": 39,
     "refresh_adhesion": 101,
     "refresh_trends": 20,
@@ -18,7 +18,7 @@ MOST = {
     "refresh_rails": 55,
     "refresh_signatures": 66,
 }
-MOST_TO_ALERTS = 200
+MOST_TO_ALERTS = 203
 
 
 @pytest.mark.slow

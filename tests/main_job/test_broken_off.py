@@ -75,8 +75,8 @@ def test_a_killed_job_leaves_nothing_half_written_and_the_next_run_completes(
 ) -> None:
     for deployed in (fleet, second_fleet):
         deployed.receive(report.recordings[:3])
-    # its begin, mileages, sections, settings, 2 x (claim, result, end), and the third
-    killed(fleet, storage_url, "estimate_windows", 12)
+    # its begin, mileages (claim, result, end), sections, settings, 2 x (claim, result, end), and the third
+    killed(fleet, storage_url, "estimate_windows", 14)
     said, tabled = estimated(fleet)
     assert said == tabled
     assert len(said) == 2

@@ -11,6 +11,7 @@ import pytest
 from wheelset_life import SetClock, register, run_windows
 
 from estimation.errors import NotFiniteError, StorageError
+from estimation.jobs.catalogue import ALL_STAGES
 from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
@@ -267,3 +268,9 @@ def test_what_another_process_has_stored_meanwhile_is_not_stored_again(facts: Fa
     assert in_force(facts) == {"W1": 7.0, "W2": 2.0, "W3": 3.0}
     assert (others[0]["changed"], found["changed"]) == (3, 0)
     assert run(stage, context(facts, clock))["changed"] == 0
+
+
+def test_a_stage_without_claims_has_marks_that_tell_what_another_process_has_done() -> None:
+    unclaimed = [stage for stage in ALL_STAGES if stage.here]
+    assert len(unclaimed) >= 5
+    assert all(stage.facets and stage.again is None for stage in unclaimed)
