@@ -33,7 +33,7 @@ from estimation.filters import remove_wander
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.motion.integration import SignalParameters
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters, bin_parameters

@@ -21,8 +21,8 @@ from bench.wheelset_year import SERIAL, At, WheelsetYear
 from estimation.jobs.catalogue import ALL_STAGES, job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
+from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.jobs.steps.epoch_inputs import FileLookup, given
-from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobTrigger, Mark
 from estimation.values.track import AlignmentSource, FoldState, TrackEpoch

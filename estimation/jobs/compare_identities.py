@@ -24,7 +24,7 @@ from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspensio
 from estimation.alerts.rules.sensor_data import IdentityRule
 from estimation.jobs.job import JobContext
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
-from estimation.jobs.steps.vehicle_classes import identity_changes
+from estimation.jobs.steps.assumptions import identity_changes
 from estimation.storage import UnitOfWork
 from estimation.trend.suspension import SuspensionParameters, suspension_histories
 from estimation.values.alerts import Finding

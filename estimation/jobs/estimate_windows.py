@@ -19,8 +19,8 @@ from estimation.errors import NotFoundError, PassingFaultError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.steps.assumptions import Assumed, ClassLookup
 from estimation.jobs.steps.load_window import TableInputs, assemble_if_lost, inputs_of_batch, load_windows
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.checks import away_from_low_adhesion, refused_for_low_adhesion
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.mileage import implausible_mileages, implausible_places, without_doubt

@@ -20,6 +20,7 @@ from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
+from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.jobs.steps.epoch_inputs import Due, EpochSearch, FileLookup, Found, changed_from, otherwise_on_file
 from estimation.jobs.steps.epoch_passes import RunsOnFile, Solved, epoch_passes
 from estimation.jobs.steps.load_window import LATEST_NS
@@ -33,7 +34,6 @@ from estimation.jobs.steps.store_alignment import (
     store_epoch,
     survey_checked,
 )
-from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.track.passes import Entry, Journey, newest_within
 from estimation.track.results import place_alone

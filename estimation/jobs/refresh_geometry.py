@@ -14,6 +14,14 @@ from functools import partial
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.stage import Counted, Outcome, Stage, part_of_result
+from estimation.jobs.steps.assumptions import (
+    CONTRADICTED,
+    Assumed,
+    ClassLookup,
+    Membership,
+    PassedOverWindows,
+    membership,
+)
 from estimation.jobs.steps.estimated_geometry import (
     CONTRADICTIONS,
     EstimatedWith,
@@ -28,14 +36,6 @@ from estimation.jobs.steps.estimated_geometry import (
     windows_of_newest,
 )
 from estimation.jobs.steps.rolling import Part, Place, Rolled, by_interval, read_ahead, read_sums_ahead, rolled, sums
-from estimation.jobs.steps.vehicle_classes import (
-    CONTRADICTED,
-    Assumed,
-    ClassLookup,
-    Membership,
-    PassedOverWindows,
-    membership,
-)
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import weighted_sum
 from estimation.values.fields import JsonValue

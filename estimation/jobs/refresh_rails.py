@@ -22,8 +22,8 @@ from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.settings import RailsSettings
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.steps.assumptions import last_change
 from estimation.jobs.steps.rail_cells import CELL_VERSION, WheelsetCells, wheelset_cells
-from estimation.jobs.steps.vehicle_classes import last_change
 from estimation.rails.apart import exceeds, rails_apart, reported
 from estimation.rails.cell import (
     Anchors,

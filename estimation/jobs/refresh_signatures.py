@@ -16,9 +16,9 @@ from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.steps.assumptions import ClassLookup, identity_change, suspected
 from estimation.jobs.steps.signature_entries import Entries, EntryReader
 from estimation.jobs.steps.signature_windows import ASSUMED, JOB_NAME, OF_WINDOWS, usable
-from estimation.jobs.steps.vehicle_classes import ClassLookup, identity_change, suspected
 from estimation.jobs.work import fails_alone
 from estimation.signatures.answer import compared, judged
 from estimation.signatures.library import Change, Libraries, Subject, current

@@ -10,7 +10,7 @@ from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
-from estimation.jobs.steps.vehicle_classes import identity_changes
+from estimation.jobs.steps.assumptions import identity_changes
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, conicity_points
 from estimation.trend.trend import TrendParameters, behind_step, newest_step, refresh, with_step

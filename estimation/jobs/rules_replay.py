@@ -23,7 +23,7 @@ from estimation.alerts.rules.rule import WheelsetFacts, within_reach
 from estimation.alerts.rules.running_gear import LowAdhesionRule, SuspensionChangeRule, WeakDamperRule, section_finding
 from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.jobs.refresh_trends import trend_of
-from estimation.jobs.steps.vehicle_classes import identity_change
+from estimation.jobs.steps.assumptions import identity_change
 from estimation.jobs.steps.wheelset_facts import hunted_beside, windows_wanted
 from estimation.jobs.steps.window_creep import friction_parameters, pool_ends, pooled_ns
 from estimation.storage import UnitOfWork

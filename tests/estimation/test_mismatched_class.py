@@ -25,8 +25,8 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import EstimationSettings, JobSettings
+from estimation.jobs.steps.assumptions import Assumed, ClassLookup
 from estimation.jobs.steps.estimated_geometry import RadiusOnFile, former, remembered, stated
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.storage import Storage
 from estimation.values.geometry import Contradiction
 from estimation.values.reasons import Reason, ReasonCode, code_of

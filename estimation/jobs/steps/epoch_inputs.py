@@ -11,7 +11,7 @@ from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import TreadwatchError
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.track.passes import NANOSECONDS, Entry, Group, ProfileLife, first_epoch, profile_life
 from estimation.values.registry import Mounting, WheelsetRecord

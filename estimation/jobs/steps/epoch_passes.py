@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.assumptions import Assumed
 from estimation.jobs.steps.load_window import WindowLoader
-from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.jobs.work import fails_alone
 from estimation.motion.checks import gate, straight_part
 from estimation.storage import UnitOfWork

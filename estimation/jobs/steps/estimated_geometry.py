@@ -11,8 +11,8 @@ from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import check_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.assumptions import Assumed, Membership
 from estimation.jobs.steps.load_window import load_window
-from estimation.jobs.steps.vehicle_classes import Assumed, Membership
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
 from estimation.tables import bin_table

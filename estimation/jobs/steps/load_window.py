@@ -14,7 +14,7 @@ import numpy as np
 
 from estimation.errors import DamagedError, NotFoundError, PurgedError
 from estimation.jobs.job import JobContext
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
+from estimation.jobs.steps.assumptions import Assumed, ClassLookup
 from estimation.motion.axle_distance import (
     bogie_runs_backwards,
     check_axle_distance,

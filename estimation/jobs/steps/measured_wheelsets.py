@@ -11,7 +11,7 @@ from estimation.accuracy.fleet_accuracy import Comparison, baseline_at, compared
 from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ContactError, DamagedError, ProfileError
-from estimation.jobs.steps.vehicle_classes import ClassLookup, last_change
+from estimation.jobs.steps.assumptions import ClassLookup, last_change
 from estimation.storage import UnitOfWork
 from estimation.track.panel.basis import MeasuredCurve, measured_curve
 from estimation.track.passes import ProfileLife

@@ -12,8 +12,8 @@ import numpy as np
 from estimation.geometry.estimate import GeometryParameters
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import JobContext
+from estimation.jobs.steps.assumptions import Assumed, ClassLookup, Membership, membership
 from estimation.jobs.steps.rolling import Part, by_interval, members, rolled
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup, Membership, membership
 from estimation.rails.cell import section_conicity
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import BinParameters, bin_parameters, merge_all

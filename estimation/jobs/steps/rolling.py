@@ -13,7 +13,7 @@ from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, 
 from dataclasses import dataclass, replace
 from itertools import groupby
 
-from estimation.jobs.steps.vehicle_classes import Baseline, Membership
+from estimation.jobs.steps.assumptions import Baseline, Membership
 from estimation.motion.mileage import first_reading, known_mileage, read
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import TableSum

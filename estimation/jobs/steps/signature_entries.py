@@ -12,7 +12,7 @@ import numpy as np
 from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelPair, wheel_contact
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
-from estimation.jobs.steps.vehicle_classes import Baseline, ClassLookup, baselines, suspected
+from estimation.jobs.steps.assumptions import Baseline, ClassLookup, baselines, suspected
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, extrapolated

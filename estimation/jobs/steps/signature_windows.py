@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass, field, replace
 from estimation.errors import DamagedError, PurgedError, TreadwatchError
 from estimation.jobs.job import JobContext
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.steps.assumptions import Assumed, ClassLookup
 from estimation.jobs.steps.load_window import WindowLoader
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.jobs.work import fails_alone
 from estimation.motion.integration import WindowParameters
 from estimation.signatures.window_signatures import SignatureParameters, window_signatures

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.jobs.job import JobContext
+from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.jobs.steps.epoch_inputs import Due, given
 from estimation.jobs.steps.epoch_passes import Solved, place_windows
 from estimation.jobs.steps.load_window import assemble_if_lost
-from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.track.panel.instrumental_slope import PRIOR_STD
 from estimation.track.passes import Journey

@@ -17,7 +17,7 @@ from estimation.alerts.rules.running_gear import HuntingRule
 from estimation.alerts.rules.sensor_data import DataQualityRule, SensorFaultRule
 from estimation.alerts.rules.wheels import WheelFlatRule
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps.vehicle_classes import identity_changes
+from estimation.jobs.steps.assumptions import identity_changes
 from estimation.rails.cell import conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
 from estimation.trend.trend import behind_step

@@ -11,8 +11,8 @@ from estimation.alerts.rules.running_gear import LowAdhesionRule
 from estimation.dampers.damper import looked_at, window_damper
 from estimation.errors import DamagedError, PurgedError
 from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.assumptions import Assumed, ClassLookup
 from estimation.jobs.steps.load_window import BatchInputs, WindowLoader, inputs_of_batch
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.window_motion import window_motion
 from estimation.storage import UnitOfWork
 from estimation.values.opinions import WindowAdhesion, WindowDamper

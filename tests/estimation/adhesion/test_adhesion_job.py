@@ -24,8 +24,8 @@ from estimation.jobs import refresh_adhesion
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.rules_replay import section_replayed
+from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.jobs.steps.load_window import inputs_of_batch
-from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.window_creep import friction_parameters, pool_ends
 from estimation.values.alerts import AlertEventKind, AlertScope
 from estimation.values.opinions import SectionAdhesion

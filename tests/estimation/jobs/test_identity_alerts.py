@@ -14,7 +14,7 @@ from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, regist
 
 from bench.put_values import put_geometry
 from estimation.alerts.identity import Mistake, Observation, identity_events
-from estimation.jobs.steps.vehicle_classes import identity_change
+from estimation.jobs.steps.assumptions import identity_change
 from estimation.storage import Storage
 from estimation.values.alerts import AlertEventKind, CloseReason, Condition
 from estimation.values.geometry import BinValues, GeometryRecord, WheelsetGeometry

@@ -10,8 +10,8 @@ from test_isolation import NAMES, clock, counts, fleet, of
 from wheelset_life import SetClock
 
 from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.assumptions import Assumed, ClassLookup
 from estimation.jobs.steps.load_window import likely_chosen
-from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.values.roll_up import MOST_CHOSEN, RollingSums, WindowRollingSums
 from estimation.values.windows import Hunting

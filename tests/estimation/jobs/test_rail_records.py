@@ -29,9 +29,9 @@ from estimation.jobs.refresh_rails import (
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.jobs.steps import rail_cells
+from estimation.jobs.steps.assumptions import Membership
 from estimation.jobs.steps.rail_cells import LOST, wheelset_cells
 from estimation.jobs.steps.rolling import Part
-from estimation.jobs.steps.vehicle_classes import Membership
 from estimation.values.geometry import IntervalDigest
 from estimation.values.opinions import (
     SECTION_RAILS,

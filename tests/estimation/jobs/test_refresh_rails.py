@@ -22,8 +22,8 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.refresh_rails import anchor_inputs, anchors
 from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.jobs.steps import rail_cells
+from estimation.jobs.steps.assumptions import Membership
 from estimation.jobs.steps.rolling import Rolled, rolled
-from estimation.jobs.steps.vehicle_classes import Membership
 from estimation.rails.cell import RailsParameters
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS, RailPart, RailsReference, WheelsFinding

@@ -18,8 +18,8 @@ from smooth_wheelset import alignment, track
 from bench.put_values import put_table
 from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.jobs.steps import rolling
+from estimation.jobs.steps.assumptions import ClassLookup, Membership, membership
 from estimation.jobs.steps.rolling import rolled, sums
-from estimation.jobs.steps.vehicle_classes import ClassLookup, Membership, membership
 from estimation.motion.mileage import running_mileage
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import TableSum, bin_parameters, cells_of_window, init

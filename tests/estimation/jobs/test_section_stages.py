@@ -21,8 +21,8 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.refresh_alignment import ALIGNMENT
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import AnyStage
+from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.jobs.steps.epoch_inputs import FileLookup, changed_from
-from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling
 from estimation.values.runs import Mark

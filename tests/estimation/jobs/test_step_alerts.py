@@ -16,7 +16,7 @@ from api.schemas.trend import trend as served_trend
 from bench.put_values import put_geometry
 from estimation.alerts.rules.trend import LimitForecastRule, UnregisteredChangeRule, limit_forecast_finding
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps.vehicle_classes import last_change
+from estimation.jobs.steps.assumptions import last_change
 from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.storage import Storage
 from estimation.values.alerts import CloseReason, Severity

@@ -12,8 +12,8 @@ from executed_statements import executed_statements
 from test_load_window import SECOND, register, window
 
 from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.jobs.steps.load_window import WindowInputs, WindowLoader, inputs_of_batch
-from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.quantities import Status
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord

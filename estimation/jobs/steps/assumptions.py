@@ -1,4 +1,4 @@
-"""What is assumed of each wheelset on each vehicle: the class on file, with the wheelset's own nominal radius."""
+"""What is assumed of a wheelset: the class that it runs under, its profile and its identity; where its windows belong."""
 
 from __future__ import annotations
 
