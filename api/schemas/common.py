@@ -1,4 +1,4 @@
-"""What every representation is made of: numbers with their uncertainty, links, pages."""
+"""What every representation is made of: numbers with their uncertainty, links, pages, and assets of the registry."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The alert rules: facts about a wheelset in, findings out. One file a rule."""
+"""The alert rules: facts about a wheelset in, findings out. One file a subject."""

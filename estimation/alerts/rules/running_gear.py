@@ -1,4 +1,4 @@
-"""Rules on the running gear: its yaw suspension, its lateral dampers, and wheelsets that hunt."""
+"""Rules on the running gear: yaw suspension, lateral dampers, wheelsets that hunt, rails with low adhesion."""
 
 from __future__ import annotations
 

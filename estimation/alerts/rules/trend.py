@@ -1,4 +1,4 @@
-"""Rules on what the registry has wrong: a wheelset that is not the one on file, and a change that nobody registered."""
+"""Rules on the trend: the limit that it reaches, and a sudden change that nobody registered."""
 
 from __future__ import annotations
 

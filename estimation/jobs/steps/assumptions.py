@@ -1,4 +1,4 @@
-"""What is assumed of a wheelset: the class that it runs under, its profile and its identity; where its windows belong."""
+"""What is assumed of a wheelset: its class, profile and identity; and where its windows belong."""
 
 from __future__ import annotations
 
