@@ -81,10 +81,14 @@ def clock() -> SetClock:
     return SetClock(10**15)
 
 
-@pytest.fixture(params=["claimed", "here"])
-def facts(sqlite_storage: SqlStorage, request: pytest.FixtureRequest) -> Facts:
-    register(sqlite_storage, "W1", "W2", "W3")
-    facts = Facts(sqlite_storage, here=request.param == "here")
+@pytest.fixture(
+    params=[("sqlite", False), ("sqlite", True), ("postgres", True)], ids=["claimed", "here", "here-postgres"]
+)
+def facts(request: pytest.FixtureRequest) -> Facts:
+    database, here = request.param
+    storage = request.getfixturevalue(f"{database}_storage")
+    register(storage, "W1", "W2", "W3")
+    facts = Facts(storage, here=here)
     for number, serial in enumerate(("W1", "W2", "W3"), start=1):
         facts.set(serial, float(number))
     return facts
