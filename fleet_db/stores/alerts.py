@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any, NamedTuple, TypedDict, Unpack
 
 from sqlalchemy import ColumnElement, Connection, Select, and_, insert, or_, select, update
+from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
@@ -280,7 +281,6 @@ class AlertStore:
             ConflictError: It was changed since it was read, or another of its kind is open.
         """
         serialise(self.connection, Subject.ALERTS)
-        self._only_open(alert)
         alert = replace(alert, evidence=json.loads(to_json(dict(alert.evidence))))
         saved = self._insert(alert) if alert.alert_id == 0 else self._update(alert, changed=bool(events))
         in_feed = bool(events) and self._in_feed(saved)
@@ -315,8 +315,11 @@ class AlertStore:
     def _insert(self, alert: Alert) -> Alert:
         values = _fields(replace(alert, version=1))
         del values["alert_id"]
-        statement = insert(ALERTS).values(**values).returning(ALERTS.c.alert_id)
-        return replace(alert, alert_id=self.connection.execute(statement).scalar_one(), version=1)
+        new = (postgresql if self.connection.dialect.name == "postgresql" else sqlite).insert(ALERTS).values(**values)
+        number = self.connection.scalar(new.on_conflict_do_nothing().returning(ALERTS.c.alert_id))
+        if number is None:
+            self._only_open(alert)
+        return replace(alert, alert_id=number, version=1)
 
     def _update(self, alert: Alert, *, changed: bool) -> Alert:
         stored = self.get(alert.alert_id)
@@ -328,13 +331,14 @@ class AlertStore:
             )
         if stored == alert and not changed:
             return stored
+        if stored.closed_ns is not None and alert.closed_ns is None:
+            self._only_open(alert)
         saved = replace(alert, version=alert.version + 1)
         self.connection.execute(update(ALERTS).where(ALERTS.c.alert_id == alert.alert_id).values(**_fields(saved)))
         return saved
 
     def _only_open(self, alert: Alert) -> None:
-        if alert.closed_ns is not None:
-            return
+        """Raise where another alert of the kind is open."""
         statement = select(ALERTS.c.alert_id).where(
             _OPEN,
             ALERTS.c.fleet == alert.fleet,

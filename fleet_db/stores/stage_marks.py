@@ -120,7 +120,7 @@ class StageMarkStore:
         return int(row.own or 0), int(row.beside or 0)
 
     def look(self, stages: Sequence[StageInputs], now_ns: int, counted: Collection[str], job: str) -> Look:
-        """Return what is due of stages; one statement for all.
+        """Return what is due of stages; one statement for all, which reads the version of the registry, too.
 
         Args:
             counted: Names of the stages of which is counted what they have seen.
@@ -135,6 +135,7 @@ class StageMarkStore:
             for stage in sorted(counted)
         ]
         rows = self.connection.execute(union_all(*looks, _look(_HELD, job).where(held))).all()
+        self.on_file.renew(next((row.registry for row in rows if row.registry is not None), None))
         listed = frozenset(row.stage for row in rows if row.what == _LISTED)
         due: dict[str, dict[str, Due]] = {one.stage: {} for one in of_windows if one.stage not in listed}
         for row in rows:

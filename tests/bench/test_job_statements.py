@@ -13,12 +13,12 @@ MOST = {
     "estimate_windows": 50,
     "refresh_geometry": 39,
     "refresh_adhesion": 101,
-    "refresh_trends": 20,
-    "evaluate_alerts": 54,
+    "refresh_trends": 19,
+    "evaluate_alerts": 52,
     "refresh_rails": 55,
     "refresh_signatures": 66,
 }
-MOST_TO_ALERTS = 203
+MOST_TO_ALERTS = 200
 
 
 @pytest.mark.slow
