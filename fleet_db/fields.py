@@ -19,6 +19,7 @@ from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hin
 
 import numpy as np
 import numpy.typing as npt
+import orjson
 import zstandard
 
 from estimation.errors import DamagedError, StorageError
@@ -58,7 +59,7 @@ def unpack(blob: bytes, kind: str, *, where: str) -> tuple[Mapping[str, Any], Ma
     try:
         body = _unfolded(blob[len(MAGIC) + 1 :])
         (length,) = struct.unpack_from("<I", body)
-        header = json.loads(body[4 : 4 + length])
+        header = orjson.loads(body[4 : 4 + length])
         arrays = _arrays(body, 4 + length, header["arrays"])
     except (zstandard.ZstdError, struct.error, ValueError, KeyError, TypeError) as error:
         raise DamagedError(f"{where}: damaged ({error})") from error
@@ -130,10 +131,8 @@ def value_of(kind: type[V], scalars: Mapping[str, Any], arrays: Mapping[str, Arr
     """Return the value of what ``fields_of`` returned; ``given`` wins. Raises StorageError where a field is missing."""
     stored = dict(given)
     try:
-        for name in hints_of(cast("Hashable", kind)):
-            if name not in given:
-                read = _field_reader(cast("Hashable", kind), name)
-                stored[name] = arrays[name] if read is None else read(scalars[name])
+        for name, read in _field_readers(cast("Hashable", kind), frozenset(given)):
+            stored[name] = arrays[name] if read is None else read(scalars[name])
     except (LookupError, ValueError) as error:
         raise StorageError(f"a packed {kind.__name__} does not fit: {error}") from error
     return kind(**stored)
@@ -175,13 +174,19 @@ def _reader(hint: Hashable) -> Callable[[Any], Any]:
     if hint is float:
         return _number
     if isinstance(hint, type) and issubclass(hint, Enum):
-        return _Members(hint).__getitem__
+        return Members(hint).__getitem__
     if isinstance(hint, type) and is_dataclass(hint):
         return _value_reader(hint)
-    return lambda stored: stored
+    return _same
+
+
+def _same(stored: Any) -> Any:  # noqa: ANN401 - as ``from_json``
+    return stored
 
 
 def _collection_reader(origin: object, read: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    if read is _same:
+        return tuple if origin is tuple else dict
     if origin is tuple:
         return lambda stored: tuple(map(read, stored))
     return lambda stored: {name: read(one) for name, one in stored.items()}
@@ -196,8 +201,8 @@ def _value_reader(kind: type[Any]) -> Callable[[Any], Any]:
     return read
 
 
-class _Members(dict[Any, Enum]):
-    """The members of an enumeration by their values: a geometry holds hundreds, and to call the class takes longer."""
+class Members(dict[Any, Enum]):
+    """The members of an enumeration by their values: hundreds are read at once, and to call the class takes longer."""
 
     def __init__(self, kind: type[Enum]) -> None:
         super().__init__({member.value: member for member in kind})
@@ -216,10 +221,10 @@ def _number(stored: object) -> float:
 
 
 @cache
-def _field_reader(kind: Hashable, name: str) -> Callable[[Any], Any] | None:
-    """Return what reads a field of a dataclass from JSON; None where it is an array."""
-    hint = hints_of(kind)[name]
-    return None if get_origin(hint) is np.ndarray else _reader(hint)
+def _field_readers(kind: Hashable, without: frozenset[str]) -> tuple[tuple[str, Callable[[Any], Any] | None], ...]:
+    """Return what reads the fields of a dataclass from JSON; None where one is an array."""
+    hints = ((name, hint) for name, hint in hints_of(kind).items() if name not in without)
+    return tuple((name, None if get_origin(hint) is np.ndarray else _reader(hint)) for name, hint in hints)
 
 
 @cache

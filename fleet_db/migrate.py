@@ -6,8 +6,6 @@ import re
 from functools import cache
 from pathlib import Path
 
-from alembic import command
-from alembic.config import Config
 from sqlalchemy import Connection, Engine, inspect, text
 
 from estimation.errors import MigrationError
@@ -70,6 +68,9 @@ def known_revisions() -> tuple[str, ...]:
 
 def upgrade(url: str) -> str:
     """Create the database file if there is none, run every missing migration in one transaction; return the head."""
+    from alembic import command  # noqa: PLC0415 - commands that do not migrate start without it
+    from alembic.config import Config  # noqa: PLC0415 - the same
+
     engine = database_engine(url)
     file = sqlite_file(engine)
     if file is not None:

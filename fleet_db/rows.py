@@ -26,7 +26,7 @@ from sqlalchemy import (
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.reasons import Reason, ReasonCode
-from fleet_db.fields import hints_of
+from fleet_db.fields import Members, hints_of
 from fleet_db.tables import Base
 
 V = TypeVar("V")
@@ -221,7 +221,8 @@ def _column_reader(hint: Any) -> Callable[[Any], Any] | None:  # noqa: ANN401 - 
         return stored_reason
     if not isinstance(plain, type) or not issubclass(plain, Enum | tuple | frozenset):
         return None
-    return lambda stored: None if stored is None else plain(stored)
+    read = Members(plain).__getitem__ if issubclass(plain, Enum) else plain
+    return lambda stored: None if stored is None else read(stored)
 
 
 def _optional(hint: Any) -> bool:  # noqa: ANN401 - the same

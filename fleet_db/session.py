@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import orjson
 import sqlalchemy
 from sqlalchemy import URL, Connection, Dialect, Engine, event
 from sqlalchemy.exc import (
@@ -175,6 +176,7 @@ def _sqlite_engine(url: URL) -> Engine:
         url.set(drivername="sqlite+pysqlite", query={}),
         connect_args={"timeout": BUSY_TIMEOUT_MS / 1000},
         json_serializer=to_json,
+        json_deserializer=orjson.loads,
     )
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
@@ -220,6 +222,7 @@ def _postgresql_engine(url: URL, limits: ServerLimits) -> Engine:
         pool_timeout=POOL_TIMEOUT_S,
         connect_args={**limits.options(), "cursor_factory": EndedPipelineCursor},
         json_serializer=to_json,
+        json_deserializer=orjson.loads,
     )
     guard_connecting(engine, partial(WatchedConnection.open, limits.silence_s, limits.statement_s))
     event.listen(engine, "checkout", partial(_check_idle, engine.dialect))

@@ -23,18 +23,18 @@ from estimation.values.geometry import (
     key_of_part,
     part_of,
 )
-from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import Result, ResultKind
 from estimation.values.trend import TREND, TrendRecord, WearTrend
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
-from fleet_db.stores.results import RESULTS, Parts, ResultStore
+from fleet_db.stores.results import RESULTS, Parts, ResultHead, ResultStore
 from fleet_db.stores.window_rows import NOTED_OF, noted_columns, noted_in
 from fleet_db.subjects import ReadOnce
 from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import WheelsetBinRow, WindowBinTableRow
 
 V = TypeVar("V")
+Stored = TypeVar("Stored", Result[WheelsetGeometry], ResultHead)
 BINS = table_of(WheelsetBinRow)
 UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in COMBINATIONS}
 TABLES, WHEELSETS = table_of(WindowBinTableRow), table_of(WheelsetRow)
@@ -196,32 +196,23 @@ class GeometryStore:
         if not wheelsets:
             return
         stored = _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), lambda result: result)
-        newest, shown = {wheelset: _newest(results) for wheelset, results in stored.items()}, self._shown(wheelsets)
-        changed = {
-            serial: (one, one.value)
-            for serial, one in newest.items()
-            if one.value is not None and one.number != shown.get(serial)
-        }
-        rows = [row for result, value in changed.values() for row in _bin_rows(result, value)]
-        if changed.keys() & shown.keys():
-            self.connection.execute(delete(BINS).where(BINS.c.wheelset.in_(changed)))
+        newest = (_newest(results) for results in stored.values())
+        rows = [row for one in newest if one.value is not None for row in _bin_rows(one, one.value)]
         if rows:
+            self.connection.execute(delete(BINS).where(BINS.c.wheelset.in_({row["wheelset"] for row in rows})))
             self.connection.execute(insert(BINS), rows)
 
 
-def _by_subject(
-    results: Iterable[Result[WheelsetGeometry]], value: Callable[[Result[WheelsetGeometry]], V]
-) -> dict[str, list[V]]:
+def _by_subject(results: Iterable[Stored], value: Callable[[Stored], V]) -> dict[str, list[V]]:
     found: dict[str, list[V]] = {}
     for result in results:
         found.setdefault(result.subject, []).append(value(result))
     return found
 
 
-def _interval_digest(result: Result[WheelsetGeometry]) -> tuple[tuple[int, int], IntervalDigest]:
-    (baseline, interval), windows = key_of_part(result.part), _head(result)["windows"]
-    reason = None if result.status is Status.ESTIMATED else result.reason
-    return (baseline, interval or 0), IntervalDigest(result.made_from, windows, reason)
+def _interval_digest(result: ResultHead) -> tuple[tuple[int, int], IntervalDigest]:
+    baseline, interval = key_of_part(result.part)
+    return (baseline, interval or 0), IntervalDigest(result.made_from, _head(result)["windows"], result.reason)
 
 
 def _newest(results: Sequence[Result[WheelsetGeometry]]) -> Result[WheelsetGeometry]:
@@ -239,7 +230,7 @@ def _spanned(baselines: Collection[int]) -> Parts:
     return (_intervals(min(baselines))[0], _intervals(max(baselines))[1]) if baselines else INTERVALS
 
 
-def _head(result: Result[Any]) -> dict[str, Any]:
+def _head(result: Result[Any] | ResultHead) -> dict[str, Any]:
     if not isinstance(result.head, dict):
         raise DamagedError(f"head of geometry {result.number} of {result.subject}: damaged")
     return result.head
@@ -264,7 +255,7 @@ def _record(result: Result[WheelsetGeometry]) -> GeometryRecord:
     )
 
 
-def _conicities(result: Result[WheelsetGeometry]) -> IntervalConicities:
+def _conicities(result: ResultHead) -> IntervalConicities:
     """Return what the head of a geometry says of its conicities: a trend reads hundreds of them, and no bins."""
     head, (baseline, interval) = _head(result), key_of_part(result.part)
     try:

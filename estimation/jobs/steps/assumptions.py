@@ -30,16 +30,13 @@ class Assumed:
         on_file: Class of the vehicle.
         windows: What turns the window into motion.
         table_key: Of the bin tables that follow.
+        digest: Of all that a result rests on, standard deviations included.
     """
 
     on_file: ClassOnFile
     windows: WindowParameters
     table_key: str
-
-    @property
-    def digest(self) -> str:
-        """Digest of all that a result rests on, standard deviations included."""
-        return f"{self.table_key} {self.on_file.digest}"
+    digest: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +98,8 @@ class ClassLookup:
         if isinstance(on_file, Reason):
             return on_file
         windows = self.settings.windows(on_file.vehicle_class, self.wheelset(wheelset).nominal_radius_m)
-        return Assumed(on_file, windows, bin_parameters(windows).key)
+        table_key = bin_parameters(windows).key
+        return Assumed(on_file, windows, table_key, f"{table_key} {on_file.digest}")
 
 
 def class_unknown(code: str) -> Reason:
