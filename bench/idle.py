@@ -136,9 +136,9 @@ def _run_counted(context: JobContext, job: Job, spent: Spent, server_s: Callable
     event.listen(Engine, "before_cursor_execute", count)
     write = SqlStorage.write
 
-    def counted_write(self: SqlStorage):  # noqa: ANN202 - as the method
+    def counted_write(self: SqlStorage, **terms: bool):  # noqa: ANN202 - as the method
         asked["write"] += 1
-        return write(self)
+        return write(self, **terms)
 
     SqlStorage.write = counted_write  # type: ignore[method-assign]
     try:
