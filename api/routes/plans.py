@@ -17,6 +17,7 @@ from api.services import ServicesDep, require_known
 from api.times import Timestamp, to_rfc3339
 from estimation.values.alerts import Urgency, WorklistRow, WorklistState
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.worklist.row import OVER
 from estimation.worklist.turning_plan import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
 from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistFilter
@@ -75,7 +76,7 @@ def candidate(row: WorklistRow, *, nominal_radii: bool) -> Candidate | None:
         vehicle=mounting.vehicle,
         axle=mounting.axle,
         bogie=None if row.position is None else row.position.bogie,
-        over_limit=state.urgency is Urgency.OVER_LIMIT,
+        over_limit=state.urgency in OVER,
         due_ns=None if due is None else round(due),
         reason="; ".join(reason.text for reason in state.reasons),
         unknown=_unknown(state),
@@ -85,7 +86,7 @@ def candidate(row: WorklistRow, *, nominal_radii: bool) -> Candidate | None:
 
 def _unknown(state: WorklistState) -> Reason | None:
     missing = state.forecast_reason
-    if missing is not None and missing.code is not ReasonCode.BEYOND_HORIZON:
+    if missing is not None and missing.code is not ReasonCode.BEYOND_HORIZON and not state.below_limit:
         return missing
     if state.urgency is Urgency.DUE and state.date_of_limit_ns.p10 is None:
         return Reason(ReasonCode.SINGLE_DATE, f"no date is known: {state.reasons[0].text}")

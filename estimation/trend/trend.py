@@ -12,6 +12,7 @@ from scipy.special import ndtr
 from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, by_amplitude
 from estimation.trend.wear_curve import POINTS_FOR_OUTLIERS, WearCurve, fit_wear_curve
+from estimation.values.alerts import NO_FORECAST
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.geometry import IntervalConicities, KnownConicity
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
@@ -58,7 +59,7 @@ def _scatter(value: FloatArray, std: FloatArray) -> FloatArray:
 
 YEAR_NS = 365.25 * 86_400e9
 ONE_DATE = Reason(ReasonCode.SINGLE_DATE, "all points have one date")
-NO_FORECAST = Forecast(None, None, None)
+QUANTILES = {"p10": 0.1, "p50": 0.5, "p90": 0.9}
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +198,7 @@ def _estimated(
 
 
 def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:
-    return Forecast(*(curve.reaches(limit, probability, horizon) for probability in (0.1, 0.5, 0.9)))
+    return Forecast(*(curve.reaches(limit, probability, horizon) for probability in QUANTILES.values()))
 
 
 def probability_above(estimate: Estimate, limit: float) -> float | None:
@@ -216,12 +217,14 @@ def probability_within(trend: WearTrend, distance_km: float) -> float | None:
     # quantile it stays at that quantile's probability.
     if trend.status is not Status.ESTIMATED or trend.probability_over_limit is None:
         return None
-    ahead = trend.distance_to_limit_km
     distances, probabilities = [0.0], [trend.probability_over_limit]
-    for probability, distance in ((0.1, ahead.p10), (0.5, ahead.p50), (0.9, ahead.p90)):
+    for name, probability in QUANTILES.items():
+        distance = getattr(trend.distance_to_limit_km, name)
         if distance is not None and distance > distances[-1]:
             distances.append(distance)
-            probabilities.append(max(probability, trend.probability_over_limit))
+            probabilities.append(max(probability, probabilities[0]))
+        elif distance is not None:
+            probabilities[-1] = max(probability, probabilities[-1])
     return float(np.interp(distance_km, distances, probabilities))
 
 

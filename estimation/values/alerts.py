@@ -167,12 +167,13 @@ class Transition:
 class Urgency(MeaningEnum):
     """How soon somebody has to look at a wheelset, the most urgent first; ``meaning`` is what puts it there."""
 
-    OVER_LIMIT = "The conicity limit is exceeded, or was when that could be assessed last."
+    OVER_LIMIT = "The conicity limit is exceeded (probability of 0.9 or more), or was when that could be assessed last."
+    PROBABLY_OVER = "The limit is exceeded with a probability of 0.5 or more, or the alert on it is not cleared yet."
     CRITICAL_ALERT = "A critical alert of another kind is open, hunting for one."
     DUE = "The limit may be reached within 30,000 km (p10), or the alert on its forecast is open."
-    WARNING_ALERT = "A warning of another kind is open."
+    WATCH = "A warning of another kind is open."
     UNKNOWN = "No number of it can be trusted; the reason says why."
-    NOT_DUE = "The limit is further away, and no alert is open."
+    FINE = "The limit is further away, or the whole interval of its conicity is below it; no warning is open."
     NOT_MOUNTED = "It runs under no vehicle."
 
     @property
@@ -217,23 +218,39 @@ class MileageNow:
     at_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class WorklistState:
+NO_FORECAST = Forecast(None, None, None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LimitNow:
+    """What is believed of a wheelset and its conicity limit as of its newest believed mileage."""
+
+    conicity: Annotated[Estimate, Served("Equivalent conicity at 3 mm of the current profile.", "conicity_1")]
+    slope_per_1000_km: Annotated[Estimate, Served("Of the trend since the last reprofiling.", "slope_1_per_1000_km")]
+    limit: Annotated[float | None, Served("Conicity limit by class and speed of its vehicle.", "limit_1")] = None
+    probability_over_limit: Annotated[
+        float | None,
+        Served("That the limit is exceeded at `mileage_km`; null means unknown.", "probability_over_limit_1"),
+    ] = None
+    distance_to_limit_km: Forecast = NO_FORECAST
+    date_of_limit_ns: Forecast = NO_FORECAST
+    since_trend_km: Annotated[float | None, Served("Run since the last point of the trend.")] = None
+    forecast_reason: Reason | None = None  # why a quantile is missing; None where none is
+    mileage: MileageNow | None = None
+
+    @property
+    def below_limit(self) -> bool:
+        """Whether the whole 95 % interval of the conicity is below the limit."""
+        known = self.conicity.status is Status.ESTIMATED and self.conicity.high is not None and self.limit is not None
+        return known and self.conicity.high < self.limit  # type: ignore[operator]  # both are known
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorklistState(LimitNow):
     """How a wheelset is now."""
 
     status: Annotated[Status, Served("Of the conicity now.")]
-    conicity: Annotated[Estimate, Served("Equivalent conicity at 3 mm of the current profile.", "conicity_1")]
     measured_until_ns: Annotated[int | None, Served("End of the newest data behind the conicity.", "measured_until")]
-    slope_per_1000_km: Annotated[Estimate, Served("Of the trend since the last reprofiling.", "slope_1_per_1000_km")]
-    limit: Annotated[float | None, Served("Conicity limit that the trend is held against.", "limit_1")]
-    probability_over_limit: Annotated[
-        float | None, Served("That the limit is exceeded; null means unknown.", "probability_over_limit_1")
-    ]
-    distance_to_limit_km: Forecast
-    since_trend_km: Annotated[float | None, Served("Run since the last point of the trend.")]
-    date_of_limit_ns: Forecast  # quantiles of the date
-    forecast_reason: Reason | None  # why a quantile is missing; None where none is
-    mileage: MileageNow | None
     last_data_ns: Annotated[int | None, Served("End of the newest data that are estimated or wait for it.")]
     alerts: Annotated[tuple[OpenAlert, ...], Served("Open alerts, the worst first.")]
     urgency: Urgency
@@ -251,6 +268,7 @@ class WorklistRow:
 
 
 SECOND_NS = 1_000_000_000
+SHOWN_DIGITS = 6  # of what other faces show as well: more than any of them prints, so that all round alike
 MOST_NS = 2.0**63 - SECOND_NS  # so that the rounded time is within 64 bits
 
 
@@ -303,9 +321,11 @@ def number_evidence(value: float | None, digits: int = 4) -> float | None:
 def estimate_evidence(value: Estimate) -> dict[str, JsonValue]:
     """Return an estimate with its interval and status, as the API writes it."""
     return {
-        "value": number_evidence(value.value),
-        "std": number_evidence(value.std, 3),
-        "interval_95": None if value.low is None else [number_evidence(value.low), number_evidence(value.high)],
+        "value": number_evidence(value.value, SHOWN_DIGITS),
+        "std": number_evidence(value.std, SHOWN_DIGITS),
+        "interval_95": None
+        if value.low is None
+        else [number_evidence(e, SHOWN_DIGITS) for e in (value.low, value.high)],
         "n_windows": number_evidence(value.count),
         "status": str(value.status),
         "reason": text_of(value.reason),
@@ -318,7 +338,7 @@ def unknown_evidence(reason: Reason | None) -> dict[str, JsonValue]:
     return {"unknown_because": text_of(reason), "unknown_because_code": code_of(reason)}
 
 
-def forecast_evidence(value: Forecast, digits: int = 3) -> dict[str, JsonValue]:
+def forecast_evidence(value: Forecast, digits: int = SHOWN_DIGITS) -> dict[str, JsonValue]:
     """Return the quantiles of a forecast."""
     return {name: number_evidence(getattr(value, name), digits) for name in ("p10", "p50", "p90")}
 

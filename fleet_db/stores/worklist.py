@@ -81,7 +81,7 @@ class WorklistReader:
             serial, mounting = record.serial, record.mounting
             vehicle = None if mounting is None else vehicles[mounting.vehicle]
             last_ns, mileage = windows[serial]
-            if mileage is None and mounting is not None:
+            if mounting is not None and (mileage is None or mileage.at_ns < mounting.from_ns):
                 mileage = MileageNow(mounting.wheelset_mileage_km, mounting.from_ns)
             current, trend = geometries.get(serial), trends.get(serial)
             failure = next((one for one in (current, trend) if isinstance(one, Reason)), None)
