@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from estimation.alerts.rules.conicity_limit import Believed
 from estimation.trend.now import LimitState, limit_now
-from estimation.values.alerts import LimitNow, MileageNow
+from estimation.values.alerts import NO_FORECAST, LimitNow, MileageNow
 from estimation.values.geometry import WheelsetGeometry
-from estimation.values.quantities import Estimate
+from estimation.values.quantities import Estimate, Forecast
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import WearTrend
 
@@ -17,11 +17,19 @@ def believed(state: LimitState, limit: float = 0.4) -> Believed:
     """Return what is believed where the data alone say it."""
     against = state.against(limit)
     over = None if against is None else against.probability
-    return Believed(
-        state,
-        limit,
-        LimitNow(conicity=state.conicity, slope_per_1000_km=NO_TREND, limit=limit, probability_over_limit=over),
-    )
+    return Believed(state, limit, limit_of(over, state.conicity, limit))
+
+
+def limit_of(
+    over: float | None,
+    conicity: Estimate,
+    limit: float = 0.4,
+    distance_km: Forecast = NO_FORECAST,
+    reason: Reason | None = None,
+    date_ns: Forecast = NO_FORECAST,
+) -> LimitNow:
+    """Return what is believed, as it is given."""
+    return LimitNow(conicity, NO_TREND, limit, over, distance_km, None, date_ns, reason, None)
 
 
 def ahead_of(geometry: WheelsetGeometry, trend: WearTrend, since_km: float | None = None) -> LimitNow:

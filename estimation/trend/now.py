@@ -21,7 +21,7 @@ from estimation.trend.extrapolation import (
     extrapolated,
 )
 from estimation.trend.trend import QUANTILES, probability_above, probability_within
-from estimation.values.alerts import LimitNow, MileageNow, Severity, Urgency
+from estimation.values.alerts import NO_FORECAST, LimitNow, MileageNow, Severity, Urgency
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, code_of
@@ -176,6 +176,10 @@ def limit_now(
         conicity=conicity,
         slope_per_1000_km=Estimate.unknown(NO_TREND) if trend is None else _published(trend.slope_per_1000_km),
         limit=finite(limit),
+        probability_over_limit=None,
+        distance_to_limit_km=NO_FORECAST,
+        since_trend_km=None,
+        date_of_limit_ns=NO_FORECAST,
         forecast_reason=_why_no_forecast(geometry, trend, conicity),
         mileage=mileage,
     )

@@ -221,22 +221,22 @@ class MileageNow:
 NO_FORECAST = Forecast(None, None, None)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class LimitNow:
     """What is believed of a wheelset and its conicity limit as of its newest believed mileage."""
 
     conicity: Annotated[Estimate, Served("Equivalent conicity at 3 mm of the current profile.", "conicity_1")]
     slope_per_1000_km: Annotated[Estimate, Served("Of the trend since the last reprofiling.", "slope_1_per_1000_km")]
-    limit: Annotated[float | None, Served("Conicity limit by class and speed of its vehicle.", "limit_1")] = None
+    limit: Annotated[float | None, Served("Conicity limit by class and speed of its vehicle.", "limit_1")]
     probability_over_limit: Annotated[
         float | None,
         Served("That the limit is exceeded at `mileage_km`; null means unknown.", "probability_over_limit_1"),
-    ] = None
-    distance_to_limit_km: Forecast = NO_FORECAST
-    date_of_limit_ns: Forecast = NO_FORECAST
-    since_trend_km: Annotated[float | None, Served("Run since the last point of the trend.")] = None
-    forecast_reason: Reason | None = None  # why a quantile is missing; None where none is
-    mileage: MileageNow | None = None
+    ]
+    distance_to_limit_km: Forecast
+    since_trend_km: Annotated[float | None, Served("Run since the last point of the trend.")]
+    date_of_limit_ns: Forecast  # quantiles of the date
+    forecast_reason: Reason | None  # why a quantile is missing; None where none is
+    mileage: MileageNow | None
 
     @property
     def below_limit(self) -> bool:
@@ -245,7 +245,7 @@ class LimitNow:
         return known and self.conicity.high < self.limit  # type: ignore[operator]  # both are known
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class WorklistState(LimitNow):
     """How a wheelset is now."""
 

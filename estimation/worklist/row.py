@@ -74,8 +74,11 @@ def judged(
     """Return how urgent a wheelset is, and why."""
     standing = [alert for alert in alerts if alert.condition in {Condition.ACTIVE, Condition.UNKNOWN}]
     of_limit = {alert.kind: alert for alert in standing if alert.kind in OF_LIMIT}
-    why = _of_limit(now, of_limit.get(ConicityLimitRule.kind), of_limit.get(LimitForecastRule.kind))
+    exceeded, not_known = of_limit.get(ConicityLimitRule.kind), _why_not_known(now)
+    why = _of_limit(now, exceeded, of_limit.get(LimitForecastRule.kind), not_known)
     why += [_of_alert(alert, last_ns, refused=refused) for alert in standing if alert.kind not in OF_LIMIT]
+    if not_known is not None and (exceeded is None or exceeded.condition is not Condition.ACTIVE):
+        why.append(_of_conicity(now, not_known))
     why.sort(key=lambda pair: pair[0].rank)
     if mounted:
         return why[0][0], tuple(reason for _, reason in why)
@@ -106,27 +109,35 @@ def distance_key(state: WorklistState) -> float | None:
     return 2.0 * FAR_KM if beyond else None
 
 
-def _of_limit(now: LimitNow, exceeded: OpenAlert | None, forecast: OpenAlert | None) -> list[_Why]:
+def _why_not_known(now: LimitNow) -> Reason | None:
+    """Return why nothing is forecast; None where something is: that the limit is beyond the horizon is."""
+    reason = now.forecast_reason
+    return None if reason is None or reason.code is ReasonCode.BEYOND_HORIZON else reason
+
+
+def _of_limit(
+    now: LimitNow, exceeded: OpenAlert | None, forecast: OpenAlert | None, not_known: Reason | None
+) -> list[_Why]:
     """Return how urgent the limit makes a wheelset, by what is believed now and the open alerts on the limit."""
-    distance, reason = now.distance_to_limit_km, now.forecast_reason
-    not_known = None if reason is None or reason.code is ReasonCode.BEYOND_HORIZON else reason
-    why: list[_Why] = []
-    over = SCALE.over(now.probability_over_limit)
+    over, distance = SCALE.over(now.probability_over_limit), now.distance_to_limit_km
     if over is not None or exceeded is not None:
-        why.append(_exceeded(over, exceeded, now.probability_over_limit))
-    elif forecast is not None or SCALE.due(distance):
+        return [_exceeded(over, exceeded, now.probability_over_limit)]
+    if forecast is not None or SCALE.due(distance):
         text = _due(distance) if not_known is None else "the limit was forecast near when it could be assessed last"
-        why.append((Urgency.DUE, Reason(ReasonCode.LIMIT_AHEAD, text)))
-    elif not_known is None and distance.p10 is None:
-        why.append((Urgency.FINE, reason or BEYOND))
-    elif not_known is None:
-        why.append((Urgency.FINE, Reason(ReasonCode.LIMIT_AHEAD, _due(distance))))
-    if not_known is None or (exceeded is not None and exceeded.condition is Condition.ACTIVE):
-        return why
-    if now.below_limit:
-        text = f"conicity of at most {now.conicity.high:.2f} below the limit of {now.limit:.2f}; {not_known.text}"
-        return [*why, (Urgency.FINE, Reason(not_known.code, text))]
-    return [*why, (Urgency.UNKNOWN, not_known)]
+        return [(Urgency.DUE, Reason(ReasonCode.LIMIT_AHEAD, text))]
+    if not_known is not None:
+        return []
+    if distance.p10 is None:
+        return [(Urgency.FINE, now.forecast_reason or BEYOND)]
+    return [(Urgency.FINE, Reason(ReasonCode.LIMIT_AHEAD, _due(distance)))]
+
+
+def _of_conicity(now: LimitNow, not_known: Reason) -> _Why:
+    """Return how urgent a wheelset is by its conicity alone: nothing is forecast of it."""
+    if not now.below_limit:
+        return Urgency.UNKNOWN, not_known
+    text = f"conicity of at most {now.conicity.high:.2f} below the limit of {now.limit:.2f}; {not_known.text}"
+    return Urgency.FINE, Reason(not_known.code, text)
 
 
 def _exceeded(over: Urgency | None, alert: OpenAlert | None, probability: float | None) -> _Why:

@@ -10,7 +10,7 @@ import api_fleet
 import httpx
 import numpy as np
 import pytest
-from believed_now import believed
+from believed_now import believed, limit_of
 from hypothesis import given
 from hypothesis import strategies as st
 from running_service import Service
@@ -55,7 +55,7 @@ from estimation.alerts.rules.wheels import (
     wheel_asymmetry_finding,
 )
 from estimation.trend.now import LimitState
-from estimation.values.alerts import AlertEventKind, Finding, LimitNow
+from estimation.values.alerts import AlertEventKind, Finding
 from estimation.values.opinions import CellFriction, GearDamper, SectionAdhesion
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.registry import Mounting
@@ -104,14 +104,7 @@ TREND = WearTrend(
     probability_over_limit=0.0,
     status=Status.ESTIMATED,
 )
-AHEAD = LimitNow(
-    conicity=HIGH,
-    slope_per_1000_km=HIGH,
-    limit=0.4,
-    probability_over_limit=0.0,
-    distance_to_limit_km=TREND.distance_to_limit_km,
-    date_of_limit_ns=TREND.date_of_limit_ns,
-)
+AHEAD = limit_of(0.0, HIGH, distance_km=TREND.distance_to_limit_km, date_ns=TREND.date_of_limit_ns)
 DECIDES = {"unknown_because": None, "unknown_because_code": None}
 NO_WINDOWS = {"unknown_because": "0 windows, 3 needed", "unknown_because_code": "too_few_windows", "windows": 0}
 
@@ -258,7 +251,7 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
                 **UNEXPLAINED,
                 "value": -0.5,
                 "std": 0.1,
-                "interval_95": [-0.696, -0.304],
+                "interval_95": [-0.695996, -0.304004],
                 "n_windows": 3.0,
             },
             "step_probability_1": None,

@@ -25,7 +25,8 @@ const counted = (reasons) => Object.entries(reasons ?? {}).map(([name, count]) =
 
 const OF_KIND = {
   conicity_limit: (e, alert) => [
-    ...part(estimated(e.conicity_1), () => `equivalent conicity ${uncertain(e.conicity_1, 3)}${have(e.amplitude_mm) ? ` at ${number(e.amplitude_mm, 2)} mm` : ""}`),
+    ...part(estimated(e.current_1), () => `equivalent conicity ${uncertain(e.current_1, 3)} at 3 mm`),
+    ...part(estimated(e.conicity_1) && have(e.amplitude_mm) && e.amplitude_mm < 3, () => `${uncertain(e.conicity_1, 3)} at ${number(e.amplitude_mm, 2)} mm, as far as it moves`),
     ...part(have(e.limit_1 ?? alert.raise_limit), () => `limit ${number(e.limit_1 ?? alert.raise_limit, 3)}`),
     ...part(have(alert.probability_1), () => `exceeded with a probability of ${number(100 * alert.probability_1, 1)} %`),
   ],
@@ -37,7 +38,7 @@ const OF_KIND = {
     ...part(have(alert.probability_1), () => `exceeded with a probability of ${number(100 * alert.probability_1, 1)} %`),
   ],
   limit_forecast: (e) => [
-    ...part(have(e.distance_to_limit_km?.p50), () => `limit reached in ${roundKm(e.distance_to_limit_km.p50)} km`),
+    ...part(have(e.distance_to_limit_km?.p50), () => (e.distance_to_limit_km.p50 > 0 ? `limit reached in ${roundKm(e.distance_to_limit_km.p50)} km` : "limit reached already")),
     ...part(have(e.distance_to_limit_km?.p10), () => `p10 ${roundKm(e.distance_to_limit_km.p10)} km`),
     ...part(have(e.date_of_limit?.p50), () => `about ${date(e.date_of_limit.p50)}`),
     ...part(have(e.limit_1), () => `limit ${number(e.limit_1, 3)}`),

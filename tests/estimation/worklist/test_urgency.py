@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from believed_now import limit_of
 
 from estimation.trend.now import SCALE
-from estimation.values.alerts import NO_FORECAST, Condition, LimitNow, OpenAlert, Severity, Urgency
+from estimation.values.alerts import Condition, LimitNow, OpenAlert, Severity, Urgency
 from estimation.values.quantities import Estimate, Forecast, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.worklist.row import TURN, judged, rounded_km
@@ -16,31 +17,14 @@ FEW = Reason(ReasonCode.TOO_FEW_POINTS, "2 points")
 LAST_NS = 1_767_398_400_000_000_000  # 2026-01-03
 
 
-def now_of(
-    over: float | None,
-    distance: Forecast = NO_FORECAST,
-    reason: Reason | None = None,
-    conicity: Estimate = CONICITY,
-    limit: float = 0.4,
-) -> LimitNow:
-    return LimitNow(
-        conicity=conicity,
-        slope_per_1000_km=CONICITY,
-        limit=limit,
-        probability_over_limit=over,
-        distance_to_limit_km=distance,
-        forecast_reason=reason,
-    )
-
-
-UNKNOWN = now_of(None, reason=OPEN, conicity=Estimate.unknown(OPEN))
-BEYOND = now_of(0.0, reason=Reason(ReasonCode.BEYOND_HORIZON, "beyond"))
+UNKNOWN = limit_of(None, Estimate.unknown(OPEN), reason=OPEN)
+BEYOND = limit_of(0.0, CONICITY, reason=Reason(ReasonCode.BEYOND_HORIZON, "beyond"))
 DUE_WITHIN_KM = SCALE.due_within_km
 
 
 def ahead(p10: float | None, p50: float | None = None, over: float = 0.0) -> LimitNow:
     missing = None if p50 is not None else Reason(ReasonCode.BEYOND_HORIZON, "beyond")
-    return now_of(over, Forecast(p10, p50, p50), missing)
+    return limit_of(over, CONICITY, distance_km=Forecast(p10, p50, p50), reason=missing)
 
 
 def alert(kind: str, severity: Severity = Severity.WARNING, condition: Condition = Condition.ACTIVE) -> OpenAlert:
@@ -67,14 +51,14 @@ def verdict(
             [f"the alert on the limit is not cleared yet (probability 30%): {TURN}"],
         ),
         (
-            now_of(1e-9, reason=FEW),
+            limit_of(1e-9, CONICITY, reason=FEW),
             [],
             Urgency.FINE,
             ["conicity of at most 0.32 below the limit of 0.40; 2 points"],
         ),
-        (now_of(0.3, reason=FEW, limit=0.31), [], Urgency.UNKNOWN, ["2 points"]),
+        (limit_of(0.3, CONICITY, reason=FEW, limit=0.31), [], Urgency.UNKNOWN, ["2 points"]),
         (
-            now_of(0.6, reason=FEW, limit=0.29),
+            limit_of(0.6, CONICITY, reason=FEW, limit=0.29),
             [],
             Urgency.PROBABLY_OVER,
             [f"limit probably exceeded (probability 60%): {TURN}", "2 points"],
