@@ -206,12 +206,14 @@ def _ahead(now: LimitNow, trend: WearTrend) -> LimitNow:
     if now.mileage is not None and len(trend.mileage_km):
         since = max(0.0, now.mileage.mileage_km - float(trend.mileage_km[-1]))
         at_ns = float(now.mileage.at_ns)
-    known = (now.probability_over_limit, finite(probability_within(trend, since or 0.0)))
-    over = max((one for one in known if one is not None), default=None)
+    over = finite(probability_within(trend, since or 0.0))
+    by_data = now.probability_over_limit  # of the last points, or at a smaller amplitude, as the alert on the limit
+    if by_data is not None and (over is None or SCALE.over(by_data) is not None):
+        over = max(by_data, over or 0.0)
     distance, date = {}, {}
     for name, probability in QUANTILES.items():
         far, day = (finite(getattr(one, name)) for one in (trend.distance_to_limit_km, trend.date_of_limit_ns))
-        reached = over is not None and over >= probability  # by the last points, or at a smaller amplitude
+        reached = over is not None and over >= probability
         distance[name] = 0.0 if reached else None if far is None else max(0.0, far - (since or 0.0))
         date[name] = None if day is None else max(day, at_ns)
         if reached and now.mileage is not None:

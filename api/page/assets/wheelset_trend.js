@@ -66,7 +66,7 @@ function fan(trend, byMileage) {
   const begin = byMileage ? Math.max(...at.mileage_km.filter((km) => km !== null)) : Math.max(...at.measured_at.map(seconds));
   if (!Number.isFinite(begin)) return [];
   const ahead = byMileage ? trend.distance_to_limit_km : trend.date_of_limit;
-  const end = (value) => (byMileage ? trend.mileage_km + value : seconds(value));
+  const end = (value) => (byMileage ? begin + (trend.since_trend_km ?? 0) + value : seconds(value));
   return ["p10", "p50", "p90"].flatMap((name) => {
     if (ahead[name] === null) return [];
     const to = end(ahead[name]);

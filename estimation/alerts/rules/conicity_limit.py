@@ -225,6 +225,7 @@ def measure_finding(rule: MeasureRule, believed: Believed, decided: Finding, *, 
     """Return whether the profiles are to be measured."""
     state, limit, now = believed.state, believed.limit, believed.now
     at_limit, at_reached = state.at_limit(limit), state.at_reached(limit)
+    over = max((one.probability for one in (at_limit, at_reached) if one is not None), default=None)
     needed = rule.extrapolated_probability if state.extrapolated else rule.raise_probability
     at_3_mm = 0.0 if at_limit is None else at_limit.probability
     reached = 0.0 if at_reached is None else at_reached.probability
@@ -242,7 +243,7 @@ def measure_finding(rule: MeasureRule, believed: Believed, decided: Finding, *, 
         kind=MeasureRule.kind,
         breached=None if silent else may_be and not settled,
         cleared=None if silent else settled or is_clear,
-        probability=None if silent else number_evidence(now.probability_over_limit, 3),
+        probability=None if silent else number_evidence(over, 3),
         evidence=MeasureEvidence(
             quantity=QUANTITY,
             conicity=now.conicity,
