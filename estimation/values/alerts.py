@@ -326,7 +326,7 @@ def estimate_evidence(value: Estimate) -> dict[str, JsonValue]:
         "interval_95": None
         if value.low is None
         else [number_evidence(e, SHOWN_DIGITS) for e in (value.low, value.high)],
-        "n_windows": number_evidence(value.count),
+        "n_windows": number_evidence(value.count, SHOWN_DIGITS),
         "status": str(value.status),
         "reason": text_of(value.reason),
         "reason_code": code_of(value.reason),
