@@ -41,7 +41,7 @@ class TurningPlanLine(Representation):
         description="`due` itself; `together` with another, for the diameters; `replace`, since turning would leave "
         "too small a wheel; `not_assessed`, since nothing is known of it."
     )
-    reason: str = Field(description="In words.", examples=["due in 12,400 km (p10 8,000 km)"])
+    reason: str = Field(description="In words.", examples=["due in 12,400 km (p10 8,050 km)"])
     urgency: Urgency
     distance_to_limit_km: DistanceForecast
     date_of_limit: DateForecast
