@@ -27,7 +27,7 @@ from api.services import Services
 from api.times import to_rfc3339
 from estimation.errors import NotFoundError
 from estimation.trend.now import NO_TREND
-from estimation.values.alerts import LimitNow
+from estimation.values.alerts import LimitNow, MileageNow
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowRecord
@@ -138,10 +138,19 @@ def _trend_of_geometry(unit: SqlUnitOfWork, serial: str, media_type: str, docume
 def _trend_then(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int) -> bytes:
     baseline = _baseline(unit, serial, as_of_ns)
     found, current = unit.trends.latest(serial, as_of_ns), unit.geometries.current(serial, as_of_ns)
+    mileage = _mileage_then(unit, serial, as_of_ns)
     if found is not None:
-        return table_payload(trend.trend(found, current, None), media_type, trend.table)
+        return table_payload(trend.trend(found, current, mileage), media_type, trend.table)
     reason = _nothing_until("trend", as_of_ns)
-    return table_payload(trend.no_trend(serial, baseline, reason, current), media_type, trend.table)
+    return table_payload(trend.no_trend(serial, baseline, reason, current, mileage), media_type, trend.table)
+
+
+def _mileage_then(unit: SqlUnitOfWork, serial: str, as_of_ns: int) -> MileageNow | None:
+    """Return the newest mileage that was believed at a time, of what is believed of it today."""
+    mounted = [one for one in unit.registry.mountings(serial) if one.from_ns <= as_of_ns]
+    known = [MileageNow(one.wheelset_mileage_km, one.from_ns) for one in mounted]
+    newest = unit.windows.mileage_then(serial, as_of_ns)
+    return max([*known, *([] if newest is None else [newest])], key=lambda one: one.at_ns, default=None)
 
 
 def _baseline(unit: SqlUnitOfWork, serial: str, as_of_ns: int) -> int:

@@ -22,11 +22,7 @@ from estimation.values.quantities import Estimate, Forecast
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import TrendRecord, WearTrend
 from estimation.values.windows import WithoutEstimate
-
-_NO_CURRENT = Estimate.unknown(
-    Reason(ReasonCode.NO_GEOMETRY_SINCE_REPROFILING, "no current geometry of the profile that the trend is of")
-)
-
+from estimation.worklist.row import NO_GEOMETRY, REPROFILED
 
 _NO_POINTS = (
     *("quantity", "slope_per_1000_km", "slope_per_year", "fitted", "limit", "probability_over_limit", "status"),
@@ -87,9 +83,8 @@ _OF_NOW = (
 class Trend(Derived, of=WearTrend, without=("mileage_km", "measured_ns", "value", "std", *_OF_NOW)):
     """An indicator since the last reprofiling, its robust slope, and when it reaches its limit.
 
-    What is said of the limit is as of `mileage_km`, and the same as in the worklist. With `as_of` it counts from the
-    last point: rows of that time are not kept. Without a trend the numbers are null, the points empty, and `reason` and
-    `unestimated_because` explain it.
+    What is said of the limit is as of `mileage_km`, and the same as in the worklist. Without a trend the numbers are
+    null, the points empty, and `reason` and `unestimated_because` explain it.
     """
 
     wheelset: str = Field(examples=["WS-0001"])
@@ -139,12 +134,15 @@ def date_forecast(forecast: Forecast, unknown: Reason | None) -> DateForecast:
 
 
 def trend(
-    record: TrendRecord, current: GeometryRecord | None, now: LimitNow | None, without: WithoutEstimate | None = None
+    record: TrendRecord,
+    current: GeometryRecord | None,
+    now: LimitNow | MileageNow | None,
+    without: WithoutEstimate | None = None,
 ) -> Trend:
     """Return the representation of a trend.
 
     Args:
-        now: What is believed now; None counts from the last point.
+        now: What is believed now, or at which mileage something was believed; None counts from the last point.
         without: Why there is no geometry now, by its windows.
     """
     recorded_ns = record.recorded_ns if current is None else max(record.recorded_ns, current.recorded_ns)
@@ -160,7 +158,7 @@ def no_trend(
     baseline: int,
     reason: Reason,
     current: GeometryRecord | None,
-    now: LimitNow | None = None,
+    now: LimitNow | MileageNow | None = None,
     without: WithoutEstimate | None = None,
 ) -> Trend:
     """Return the representation of a wheelset that has no trend."""
@@ -175,13 +173,13 @@ def _trend(
     baseline: int,
     found: WearTrend,
     current: GeometryRecord | None,
-    now: LimitNow | None,
+    now: LimitNow | MileageNow | None,
     without: WithoutEstimate | None,
 ) -> Trend:
     of_profile = None if current is None or current.baseline != baseline else current
-    if now is None:
-        last = MileageNow(float(found.mileage_km[-1]), int(found.measured_ns[-1])) if len(found.value) else None
-        now = limit_now(None if of_profile is None else of_profile.geometry, found, found.limit, last, _NO_CURRENT)
+    if not isinstance(now, LimitNow):
+        unknown = Estimate.unknown(REPROFILED if baseline else NO_GEOMETRY)
+        now = limit_now(None if of_profile is None else of_profile.geometry, found, found.limit, now, unknown)
     own = f"/v1/wheelsets/{segment(serial)}"
     return Trend.made(
         found,
