@@ -142,10 +142,12 @@ def _of_conicity(now: LimitNow, not_known: Reason) -> _Why:
 
 def _exceeded(over: Urgency | None, alert: OpenAlert | None, probability: float | None) -> _Why:
     """Return that the limit is exceeded, or probably, or was; an alert that is open still makes it probable."""
-    if over is not None:
+    hidden = alert is not None and alert.condition is Condition.UNKNOWN
+    if over is not None and not hidden:
         return over, Reason(ReasonCode.LIMIT_EXCEEDED, f"{OVER[over]} (probability {probability:.0%}): {TURN}")
-    last = Urgency.OVER_LIMIT if alert is not None and alert.severity is Severity.CRITICAL else Urgency.PROBABLY_OVER
-    if probability is None:
+    if probability is None or hidden:
+        critical = alert is not None and alert.severity is Severity.CRITICAL
+        last = over or (Urgency.OVER_LIMIT if critical else Urgency.PROBABLY_OVER)
         return last, Reason(ReasonCode.LIMIT_EXCEEDED, f"{OVER[last]} when it could be assessed last: {TURN}")
     text = f"the alert on the limit is not cleared yet (probability {probability:.0%}): {TURN}"
     return Urgency.PROBABLY_OVER, Reason(ReasonCode.LIMIT_EXCEEDED, text)
