@@ -157,7 +157,7 @@ def test_an_extrapolated_current_conicity_is_one_number_too() -> None:
     for other in (None, replace(record, baseline=1)):
         unknown = trend_schema.trend(of_trend, other, None)
         assert (unknown.current_1.value, unknown.current_mileage_km) == (None, None)
-        assert unknown.current_1.reason_code == (
+        assert unknown.current_1.reason_code == "no_geometry_since_reprofiling"
             "no_geometry_since_reprofiling" if of_trend.baseline else "no_geometry"
         )
 
