@@ -158,8 +158,6 @@ def test_an_extrapolated_current_conicity_is_one_number_too() -> None:
         unknown = trend_schema.trend(of_trend, other, None)
         assert (unknown.current_1.value, unknown.current_mileage_km) == (None, None)
         assert unknown.current_1.reason_code == "no_geometry_since_reprofiling"
-            "no_geometry_since_reprofiling" if of_trend.baseline else "no_geometry"
-        )
 
 
 def test_a_geometry_that_contradicts_its_class_shows_what_does_not_fit_and_no_number() -> None:
