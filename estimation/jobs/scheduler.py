@@ -176,7 +176,7 @@ def stop_on_signals(stop_event: Event) -> None:
     to another thread, would be seen when the wait is over. So a thread of its own reads what C writes at once.
     """
     reading, writing = os.pipe()
-    os.set_blocking(writing, False)  # noqa: FBT003 - of the library
+    os.set_blocking(writing, False)
 
     def stop() -> None:
         while os.read(reading, 1)[0] not in STOPPING:
