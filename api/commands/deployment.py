@@ -223,7 +223,8 @@ def schedule(
     from contextlib import closing
     from dataclasses import replace
 
-    from api.factory import job_context, process_name, scheduled_jobs, upkeep_jobs
+    from api.factory import process_name
+    from api.pipeline import job_context, scheduled_jobs, upkeep_jobs
     from api.settings import load_settings
     from api.terminal.store import begun, executor_of, store_once_it_answers
     from estimation.jobs.scheduler import serve_jobs

@@ -13,8 +13,9 @@ from rich.console import Console
 from rich.table import Table
 
 from api import factory, logs
-from api.factory import SystemClock, open_store, publishing
+from api.factory import SystemClock, open_store
 from api.logs import start_tracing
+from api.pipeline import publishing
 from api.schemas.windows import WindowReasons
 from api.settings import load_settings
 from api.terminal.estimate import line_of

@@ -16,9 +16,10 @@ from prometheus_client.core import Metric
 from rich.console import Console
 
 from api import factory, logs
-from api.factory import SystemClock, open_store, publisher
+from api.factory import SystemClock, open_store
 from api.logs import start_tracing
 from api.measures import counter, gauge, reference_measures
+from api.pipeline import publisher
 from api.settings import Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes
