@@ -201,14 +201,14 @@ def serve(
     ] = None,
 ) -> None:
     """Serve the REST API; its documentation is on /docs."""
-    from api import factory, logs
+    from api import logs, serving
     from api.settings import load_settings
-    from api.terminal.store import begun
+    from api.terminal.processes import begun
 
     settings = load_settings(host=host, port=port)
     stopping = begun(settings)  # the server hands its signal on when it has stopped
     with logs.in_background():
-        factory.serve(settings, stopping)
+        serving.serve(settings, stopping)
 
 
 def schedule(
@@ -226,7 +226,7 @@ def schedule(
     from api.factory import process_name
     from api.pipeline import job_context, scheduled_jobs, upkeep_jobs
     from api.settings import load_settings
-    from api.terminal.store import begun, executor_of, store_once_it_answers
+    from api.terminal.processes import begun, executor_of, store_once_it_answers
     from estimation.jobs.scheduler import serve_jobs
 
     settings = load_settings(workers=workers, dask_scheduler=dask_scheduler)
@@ -246,7 +246,7 @@ def worker(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -> 
 
     from api import logs
     from api.settings import load_settings
-    from api.terminal.store import store_once_it_answers
+    from api.terminal.processes import store_once_it_answers
     from api.workers.on_dask import serve_dask
     from estimation.jobs.scheduler import stop_on_signals
 

@@ -20,8 +20,8 @@ from api.pipeline import RECEIPT_PATIENCE_S, backlog_watch, publishing, receiver
 from api.settings import PREFIX, Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.ingest import vehicle_in_name
+from api.terminal.processes import begun, store_once_it_answers
 from api.terminal.progress import counted
-from api.terminal.store import begun, store_once_it_answers
 from estimation.errors import InputError, MigrationError, ParameterError, PassingFaultError, StoppedError, StorageError
 from estimation.jobs.scheduler import stop_on_signals
 from fleet_db.keeping.checks import ScrubFault, ScrubPlan, scrub
