@@ -18,7 +18,7 @@ from estimation.errors import TreadwatchError
 from estimation.values.runs import SubjectKind
 from fleet_db.records import ChunkState, RecordingAction
 from fleet_db.stores.estimated_again import STAGE
-from ingest.corrections import Author, RecordingCorrections, receipt_of
+from ingest.corrections import Author, RecordingCorrections
 from ingest.receiver import ChunkReceipt, Receiver
 
 
@@ -36,7 +36,7 @@ def correct_and_report(
     logs.configure(settings)
     with closing(open_store(settings)) as storage:
         with storage.read() as unit:
-            before = receipt_of(unit, digest)
+            before = unit.chunks.receipt(digest)
         corrections, author = RecordingCorrections(storage, clock), Author(actor or user_name(), why)
         if vehicle is not None:
             record = corrections.reassign(before.digest, vehicle, author)
@@ -52,7 +52,7 @@ def correct_and_report(
         failed = _decode(receiver, (record.digest,) if record.state is ChunkState.STORED else ())
         failed += [error for code in {before.vehicle, record.vehicle} for error in _made_again(receiver, code)]
         with storage.read() as unit:
-            typer.echo(columns([recording_line(receipt_of(unit, record.digest))]))
+            typer.echo(columns([recording_line(unit.chunks.receipt(record.digest))]))
     _report(failed)
 
 

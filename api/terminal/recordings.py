@@ -7,7 +7,6 @@ from api.times import to_rfc3339
 from estimation.values.runs import Quarantined
 from fleet_db.records import ChunkRecord, RecordingChange
 from fleet_db.stores.chunks import ChosenChunks
-from ingest.corrections import receipt_of
 
 DIGITS = 12  # of a digest, in lists: enough to name it
 
@@ -25,7 +24,7 @@ def recording_list(chosen: ChosenChunks, limit: int) -> str:
 def recording_text(digest: str) -> str:
     """Return the receipt of a recording and the record of what was done to it."""
     with reading() as unit:
-        record = receipt_of(unit, digest)
+        record = unit.chunks.receipt(digest)
         changes = unit.recording_changes.list(record.digest)
     code = "" if record.reason is None else record.reason.code
     rows = [
