@@ -92,10 +92,10 @@ def test_one_open_alert_is_held_by_the_database_itself(fleet: SqlStorage) -> Non
         row = dict(connection.execute(sqlalchemy.select(AlertRow.table)).mappings().one())
     del row["alert_id"]
     with pytest.raises(IntegrityError), fleet.engine.begin() as connection:
-        connection.execute(sqlalchemy.insert(AlertRow).values(**row))
+        connection.execute(sqlalchemy.insert(AlertRow.table).values(**row))
     save(fleet, replace(saved, closed_ns=60), CLOSED)
     with fleet.engine.begin() as connection:
-        connection.execute(sqlalchemy.insert(AlertRow).values(**row))
+        connection.execute(sqlalchemy.insert(AlertRow.table).values(**row))
 
 
 FLEET_ALERT = replace(make.ALERT, wheelset=None)
@@ -112,10 +112,10 @@ def test_one_open_fleet_alert_of_a_kind(fleet: SqlStorage) -> None:
         row = dict(connection.execute(statement).mappings().one())
     del row["alert_id"]
     with pytest.raises(IntegrityError), fleet.engine.begin() as connection:
-        connection.execute(sqlalchemy.insert(AlertRow).values(**row))
+        connection.execute(sqlalchemy.insert(AlertRow.table).values(**row))
     save(fleet, replace(first, closed_ns=60), CLOSED)
     with fleet.engine.begin() as connection:
-        connection.execute(sqlalchemy.insert(AlertRow).values(**row))
+        connection.execute(sqlalchemy.insert(AlertRow.table).values(**row))
 
 
 def test_a_fleet_alert_stands_in_the_feed_for_members_raised_with_it(fleet: SqlStorage) -> None:
