@@ -61,7 +61,6 @@ COMMANDS = (
     Command("vehicle", "registry", "List, show and check vehicle classes.", reads_settings=False),
     Command("compare", "studies", "Compare estimators on a simulated section.", reads_settings=False),
     Command("reproduce", "studies", "Reproduce the published figures.", reads_settings=False),
-    Command("compile", "deployment", "Compile every kernel, so that the first start need not."),
     Command("db", "deployment", "Upgrade, check, measure or purge the database."),
     Command("backup", "deployment", "Back up database and files while everything runs."),
     Command("restore", "deployment", "Restore a backup into an empty database."),
