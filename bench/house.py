@@ -78,7 +78,7 @@ OWN_FILES = ("bench/house.py", "tests/bench/test_house.py")
 
 INFRASTRUCTURE = re.compile(
     r"""(
-      api/(cli|commands/.*|terminal/.*|factory|settings|rules_file|logs|metrics|services|job_runner|app|openapi/.*)\.py
+      api/(cli|commands/.*|terminal/.*|factory|pipeline|serving|settings|rules_file|logs|metrics|services|job_runner|app|openapi/.*)\.py
     | api/(problems|times|contract|cursors|parameters|middleware)\.py
     | api/(http_server|head_requests|allowed_methods)\.py
     | fleet_db/(changes|locks|migrate|session|storage|rows|fields|atomic_files)\.py
