@@ -37,22 +37,24 @@ class Command:
     module: str
     summary: str
     reads_settings: bool = True
-    ends_soon: bool = False  # in about a second: the search for garbage would be a fifth of that
+    short: tuple[str, ...] = ()  # commands of it that take a second, of which the search for garbage is a fifth
 
 
 COMMANDS = (
     Command("demo", "studies", "Run the main job end to end on the embedded default."),
     Command("simulate", "studies", "Simulate a fleet that sends CAN frames.", reads_settings=False),
     Command("ingest", "receiving", "Receive CAN frames from log files or a live bus."),
-    Command("registry", "registry", "Load, void, restore and list records of the registry.", ends_soon=True),
+    Command(
+        "registry", "registry", "Load, void, restore and list records of the registry.", short=("check", "history")
+    ),
     Command("reassemble", "receiving", "Make the windows of a vehicle again."),
-    Command("recordings", "receiving", "List and correct what was received."),
+    Command("recordings", "receiving", "List and correct what was received.", short=("list", "show")),
     Command("chunk", "receiving", "Watch a drop folder, decode what is received, scrub raw files."),
     Command("quarantine", "receiving", "List and retry what failed by itself."),
     Command("estimate", "deployment", "Run the scheduled jobs once, now, in order."),
     Command("serve", "deployment", "Serve the REST API."),
-    Command("keys", "clients", "Make, list and revoke keys of the REST API.", ends_soon=True),
-    Command("webhooks", "clients", "Make, list, try out and move webhooks.", ends_soon=True),
+    Command("keys", "clients", "Make, list and revoke keys of the REST API.", short=("create", "list", "revoke")),
+    Command("webhooks", "clients", "Make, list, try out and move webhooks.", short=("list",)),
     Command("schedule", "deployment", "Run the jobs on schedule; one per deployment."),
     Command("worker", "deployment", "Work for a Dask scheduler, on any machine."),
     Command("feed", "clients", "Print what happens to alerts, or follow it.", reads_settings=False),
@@ -172,7 +174,7 @@ def main() -> None:
     choose_compiled_code(os.environ)
     arguments = sys.argv[1:]
     command = _chosen(arguments)
-    if command is not None and command.ends_soon:
+    if command is not None and not set(command.short).isdisjoint(arguments[1:2]):
         gc.disable()
     try:
         build(arguments or _being_completed())(arguments, prog_name="treadwatch")

@@ -15,14 +15,13 @@ from urllib.parse import unquote, urlsplit
 from api.settings import PREFIX, Settings, load_retention
 from estimation.errors import MigrationError, ParameterError, StorageError
 from estimation.numerics_version import NUMERICS_VERSION
+from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.keeping.retention import Retention
 from fleet_db.migrate import check_head
 from fleet_db.raw import FileRawStore, RawStore
 from fleet_db.session import ServerLimits, database_engine
 from fleet_db.storage import SqlStorage
 from ingest.live.status import Backoff
-from ingest.stored_settings import check_window_length
-from ingest.vehicle_class_schema import class_of_package
 
 FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0  # between attempts to reach it; each is twice the one before
 
@@ -52,16 +51,22 @@ def process_name(number: int | None = None) -> str:
     return f"{socket.gethostname()}, process {os.getpid() if number is None else number}"
 
 
+def _shipped_class(code: str) -> VehicleClass | None:
+    from ingest.vehicle_class_schema import class_of_package  # noqa: PLC0415 - most transactions read no class
+
+    return class_of_package(code)
+
+
 def open_store(settings: Settings) -> SqlStorage:
     """Return the store of this deployment; refused at another migration, of other windows, or out of reach."""
     limits = ServerLimits(
         settings.database_connect_timeout_s, settings.database_silence_s, settings.database_statement_timeout_s
     )
-    storage = SqlStorage(database_engine(settings.url, limits), settings.data_dir, class_of_package)
+    storage = SqlStorage(database_engine(settings.url, limits), settings.data_dir, _shipped_class)
     try:
         check_head(storage.engine)
         with storage.read() as unit:
-            check_window_length(unit, settings.window_length_ns)
+            unit.settings.check_window_length(settings.window_length_ns)
     except ParameterError as error:
         storage.close()
         raise ParameterError(error.reason, field=f"{PREFIX}WINDOW_LENGTH_S") from None
