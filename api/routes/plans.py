@@ -17,7 +17,7 @@ from api.services import ServicesDep, require_known
 from api.times import Timestamp, to_rfc3339
 from estimation.values.alerts import Urgency, WorklistRow, WorklistState
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.worklist.row import OVER
+from estimation.worklist.stored import OVER
 from estimation.worklist.turning_plan import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
 from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistFilter

@@ -6,8 +6,8 @@ What is not known is never taken for good: a wheelset without a number to trust 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 from estimation.alerts.rule_book import ALERT_RULES
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
@@ -19,52 +19,26 @@ from estimation.values.alerts import (
     BogiePlace,
     Condition,
     LimitNow,
-    MileageNow,
     OpenAlert,
     Severity,
     Urgency,
     WorklistRow,
     WorklistState,
 )
-from estimation.values.geometry import GEOMETRY, GeometryRecord
+from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, utc_text
-from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.runs import Facet, JobOutcome, JobRun, Quarantined
+from estimation.values.runs import JobOutcome, JobRun, Quarantined
 from estimation.values.track import AlignmentRecord, AlignmentSource
-from estimation.values.trend import TREND, TrendRecord
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
-
-FORM = 2  # grows with every change of what a row says, so that all rows are made again
-STAGE = "worklist"
-FACETS = (Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, GEOMETRY.stage, TREND.stage)
-"""What a row is made from: whoever raises one of these makes it again in the same transaction."""
-
-
-@dataclass(frozen=True, slots=True)
-class WorklistInputs:
-    """All that is stored of a wheelset and decides how urgent it is."""
-
-    wheelset: WheelsetRecord
-    vehicle: VehicleRecord | None  # None where it is not mounted
-    vehicle_class: VehicleClass | None  # None where it is not on file
-    geometry: GeometryRecord | None  # current
-    trend: TrendRecord | None  # latest
-    last_window_ns: int | None  # end of its newest window that was estimated or waits for it
-    mileage: MileageNow | None  # last reading that is believed
-    alerts: Sequence[OpenAlert] = ()  # open ones, in any order
-    failure: Reason | None = None  # why its geometry or trend cannot be read or understood; None where they can
-    refused: Mapping[ReasonCode, int] = field(default_factory=dict)  # newest windows, the most frequent first
-
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
+from estimation.worklist.stored import WorklistInputs
 
 TURN = "turn the wheelset, or measure its profiles"
-FAR_KM = 1e9  # stands for a distance that is not known, behind all that are
-BAND_KM = 1e10  # from one class of urgency to the next
 ADVICE = {rule.kind: rule.advice for rule in ALERT_RULES if rule.advice}
 HIDING = {rule.kind: rule.hides_wear for rule in ALERT_RULES if rule.hides_wear is not None}
 URGENCY_OF = {Severity.CRITICAL: Urgency.CRITICAL_ALERT, Severity.WARNING: Urgency.WATCH}
 OF_LIMIT = (ConicityLimitRule.kind, LimitForecastRule.kind)
-OVER = {Urgency.OVER_LIMIT: "limit exceeded", Urgency.PROBABLY_OVER: "limit probably exceeded"}
+EXCEEDED = {Urgency.OVER_LIMIT: "limit exceeded", Urgency.PROBABLY_OVER: "limit probably exceeded"}
 _Why = tuple[Urgency, Reason]
 
 
@@ -84,29 +58,6 @@ def judged(
         return why[0][0], tuple(reason for _, reason in why)
     nowhere = Reason(ReasonCode.NOT_MOUNTED, "runs under no vehicle")
     return Urgency.NOT_MOUNTED, (nowhere, *(reason for _, reason in why))
-
-
-def urgency_key(state: WorklistState) -> float:
-    """Return the number that orders wheelsets by urgency, the most urgent first."""
-    # within a class the one comes first whose limit may be reached first (p10); over the limit, the most certain one
-    within = FAR_KM if state.distance_to_limit_km.p10 is None else state.distance_to_limit_km.p10
-    if state.urgency in OVER:
-        within = 1.0 - (state.probability_over_limit or 0.0)
-    return state.urgency.rank * BAND_KM + min(within, FAR_KM)
-
-
-def distance_key(state: WorklistState) -> float | None:
-    """Return the number that orders wheelsets by their distance to the limit: its median; None where it is not known.
-
-    A median beyond the horizon comes behind all others, those first whose limit may be reached within it (p10).
-    """
-    distance = state.distance_to_limit_km
-    if distance.p50 is not None:
-        return distance.p50
-    if distance.p10 is not None:
-        return FAR_KM + distance.p10
-    beyond = state.forecast_reason is not None and state.forecast_reason.code is ReasonCode.BEYOND_HORIZON
-    return 2.0 * FAR_KM if beyond else None
 
 
 def _why_not_known(now: LimitNow) -> Reason | None:
@@ -144,11 +95,11 @@ def _exceeded(over: Urgency | None, alert: OpenAlert | None, probability: float 
     """Return that the limit is exceeded, or probably, or was; an alert that is open still makes it probable."""
     hidden = alert is not None and alert.condition is Condition.UNKNOWN
     if over is not None and not hidden:
-        return over, Reason(ReasonCode.LIMIT_EXCEEDED, f"{OVER[over]} (probability {probability:.0%}): {TURN}")
+        return over, Reason(ReasonCode.LIMIT_EXCEEDED, f"{EXCEEDED[over]} (probability {probability:.0%}): {TURN}")
     if probability is None or hidden:
         critical = alert is not None and alert.severity is Severity.CRITICAL
         last = over or (Urgency.OVER_LIMIT if critical else Urgency.PROBABLY_OVER)
-        return last, Reason(ReasonCode.LIMIT_EXCEEDED, f"{OVER[last]} when it could be assessed last: {TURN}")
+        return last, Reason(ReasonCode.LIMIT_EXCEEDED, f"{EXCEEDED[last]} when it could be assessed last: {TURN}")
     text = f"the alert on the limit is not cleared yet (probability {probability:.0%}): {TURN}"
     return Urgency.PROBABLY_OVER, Reason(ReasonCode.LIMIT_EXCEEDED, text)
 
