@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 
 PARTS = (
-    ("decoding", "logs", "new_window", "stored", "trend_versions", "idle"),
+    ("logs", "new_window", "stored", "idle"),
     ("pipeline",),
     ("section_runs",),
     ("workers",),

@@ -9,9 +9,18 @@ from typing import Any
 import pytest
 
 from api.comparison.trial import recording_key
-from bench import vehicle_power
-from bench.vehicle_table import HEADER, POWER_HEADER, ROWS, page_body, power_rows, summary_rows
-from bench.vehicles import SCENARIOS, scenario_of, stored_cases
+from bench.study import stored_cases
+from bench.vehicles import (
+    HEADER,
+    POWER_BASE,
+    POWER_HEADER,
+    ROWS,
+    SCENARIOS,
+    power_rows,
+    scenario_of,
+    summary_rows,
+    tables,
+)
 
 
 def case(row: str, statuses: list[str], *, covered: int = 0, error: float = 0.005, seed: int = 0) -> dict[str, Any]:
@@ -26,7 +35,7 @@ def case(row: str, statuses: list[str], *, covered: int = 0, error: float = 0.00
         for item in verdicts
         for n in [covered if item["published"] else 0]
     ]
-    cost = {"cpu_seconds": 6.0, "wheelset_hours": 3.0}
+    cost = {"cpu_s": [1.0, 2.0, 3.0], "wheelset_hours": 3.0}
     return {"row": row, "seed": seed, "verdicts": verdicts, "wheelsets": wheelsets, "half_widths": [], **cost}
 
 
@@ -85,8 +94,8 @@ def test_the_power_curve_has_a_line_for_each_size_of_an_error() -> None:
     assert (first["parameter"], first["error on file"], first["mismatch"]) == ("nothing", "", "0 %")
     assert (second["error on file"], second["mismatch"], second["published"]) == ("-50 %", "75 %", "25 %")
     assert second["covers"] == "50.0 % of 20"
-    assert len(page_body(cases)) == 4
-    assert len(page_body([case("soft_known", ["estimated"], covered=19)])) == 2
+    assert len(tables(cases)) == 3
+    assert len(tables([case("soft_known", ["estimated"], covered=19)])) == 2
 
 
 def test_every_row_is_a_scenario_file() -> None:
@@ -94,7 +103,7 @@ def test_every_row_is_a_scenario_file() -> None:
 
 
 def test_wrong_parameters_are_on_file_and_not_in_the_recordings(tmp_path: Path) -> None:
-    right = scenario_of(vehicle_power.BASE, 0, tmp_path)
+    right = scenario_of(POWER_BASE, 0, tmp_path)
     wrong = scenario_of("power:yaw_stiffness:+20", 0, tmp_path)
     assert recording_key(wrong) == recording_key(right)
     assert wrong.class_on_file is not None
@@ -108,7 +117,7 @@ def test_wrong_parameters_are_on_file_and_not_in_the_recordings(tmp_path: Path) 
 
 def test_results_are_read_as_far_as_they_go_and_the_last_of_a_case_counts(tmp_path: Path) -> None:
     path = tmp_path / "vehicles.jsonl"
-    assert stored_cases(path) == []
+    assert stored_cases(path, ("row", "seed")) == []
     lines = [{"row": "a", "seed": 0, "x": 1}, {"row": "a", "seed": 1, "x": 2}, {"row": "a", "seed": 0, "x": 3}]
     path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
-    assert [(item["seed"], item["x"]) for item in stored_cases(path)] == [(0, 3), (1, 2)]
+    assert [(item["seed"], item["x"]) for item in stored_cases(path, ("row", "seed"))] == [(0, 3), (1, 2)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.moments import Moments, collect
+from oracles.moments import Moments, collect
 from estimation.values.arrays import FloatArray
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.moments import collect
+from oracles.moments import collect
 from estimation.geometry.estimate import GeometryParameters, _displacement_noise, _Replicates, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables.bin_table import BinParameters

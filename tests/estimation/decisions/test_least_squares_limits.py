@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench import moments
+from oracles import moments
 from estimation.tables import bin_table
 from estimation.values.arrays import FloatArray
 

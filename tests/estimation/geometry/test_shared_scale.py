@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from paper_class import PAPER_CLASS
 
-from bench.moments import collect
+from oracles.moments import collect
 from estimation.geometry.model_fit import solve_with_shared_scales
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.arrays import FloatArray, IntArray

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from oracles import recursive_least_squares
 from oracles.forgetting import merge, one_cell
 
-from bench import moments as moments_of
+from oracles import moments as moments_of
 from estimation.tables import bin_table
 
 

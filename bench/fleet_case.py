@@ -1,0 +1,224 @@
+"""A scenario through the product: what is published of its wheelsets and its section, and why not, against the truth.
+
+Band-limited signals carry no offset. Bins are therefore compared with the true curve counted from the place on it that
+fits them best, and less its mean over the samples (R and D). The place is between the track centre and the true zero
+crossing, or within 0.6 mm of either; it is not scored, and the zero crossing is published as unknown. Conicity and NP
+do not depend on it.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from api.comparison.study import TrueWheelset, conicity_errors, read_truth
+from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, run_jobs
+from bench.section_alignment import alignment_score
+from bench.study import Case
+from estimation.accuracy.fleet_accuracy import curve_origin
+from estimation.storage import Storage, UnitOfWork
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
+from estimation.values.quantities import NORMAL_95, Estimate, Status
+from estimation.values.track import AlignmentSource
+from ingest.simulator.scenario import Scenario
+
+COVERAGE = (0.92, 0.98)
+SECONDS_PER_HOUR = 3600.0
+
+
+def scored(scenario_of: Callable[[Path], Scenario], keep: Path | None) -> dict[str, Any]:
+    """Return the score of a scenario in a folder of its own; recordings stay in ``keep`` where it is given."""
+    with tempfile.TemporaryDirectory(prefix="treadwatch-bench-") as name:
+        folder = Path(name)
+        return score(scenario_of(folder), keep or folder / "recordings", folder / "data")
+
+
+def score(scenario: Scenario, cache: Path, folder: Path) -> dict[str, Any]:
+    """Run a scenario through the product, in an empty folder, and compare what is published with the truth.
+
+    Nothing is left out and nothing is set: recordings go through the receiver, windows are examined and screened,
+    passes become epochs, and the uncertainty of the vehicle parameters is as shipped.
+    """
+    recorded = record(scenario, cache, workers=1)
+    truths = read_truth(recorded.truth)
+    began = time.perf_counter()
+    settings = deploy(scenario, folder)
+    receive(recorded, settings)
+    with opened(settings) as (storage, context):
+        clock = [time.process_time()]
+        for job in ESTIMATION:
+            run_jobs(context, [job])
+            clock.append(time.process_time())
+        stored = _stored(storage, scenario, truths)
+    sessions = scenario.sessions
+    return stored | {
+        "row": scenario.name,
+        "pair": scenario.pair,
+        "seed": scenario.seed,
+        "drawn": scenario.vehicle_errors is not None,
+        "cpu_s": [after - before for before, after in pairwise(clock)],  # of alignment, windows, geometry
+        "wheelset_hours": len(truths) * sessions.campaigns * sessions.duration / SECONDS_PER_HOUR,
+        "seconds": time.perf_counter() - began,  # ingest and jobs by the clock
+    }
+
+
+def _stored(storage: Storage, scenario: Scenario, truths: Sequence[TrueWheelset]) -> dict[str, Any]:
+    """Return what the store holds after the jobs."""
+    section = scenario.section.code
+    wheelsets, widths, codes = [], [], Counter[str]()
+    with storage.read() as unit:
+        verdicts = [_verdict(unit, truth.serial) for truth in truths]
+        for truth in truths:
+            codes += _window_codes(unit, truth.serial)
+            current = unit.geometries.current(truth.serial)
+            if current is not None and current.geometry.samples.sum() > 0:
+                wheelsets.append(_wheelset_score(current.geometry, truth))
+                intervals = ((one.low, one.high) for one in current.geometry.conicity)
+                widths += [0.5 * (high - low) for low, high in intervals if low is not None and high is not None]
+        alignment, report = unit.tracks.alignment(section), unit.tracks.report(section)
+        windows = {str(state): count for state, count in unit.windows.counts().items()}
+    known = alignment is not None and bool(np.isfinite(alignment.alignment).any())
+    fleet = alignment is not None and known and alignment.source == AlignmentSource.FLEET
+    reported = {} if report is None else report.report
+    diversity = reported.get("diversity")
+    return {
+        "wheelsets": wheelsets,
+        "half_widths": widths,  # of the 95 % intervals of conicity that are published
+        "verdicts": verdicts,
+        "windows": windows,
+        "codes": dict(codes),  # of windows that were refused
+        "survey": str(reported.get("recording_code") or ""),  # verdict on it
+        "reason": "" if report is None or report.reason is None else str(report.reason),  # why there is no alignment
+        "status": "estimated" if fleet else "recorded" if known else "unestimated",
+        "alignment": asdict(alignment_score(scenario, alignment)) if fleet and alignment is not None else None,
+        "diversity": diversity if isinstance(diversity, float) else 0.0,  # of the last epoch; 0: nothing was solved
+    }
+
+
+def _verdict(unit: UnitOfWork, serial: str) -> dict[str, Any]:
+    """Return status and reason of a wheelset: of its geometry, else of most of its refused windows."""
+    current, codes = unit.geometries.current(serial), _window_codes(unit, serial)
+    of_windows = codes.most_common(1)[0][0] if codes else ""
+    if current is None:
+        return {"serial": serial, "status": str(Status.UNESTIMATED), "code": of_windows, "published": False}
+    geometry = current.geometry
+    published = any(one.value is not None for one in geometry.conicity)
+    reason = geometry.reason or (None if published else geometry.equivalent_conicity.reason)
+    code = "" if reason is None else reason.code
+    code = code or ("" if published else of_windows)
+    return {"serial": serial, "status": str(geometry.status), "code": code, "published": published}
+
+
+def _window_codes(unit: UnitOfWork, serial: str) -> Counter[str]:
+    return Counter(window.reason.code for window in unit.windows.list(serial) if window.reason is not None)
+
+
+def _wheelset_score(found: WheelsetGeometry, truth: TrueWheelset) -> dict[str, Any]:
+    """Return how near a geometry comes: errors of the conicity, and how many intervals cover of how many, by kind."""
+    compared = conicity_errors(found, truth)
+    errors = [None if item is None else item[0] for item in compared]
+    inside = [item[1] for item in compared if item is not None]
+    given = [error for error in errors if error is not None]
+    origin = curve_origin(found, truth.displacement, truth.difference, truth.zero_crossing)
+    x = found.bin_centres + origin.displacement
+    differences = np.interp(x, truth.displacement, truth.angle_difference)
+    unknown = float(found.samples @ differences / found.samples.sum())  # lost with the means, like that of R
+    radius_difference = np.interp(x, truth.displacement, truth.difference) - origin.difference
+    return {
+        "serial": truth.serial,
+        "error": float(np.mean(np.abs(given))) if given else None,  # over the amplitudes estimated
+        "signed": float(np.mean(given)) if given else None,
+        "amplitudes": errors,
+        "conicity": _counted(inside),
+        "difference": _counted(_bins(found.rolling_radius_difference, radius_difference)),
+        "other_bins": _counted(  # by the criterion of the geometry S and A are not published
+            [
+                *_bins(found.rolling_radius_sum, np.interp(x, truth.displacement, truth.radius_sum)),
+                *_bins(found.contact_angle_sum, np.interp(x, truth.displacement, truth.angle_sum)),
+                *_bins(found.contact_angle_difference, differences - unknown),
+            ]
+        ),
+        "nonlinearity": _counted(_covers(found.nonlinearity, truth.nonlinearity)),
+        "zero_crossing": _counted(_covers(found.zero_crossing, truth.zero_crossing)),
+    }
+
+
+def _counted(inside: Sequence[bool]) -> dict[str, int]:
+    return {"published": len(inside), "covered": sum(inside)}
+
+
+def _bins(values: BinValues, truth: FloatArray) -> list[bool]:
+    known = np.array([status is BinStatus.ESTIMATED for status in values.status])
+    inside: list[bool] = (np.abs(values.value[known] - truth[known]) <= NORMAL_95 * values.std[known]).tolist()
+    return inside
+
+
+def _covers(estimate: Estimate, truth: float) -> list[bool]:
+    if estimate.value is None or estimate.low is None or estimate.high is None or not np.isfinite(truth):
+        return []
+    return [estimate.low <= truth <= estimate.high]
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Errors of the conicity by wheelset, intervals of it and how many cover, and their half widths."""
+
+    errors: list[float]
+    published: int
+    covered: int
+    widths: list[float]
+
+    @classmethod
+    def of(cls, cases: Sequence[Case]) -> Figures:
+        """Return those of all cases together."""
+        wheelsets = [item for case in cases for item in case["wheelsets"]]
+        errors = [item["error"] for item in wheelsets if item["error"] is not None]
+        published, covered = (sum(item["conicity"][name] for item in wheelsets) for name in ("published", "covered"))
+        return cls(errors, published, covered, [width for case in cases for width in case["half_widths"]])
+
+    @property
+    def p95(self) -> float:
+        """95th percentile of the errors; NaN without any."""
+        return float(np.percentile(self.errors, 95)) if self.errors else float("nan")
+
+    @property
+    def error(self) -> str:
+        """Median and 95th percentile of the errors in words."""
+        return f"{np.median(self.errors):.4f} / {self.p95:.4f}" if self.errors else "none"
+
+    @property
+    def width(self) -> str:
+        """Median half width in words."""
+        return f"{np.median(self.widths):.3f}" if self.widths else ""
+
+    def covers(self, highest: float = COVERAGE[1]) -> bool:
+        """Whether the intervals cover as often as they should."""
+        return self.published > 0 and COVERAGE[0] <= self.covered / self.published <= highest
+
+
+def summary_line(case: Case) -> str:
+    """Return a case in a line."""
+    figures, statuses = Figures.of([case]), Counter(verdict["status"] for verdict in case["verdicts"])
+    codes = sorted({verdict["code"] for verdict in case["verdicts"] if verdict["code"]})
+    line = f"{case['row']}{' with parameter errors' if case['drawn'] else ''} seed {case['seed']}, {case['pair']}: "
+    line += f"error {figures.error}, {figures.covered} of {figures.published} cover, {dict(statuses)}, "
+    if case["alignment"] is not None:
+        line += f"alignment {1e3 * case['alignment']['band']:.3f} mm, "
+    line += f"{', '.join(codes) or 'no reason'}, {case['survey'] or 'no survey'}, "
+    cost = sum(case["cpu_s"]) / case["wheelset_hours"]
+    return f"{line}{cost:.1f} s/h, {case['seconds']:.0f} s {case['reason'][:60]}"
+
+
+def by_row(cases: Sequence[Case], rows: Sequence[str] | Mapping[str, Any]) -> dict[str, list[Case]]:
+    """Return the cases of each row that was run."""
+    groups = {name: [case for case in cases if case["row"] == name] for name in rows}
+    return {name: of_row for name, of_row in groups.items() if of_row}
