@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.report import BenchRow, printed
 from bench.results_page import ended
-from bench.steps_ideal import MODEL, odds
+from bench.steps_lives import MODEL, odds
 from bench.steps_lives import DAY_NS, HISTORIES, LIMIT, Case, Life, life
 from bench.steps_suspension import suspension_rows
 from bench.steps_turned import turned_rows

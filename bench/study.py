@@ -11,7 +11,7 @@ import json
 import traceback
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -48,6 +48,7 @@ class Study:
     parts: Callable[[Sequence[Case]], Sequence[Part]]
     line: Callable[[Case], str]
     rows: Collection[str] = ()
+    groups: Mapping[str, Sequence[str]] = field(default_factory=dict)
     separator: str = ","
     seeds: str = "0"
     key: tuple[str, ...] = ("row", "seed")
@@ -58,19 +59,19 @@ class Study:
     def run(self, arguments: Sequence[str]) -> int:
         """Run what was asked for; return 1 when a row falls short or a case fails."""
         options = self._options(arguments)
-        cases, failed = stored_cases(options.out, self.key), 0
+        by_key, failed = {self.key_of(case): case for case in stored_cases(options.out, self.key)}, 0
         options.out.parent.mkdir(parents=True, exist_ok=True)
-        done = {self.key_of(case) for case in cases}
-        for made in () if options.print_only else self.cases(options, done):
+        for made in () if options.print_only else self.cases(options, frozenset(by_key)):
             if made is None:
                 failed += 1
                 continue
             text = json.dumps(made)
-            cases.append(json.loads(text))
+            case = json.loads(text)
+            by_key[self.key_of(case)] = case
             with options.out.open("a", encoding="utf-8") as file:
                 file.write(f"{text}\n")
-            say(self.line(cases[-1]))
-        command = None
+            say(self.line(case))
+        command, cases = None, list(by_key.values())
         if options.write_docs:
             command = self.command(cases) if self.command else f"python -m bench {self.name} --write-docs"
         return int(bool(ended(self.parts(cases), self.page or self.name, self.title, command) or failed))
@@ -83,7 +84,7 @@ class Study:
         parser = argparse.ArgumentParser(prog=f"python -m bench {self.name}", description=self.about)
         parser.add_argument("--seeds", type=seeds_of, default=self.seeds, help=f"as in 0-19 or 0,3; {self.seeds}")
         if self.rows:
-            known = one_of(self.rows, self.separator)
+            known = one_of(self.rows, self.separator, self.groups)
             parser.add_argument("--rows", type=known, default=list(self.rows), help="names; default: all")
         out = Path("bench-results", f"{self.name}.jsonl")
         parser.add_argument("--out", type=Path, default=out, help="lines of JSON; what is there is not run again")
@@ -110,15 +111,15 @@ def seeds_of(text: str) -> list[int]:
     return seeds
 
 
-def one_of(known: Collection[str], separator: str = ",", groups: Mapping[str, Sequence[str]] | None = None) -> Any:  # noqa: ANN401 - a type of argparse
+def one_of(known: Collection[str], separator: str = ",", groups: Mapping[str, Sequence[str]] = {}) -> Any:  # noqa: ANN401 - a type of argparse
     """Return what reads names with separators between; the name of a group stands for its members."""
 
     def names(text: str) -> list[str]:
         words = [word.strip() for word in text.split(separator)]
-        chosen = [name for word in words for name in (groups or {}).get(word, (word,))]
+        chosen = [name for word in words for name in groups.get(word, (word,))]
         unknown = [name for name in chosen if name not in known]
         if unknown:
-            listed = ", ".join((*known, *(groups or {})))
+            listed = ", ".join((*known, *groups))
             raise argparse.ArgumentTypeError(f"no {', '.join(unknown)}; there are {listed}")
         return chosen
 

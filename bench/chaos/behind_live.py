@@ -8,8 +8,8 @@ from contextlib import closing
 from pathlib import Path
 
 from api.factory import open_store
-from bench.chaos.behind_memory import grown, resident_mb
-from bench.chaos.live_round import PATIENCE_S, LiveRound, stored_frames, transmitting
+from bench.chaos.behind_uploads import grown, resident_mb
+from bench.chaos.live import PATIENCE_S, LiveRound, stored_frames, transmitting
 from bench.chaos.small_deployment import Databases, faults
 from bench.report import BenchRow
 from ingest.frames import OVERFLOW_ID, count_dropped

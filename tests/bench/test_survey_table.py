@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.results_page import RESULTS
+from bench.report import RESULTS
 from bench.survey_fleets import drawn_track
-from bench.survey_table import Figures, Paired, differences, most_share, rows_of, summary
-from bench.surveys import ROWS, SURVEYS
+from bench.surveys import ROWS, SURVEYS, Figures, Paired, differences, most_share, rows_of, summary
 
 
 def conicity(error: float, half_width: float = 0.02, key: str = "W 3") -> dict[str, Any]:
