@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from api.settings import Settings
-from bench.service_environment import environment_of
+from bench.services import environment_of
 
 START_S = 60.0
 

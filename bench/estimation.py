@@ -9,7 +9,7 @@ import numpy as np
 
 from api import reproduction
 from bench.mems import conicity_errors
-from bench.report import BenchRow
+from bench.report import BenchRow, RowBench
 from estimation.values.geometry import COMBINATIONS, BinStatus
 
 SECONDS = 600.0
@@ -112,3 +112,6 @@ def mems_rows() -> Iterator[BenchRow]:
         "0.01",
         mean <= 0.01,
     )
+
+
+main = RowBench("estimation", "Accuracy on known track", __doc__ or "", lambda _options, _folder: rows()).run

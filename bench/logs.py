@@ -20,12 +20,12 @@ import can
 import cantools
 import numpy as np
 
-from bench.decoding import bus_frames
-from bench.report import BenchRow
+from bench.report import BenchRow, RowBench
 from estimation.errors import TreadwatchError
-from ingest.catalogue import default_catalogue
-from ingest.codec import decode
-from ingest.frames import FrameBatch, channel_number, take
+from estimation.values.windows import ACCELERATIONS
+from ingest.catalogue import ACCELERATION, SYNC, default_catalogue, sync_counter
+from ingest.codec import decode, encode
+from ingest.frames import FrameBatch, channel_number, concatenate, sort_by_time, take
 from ingest.live.listening import messages_of
 from ingest.logs import write_blf
 from ingest.logs.formats import ReadCost, read_content
@@ -36,6 +36,7 @@ TEXT = {
     ".asc": (can.ASCWriter, can.ASCReader, "ASC"),
     ".log": (can.CanutilsLogWriter, can.CanutilsLogReader, "candump"),
 }
+NODES, START_NS = 8, 1_750_000_000_000_000_000
 REACH_BLF, REACH_BLF_FRAMES, REACH_TEXT, REACH_MF4 = 15.0, 5e6, 5.0, 1.0
 
 
@@ -172,3 +173,20 @@ def _read_s(path: Path, frames: int) -> float:
 def _all(found: int, frames: int, path: Path) -> None:
     if found != frames:
         raise TreadwatchError(f"{path.name} holds {frames} frames, of which {found} were found")
+
+
+def bus_frames(count: int) -> FrameBatch:
+    """Return a bus of SYNC and eight wheelset nodes, with a few values that are not available."""
+    catalogue = default_catalogue()
+    samples = count // (NODES + 1) + 1
+    rng = np.random.default_rng(0)
+    t_ns = START_NS + np.arange(samples) * catalogue.sample_interval_ns
+    batches = [encode(catalogue.find(SYNC), t_ns, {"counter": sync_counter(np.arange(samples))})]
+    for node in range(1, NODES + 1):
+        values = {name: rng.normal(scale=2.0, size=samples) for name in ACCELERATIONS}
+        values["yaw_acceleration"][::1000] = np.nan
+        batches.append(encode(catalogue.find(ACCELERATION, node), t_ns + node * 200_000, values))
+    return take(sort_by_time(concatenate(batches)), slice(0, count))
+
+
+main = RowBench("logs", "Log files to decoded arrays", __doc__ or "", lambda _options, _folder: rows()).run

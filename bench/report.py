@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -97,6 +100,32 @@ def ended(parts: Iterable[Part], name: str, title: str, command: str | None) -> 
     if command is not None:
         say(f"wrote {write_page(name, title, command, parts)}")
     return 0 if all(table.met for table in tables) else 1
+
+
+@dataclass(frozen=True, slots=True)
+class RowBench:
+    """A bench that measures rows once; ``options`` has default and help by name, lists take several values."""
+
+    name: str
+    title: str
+    about: str
+    rows: Callable[[argparse.Namespace, Path], Iterator[BenchRow]]
+    options: Mapping[str, tuple[Any, str]] = field(default_factory=dict)
+
+    def run(self, arguments: Sequence[str]) -> int:
+        """Measure in an empty folder, print, and return 1 where a row falls short."""
+        parser = argparse.ArgumentParser(prog=f"python -m bench {self.name}", description=self.about)
+        for name, (default, about) in self.options.items():
+            several = isinstance(default, list)
+            kind = type(default[0] if several else default)
+            about = f"{about} ({default})"  # noqa: PLW2901 - the whole of it
+            parser.add_argument(f"--{name}", type=kind, nargs="+" if several else None, default=default, help=about)
+        parser.add_argument("--write-docs", action="store_true", help=f"write docs/results/{self.name}.md too")
+        options = parser.parse_args(arguments)
+        with tempfile.TemporaryDirectory(prefix=f"treadwatch-{self.name}-") as folder:
+            rows = printed(self.rows(options, Path(folder)))
+        command = " ".join(["python -m bench", self.name, *arguments]) if options.write_docs else None
+        return ended([row_table(rows)], self.name, self.title, command)
 
 
 def write_page(name: str, title: str, command: str, parts: Iterable[Part], folder: Path = RESULTS) -> Path:

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import tempfile
-from pathlib import Path
-from typing import Any
-from api.comparison import trial
-from api.comparison.study import read_truth
-from estimation.jobs import refresh_signatures
-from estimation.values.runs import Result
-from estimation.values.signatures import ANSWERS, SignatureFinding
-from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.scenario_file import load_scenario
 import time
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+
+from api.comparison import trial
+from api.comparison.study import read_truth
 from bench.signature_cases import SimulatedFleet, entries, tracks, wheelset, window_of, window_parameters
+from estimation.jobs import refresh_signatures
 from estimation.signatures.answer import judged
 from estimation.signatures.library import Libraries, Library, Subject
 from estimation.signatures.window_signatures import SignatureParameters, window_signatures
-from estimation.values.signatures import AxlePosition, LibraryEntry
-
+from estimation.values.runs import Result
+from estimation.values.signatures import ANSWERS, AxlePosition, LibraryEntry, SignatureFinding
+from ingest.simulator.drawn_fleet import with_seed
+from ingest.simulator.scenario_file import load_scenario
 
 SCENARIOS = Path(__file__).parent / "signature_scenarios"
 KINDS = {

@@ -18,8 +18,7 @@ import numpy as np
 
 from bench.report import BenchRow, row_table, say
 from bench.signature_cases import CONDITIONS, Foreign, LeftTableError, Pass, Simulated, SimulatedFleet, entries
-from bench.signature_fleets import Plan, simulated
-from bench.signature_foreign import KINDS as KINDS_FOREIGN
+from bench.signature_fleets import KINDS_FOREIGN, Plan, simulated
 from bench.signature_pipeline import EACH, KINDS, WHEELSETS, cost, judged_by_the_product
 from bench.signature_rivals import trained
 from bench.study import Case, Key, Study, seeds_of

@@ -8,13 +8,12 @@ fallen leaves; intervals are now and then outliers, alone or two on end.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+
 import numpy as np
-from estimation.values.arrays import FloatArray
-from estimation.values.geometry import IntervalConicities, KnownConicity
-import numpy as np
+
 from estimation.trend.change_point import StepModel
 from estimation.values.arrays import FloatArray
-
+from estimation.values.geometry import IntervalConicities, KnownConicity
 
 HISTORIES = (3, 6, 12, 30, 60, 120, 240)  # intervals before a step
 LEAST = 0.04  # conicity: an outlier is never below it

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-import numpy as np
-from bench.report import BenchRow
-from estimation.trend.trend import fit_recent
-from estimation.values.quantities import Estimate
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+
 import numpy as np
+
+from bench.report import BenchRow, RowBench
+from estimation.trend.trend import fit_recent
 from estimation.values.arrays import FloatArray
+from estimation.values.quantities import Estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,3 +127,6 @@ def _contains(estimate: Estimate, truth: float) -> bool:
 
 def _reached(history: History, forecast: float | None) -> bool:
     return forecast is None or history.ahead <= forecast
+
+
+main = RowBench("trend", "Coverage of trend and forecast", __doc__ or "", lambda _options, _folder: rows()).run

@@ -4,37 +4,31 @@ from __future__ import annotations
 
 import random
 import resource
+import signal
+import subprocess
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import closing
-import numpy as np
-from api.factory import open_store
-from bench.chaos.part import ChaosSettings
-from bench.chaos.small_deployment import PASSWORD, Databases, databases, faults
-from bench.report import BenchRow
-from ingest.frames import OVERFLOW_ID, FrameBatch, count_dropped, take
-import signal
-import subprocess
-import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Event, Thread
+
 import numpy as np
+
+from api.factory import open_store
 from api.settings import Settings
-from bench.chaos.small_deployment import until
-from bench.service_environment import environment_of
+from bench.chaos.run import ChaosSettings
+from bench.chaos.small_deployment import PASSWORD, Databases, databases, faults
+from bench.report import BenchRow
+from bench.services import started, until
 from fleet_db.raw import FileRawStore
 from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.frames import FrameBatch, concatenate, sort_by_time, take
+from ingest.frames import OVERFLOW_ID, FrameBatch, concatenate, count_dropped, sort_by_time, take
 from ingest.live.listening import open_bus, send
 from ingest.logs import read_log
 from tests.ingest.vehicle_bus import VEHICLE, Run
-
 
 CHANNEL = "239.74.163.91"
 PATIENCE_S = 120.0
@@ -62,13 +56,7 @@ class LiveRound:
         """Start a receiver and wait until it listens."""
         arguments = ["ingest", "--interface", "udp_multicast", "--channel", CHANNEL, "--vehicle", VEHICLE]
         before = self.said().count("listening")
-        with self.log.open("ab") as log:
-            self.process = subprocess.Popen(  # noqa: S603 - our own command
-                [sys.executable, "-c", "from api.cli import main; main()", *arguments, "--chunk-seconds", "1"],
-                env=environment_of(self.settings),
-                stdout=log,
-                stderr=log,
-            )
+        self.process = started(self.settings, *arguments, "--chunk-seconds", "1", log=self.log)
         assert until(lambda: self.said().count("listening") > before, PATIENCE_S) is not None, self.said()
 
     def kill(self) -> None:
@@ -162,8 +150,7 @@ SHORT = 4
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Yield what kills and outages cost a live receiver.
 
-    Args:
-        settings: ``size`` is the number of kills; more than a few come with outages of up to 5 min and full disks.
+    ``size`` is the number of kills; more than a few come with outages of up to 5 min and full disks.
     """
     draw = random.Random(settings.seed)  # noqa: S311 - no secret
     with databases(settings.folder) as both:

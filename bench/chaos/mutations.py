@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.chaos.mutated_files import mutated, mutated_inside, small_recording, written
-from bench.chaos.part import ChaosSettings
+from bench.chaos.run import ChaosSettings
 from bench.report import BenchRow
 from estimation.errors import LogFileError
 from ingest.align.windows import vehicle_samples
@@ -64,8 +64,7 @@ class Sound:
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Damage files of each format and read them; yield what was found.
 
-    Args:
-        settings: ``size`` is the number of files of each format.
+    ``size`` is the number of files of each format.
     """
     batch = small_recording()
     for name in FORMATS:

@@ -10,15 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import psycopg
-import sqlalchemy
-from psycopg import sql
 
 from api.factory import job_context, receiver, scheduled_jobs
 from api.settings import Settings
-from bench.chaos.part import ChaosSettings
 from bench.chaos.registry_mistakes import MISTAKES, RESTORED
+from bench.chaos.run import ChaosSettings
 from bench.report import BenchRow
+from bench.services import created
 from bench.standing_clock import StandingClock
 from estimation.jobs.job import run_job
 from estimation.values.runs import JobOutcome, JobTrigger
@@ -122,11 +120,7 @@ class Deployment:
 
 
 def deployment(folder: Path, url: str, report: FleetReport) -> Deployment:
-    """Return a deployment that knows the registry, with the recordings of a fleet received and estimated.
-
-    Args:
-        url: Its empty database.
-    """
+    """Return a deployment on an empty database that knows the registry, with recordings received and estimated."""
     folder.mkdir()
     upgrade(url)
     found = _opened(folder, url, report.registry, AFTERWARDS_NS)
@@ -207,12 +201,7 @@ def differing(expected: Mapping[str, object], now: Mapping[str, object]) -> tupl
 
 
 def corrected(found: Deployment, number: int, rng: np.random.Generator, expected: Mapping[str, object]) -> Corrected:
-    """Make one mistake, correct it, and return what is not as before.
-
-    Args:
-        number: Of the round, from 0; it decides which mistake.
-        expected: What is derived where it was never made.
-    """
+    """Make the mistake of a round, correct it, and return what is not as where it was never made."""
     mistake = MISTAKES[number % len(MISTAKES)]
     with found.storage.write() as unit:
         undo = mistake(unit, rng)
@@ -232,11 +221,7 @@ def corrected(found: Deployment, number: int, rng: np.random.Generator, expected
 def rounds(
     settings: ChaosSettings, numbers: Sequence[int], report: FleetReport, server: PostgresServer | None = None
 ) -> Iterator[Corrected]:
-    """Make mistakes one after another; one that leaves something wrong is followed by another deployment.
-
-    Args:
-        server: Where the databases are; without one they are SQLite files.
-    """
+    """Make mistakes one after another; one that leaves something wrong is followed by another deployment."""
     settings.folder.mkdir()
     never = settings.folder / "never"
     reference = deployment(never, _new_database(never, server, "template0"), report)
@@ -264,19 +249,11 @@ def _new_database(folder: Path, server: PostgresServer | None, template: str) ->
     """Return the URL of the database of a folder; on a server it is made from a template."""
     if server is None:
         return sqlite_url(folder)
-    names = sql.Identifier(folder.name), sql.Identifier(template)
-    with psycopg.connect(server.url, autocommit=True) as connection:
-        connection.execute(sql.SQL("CREATE DATABASE {} TEMPLATE {}").format(*names))
-    url = sqlalchemy.make_url(server.url).set(drivername="postgresql", database=folder.name)
-    return url.render_as_string(hide_password=False)
+    return created(server.url, folder.name, template)
 
 
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
-    """Make mistakes, correct them, and compare with a state in which they were never made.
-
-    Args:
-        settings: ``size`` is the number of mistakes, half of them on each database; few are made on SQLite alone.
-    """
+    """Make mistakes, half on each database or few on SQLite alone; compare with a state without them."""
     scenario = settings.folder / "scenario.toml"
     scenario.write_text(SCENARIO, encoding="utf-8")
     report = run_fleet(load_scenario(scenario), settings.folder / "recordings", workers=1)

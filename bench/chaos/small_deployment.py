@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,9 +17,11 @@ import psycopg
 import sqlalchemy
 from psycopg import sql
 
-from api.factory import SystemClock, open_store, raw_store, receiver
+from api.factory import SystemClock, job_context, open_store, process_name, raw_store, receiver, scheduled_jobs
 from api.settings import Settings
-from estimation.values.runs import JobOutcome
+from bench.services import created
+from estimation.jobs.job import run_job
+from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.kept_files import orphaned_recordings
 from fleet_db.migrate import upgrade
@@ -57,9 +59,7 @@ class Databases:
             shutil.copyfile(self.folder / "migrated.sqlite", home / "treadwatch.sqlite")
             url = f"sqlite:///{home / 'treadwatch.sqlite'}"
         else:
-            with psycopg.connect(self.server.url, autocommit=True) as connection:
-                connection.execute(sql.SQL("CREATE DATABASE {} TEMPLATE migrated").format(sql.Identifier(name)))
-            url = _database(self.server.url, name)
+            url = created(self.server.url, name, "migrated", PASSWORD)
         settings = Settings(database_url=url, data_dir=home, window_length_s=WINDOW_S, port=0, _env_file=None)
         with closing(open_store(settings)) as storage, storage.write() as unit:
             register(unit)
@@ -80,28 +80,15 @@ def databases(folder: Path) -> Iterator[Databases]:
     """Yield both databases, for the deployments of a part."""
     upgrade(f"sqlite:///{folder / 'migrated.sqlite'}")
     with stoppable_server(SAFE) as server:
-        with psycopg.connect(server.url, autocommit=True) as connection:
-            connection.execute("CREATE DATABASE migrated")
-        upgrade(_database(server.url, "migrated"))
+        upgrade(created(server.url, "migrated", password=PASSWORD))
         yield Databases(folder, server)
-
-
-def _database(url: str, name: str) -> str:
-    """Return the URL of a database of a server; with a password, which must be in no log."""
-    parsed = sqlalchemy.make_url(url).set(drivername="postgresql", database=name, password=PASSWORD)
-    return parsed.render_as_string(hide_password=False)
 
 
 PASSWORD = "not-for-the-log-4711"  # noqa: S105 - the server trusts everybody; it is looked for in the logs
 
 
 def recordings(folder: Path, cuts: Sequence[float], seconds: float, start_ns: int = START_NS) -> list[Path]:
-    """Write one journey of the vehicle as recordings that follow each other.
-
-    Args:
-        cuts: Where it is cut, as shares of its frames.
-        start_ns: When it begins, ns UTC.
-    """
+    """Write one journey of the vehicle as recordings that follow each other; cuts are shares of its frames."""
     frames = Run(seconds=seconds, start_ns=start_ns).frames()
     edges = [0, *sorted(round(cut * len(frames)) for cut in cuts), len(frames)]
     folder.mkdir(parents=True, exist_ok=True)
@@ -181,11 +168,36 @@ def faults(settings: Settings, storage: SqlStorage) -> list[str]:
     return wrong + ["a run without an end"] * sum(run.outcome is JobOutcome.RUNNING for run in runs)
 
 
-def until(reached: Callable[[], bool], seconds: float) -> float | None:
-    """Wait until something is so; return how long it took, s, or None."""
-    begin = time.monotonic()
-    while not reached():
-        if time.monotonic() - begin > seconds:
-            return None
-        time.sleep(0.02)
-    return time.monotonic() - begin
+def compared(
+    both: Databases, broken: Settings, alone: Settings, paths: Sequence[Path], *, keep: bool = False
+) -> list[str]:
+    """Bring both to rest; return what differs, and what is wrong with the broken one in itself; both are removed."""
+    log = both.folder / "end.log"
+    ends = [wait_for([fork(partial(_to_the_end, deployment, paths), log)]) for deployment in (broken, alone)]
+    wrong = ["the end was not reached"] * sum(codes != [0] for codes in ends)
+    with closing(open_store(broken)) as first, closing(open_store(alone)) as second:
+        was, should = state(first), state(second)
+        wrong += [name for name in was if was[name] != should[name]] + faults(broken, first)
+    for deployment in () if keep else (broken, alone):
+        both.drop(deployment)
+    return wrong
+
+
+def _to_the_end(settings: Settings, paths: Sequence[Path]) -> None:
+    ingest(settings, paths)
+    estimate(settings)
+
+
+def estimate(settings: Settings) -> None:
+    """Run the jobs once, as ``treadwatch estimate`` does."""
+    with closing(open_store(settings)) as storage:
+        context = job_context(settings, storage)
+        with storage.owned(JobTrigger.CLI, process_name(), context.lease_s) as owned:
+            for job in scheduled_jobs(settings):
+                run_job(job, job_context(settings, owned), JobTrigger.CLI)
+
+
+def newest_run(settings: Settings) -> int:
+    """Return the number of the newest run of a job."""
+    with closing(open_store(settings)) as storage, storage.read() as unit:
+        return max((run.run_id for run in unit.jobs.page(None, None, 1)), default=0)

@@ -2,75 +2,25 @@
 
 from __future__ import annotations
 
-import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import psycopg
-import sqlalchemy
-from psycopg import sql
 from sqlalchemy import text
 
-from api.comparison.trial import Recorded, copied, deploy, opened, receive, record, register
+from api.comparison.trial import opened, receive
 from api.factory import open_store
-from api.settings import Settings
 from bench.chaos.final_state import OF_HISTORY, final_state
 from bench.chaos.small_deployment import PASSWORD
+from bench.counting import run
+from bench.small_fleets import FOUR_AXLES, Workload, cars, deployed, small_fleet
 from estimation.errors import TreadwatchError
 from estimation.jobs.catalogue import ALL_JOBS
-from estimation.jobs.job import JobContext, run_job
-from estimation.values.runs import JobTrigger
-from fleet_db.migrate import upgrade
+from estimation.jobs.job import JobContext
 from fleet_db.storage import SqlStorage
-from ingest.simulator.scenario_file import read_scenario
 
 WINDOW_S = 10.0
-FLEET = """\
-name = "WORKERS"
-description = "vehicles of four wheelsets on a section that nobody has surveyed"
-seed = 11
-[fleet]
-code = "W"
-name = "Fleet W"
-[section]
-code = "W-1"
-number = 1
-name = "Section W-1"
-length_m = 2700.0
-surveyed = false
-[speed]
-lowest_m_s = 14.0
-highest_m_s = 22.0
-[sensors]
-kind = "mems"
-[bus]
-recorder_clock_offset_s = 1.5
-[position]
-largest_offset_m = 3.0
-largest_scale_percent = 0.1
-[sessions]
-start = 2024-01-08T05:30:00Z
-campaigns = {campaigns}
-minutes_each = 2.0
-first_odometer_km = 1000.0
-km_between = 20000.0
-km_per_day = 500.0
-"""
-VEHICLE = """\
-[[vehicles]]
-code = "W-{vehicle}"
-class = "railcar"
-max_speed_km_h = 120.0
-axle_offsets_m = [2.0, 4.5, 14.0, 16.5]
-"""
-WHEELSET = """\
-[[vehicles.wheelsets]]
-serial = "W-{vehicle}{axle}"
-initial_wear_mm = {worn}
-wear_mm_per_100000_km = 0.8
-"""
 STORED = "chaos_stored_tables"
 NOTED = (
     "NEW.wheelset || '@' || NEW.start_ns || ' ' || NEW.window_digest || ' ' || NEW.parameter_key || ' ' ||"
@@ -95,60 +45,32 @@ MOST_RUNS = 8
 
 @dataclass(frozen=True, slots=True)
 class WorkerFleet:
-    """Recordings by time, a deployment that has received none of them, and what they come to undisturbed.
+    """Recordings by time, a deployment that has received none of them, and what they come to undisturbed."""
 
-    ``server`` is the URL of a PostgreSQL server on which the database ``empty`` is copied; None for SQLite.
-    """
-
-    recordings: Sequence[tuple[str, Path]]
-    empty: Settings
-    server: str | None
+    load: Workload
     undisturbed: Mapping[str, str]
-
-    def copy(self, folder: Path) -> Settings:
-        """Return a deployment of its own, in a new folder."""
-        settings = copied(self.empty, folder)
-        if self.server is None:
-            return settings.model_copy(update={"database_url": None})
-        name = f"d{uuid.uuid4().hex[:12]}"
-        with psycopg.connect(self.server, autocommit=True) as connection:
-            connection.execute(sql.SQL("CREATE DATABASE {} TEMPLATE empty").format(sql.Identifier(name)))
-        return settings.model_copy(update={"database_url": _database(self.server, name)})
 
 
 def worker_fleet(folder: Path, vehicles: int, campaigns: int, server: str | None = None) -> WorkerFleet:
     """Return the fleet, with what one process makes of its recordings when nobody disturbs it.
 
-    Args:
-        vehicles, campaigns: How many vehicles of four wheelsets, and journeys of each.
-        server: URL of a PostgreSQL server; None for SQLite.
+    The server is PostgreSQL's; None for SQLite.
     """
-    parts = [FLEET.format(campaigns=campaigns)]
-    for number, vehicle in enumerate("ABCDEF"[:vehicles]):
-        parts.append(VEHICLE.format(vehicle=vehicle))
-        parts += [WHEELSET.format(vehicle=vehicle, axle=i, worn=round(0.2 * i + 0.1 * number, 2)) for i in range(1, 5)]
-    file = folder / "scenario.toml"
-    file.write_text("".join(parts), encoding="utf-8")
-    scenario = read_scenario(file)
-    recorded = record(scenario, folder / "recordings", workers=1)
-    home = folder / ("sqlite" if server is None else "postgresql")
-    empty = deploy(scenario, home).model_copy(update={"window_length_s": WINDOW_S})
-    if server is not None:
-        with psycopg.connect(server, autocommit=True) as connection:
-            connection.execute("CREATE DATABASE empty")
-        empty = empty.model_copy(update={"database_url": _database(server, "empty")})
-        upgrade(empty.url)
-        register(scenario, empty, home / "registered")
-    with closing(open_store(empty)) as storage, storage.write() as unit:
+    scenario = small_fleet(
+        folder, "W", cars(vehicles, wear=0.8), FOUR_AXLES, 2.0, campaigns=campaigns, surveyed=False, seed=11,
+        km_between=20_000.0, position_m=3.0,
+    )  # fmt: skip
+    load = deployed(folder, scenario, server, PASSWORD, workers=1)
+    load = replace(load, received=load.received.model_copy(update={"window_length_s": WINDOW_S}))
+    with closing(open_store(load.received)) as storage, storage.write() as unit:
         unit.connection.execute(text(f"CREATE TABLE {STORED} (what TEXT NOT NULL)"))
         for statement in COUNTED[unit.connection.dialect.name]:
             unit.connection.execute(text(statement))
-    fleet = WorkerFleet(recorded.recordings, empty, server, {})
-    alone = fleet.copy(home / "undisturbed")
-    receive(Recorded(tuple(fleet.recordings), recorded.truth), alone)
+    alone = load.copy(load.received.data_dir.parent / "undisturbed")
+    receive(load.recorded, alone)
     with opened(alone) as (storage, context):
         come_to_rest(storage, context)
-        return replace(fleet, undisturbed=compared_state(storage))
+        return WorkerFleet(load, compared_state(storage))
 
 
 def compared_state(storage: SqlStorage) -> Mapping[str, str]:
@@ -163,23 +85,11 @@ def stored_twice(storage: SqlStorage) -> int:
 
 
 def come_to_rest(storage: SqlStorage, context: JobContext) -> None:
-    """Run the jobs here until nothing changes any more.
-
-    Raises:
-        TreadwatchError: A job failed, or they do not come to rest.
-    """
+    """Run the jobs here until nothing changes any more."""
     for _ in range(MOST_RUNS):
         before = compared_state(storage)
         for job in ALL_JOBS:
-            done = run_job(job, context, JobTrigger.CLI)
-            if done.error is not None:
-                raise TreadwatchError(f"job {job.name} failed: {done.error}")
+            run(job, context)
         if compared_state(storage) == before:
             return
     raise TreadwatchError("the jobs do not come to rest")
-
-
-def _database(server: str, name: str) -> str:
-    """Return the URL of a database of a server, with a password, which must be in no log."""
-    parsed = sqlalchemy.make_url(server).set(drivername="postgresql", database=name, password=PASSWORD)
-    return parsed.render_as_string(hide_password=False)

@@ -5,31 +5,27 @@ from __future__ import annotations
 import os
 import re
 import signal
-import subprocess
-import sys
-import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
-from pathlib import Path
-import sqlalchemy
-from sqlalchemy import select
-from api.settings import Settings
-from bench.chaos.small_deployment import until
-from bench.dask_cluster import DaskCluster, dask_cluster
-from bench.service_environment import environment_of
-from fleet_db.rows import table_of
-from fleet_db.storage import SqlStorage
-from fleet_db.tables.operation import WorkClaimRow, WorkLeaseRow
 import socket
 import struct
+import subprocess
 import threading
-from collections.abc import Mapping
-from contextlib import suppress
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from pathlib import Path
 
+import sqlalchemy
+from sqlalchemy import select
+
+from api.settings import Settings
+from bench.dask_cluster import DaskCluster, dask_cluster
+from bench.measuring import tree
+from bench.services import started, until
+from fleet_db.rows import table_of
+from fleet_db.storage import SqlStorage
+from fleet_db.tables.operation import WorkClaimRow, WorkLeaseRow
 
 RESET = struct.pack("ii", 1, 0)  # close without a farewell, as a network does
 
@@ -170,7 +166,6 @@ LEASE_S = 2.0
 EVERY_S = 2.0
 START_S = 120.0
 AT_WORK_S = 40.0
-SCHEDULE = "from api.cli import main; main()"
 QUICK = {"lease_s": LEASE_S, "jobs_every_s": EVERY_S, "database_silence_s": 1.0, "database_connect_timeout_s": 2}
 KEPT = '[days]\nwindow_samples = "for ever"\nwindow_bin_tables = "for ever"\n'
 """The recordings are older than what is kept by default, and a purge would leave nothing to compare."""
@@ -199,14 +194,7 @@ class Services:
     def start_scheduler(self) -> None:
         """Start ``treadwatch schedule`` and wait until it has started."""
         before = self.said().count("scheduler started")
-        with self.log.open("ab") as log:
-            self.scheduler = subprocess.Popen(  # noqa: S603 - our own command
-                [sys.executable, "-c", SCHEDULE, "schedule", "--wait"],
-                env=environment_of(self.settings),
-                stdout=log,
-                stderr=log,
-                start_new_session=True,
-            )
+        self.scheduler = started(self.settings, "schedule", "--wait", log=self.log)
         assert until(lambda: self.said().count("scheduler started") > before, START_S) is not None, self.said()
 
     def end_scheduler(self, number: signal.Signals) -> None:
@@ -236,12 +224,7 @@ class Services:
 
     def family(self) -> list[int]:
         """Return the scheduler with all processes that it has started."""
-        found = [] if self._scheduler_pid is None else [self._scheduler_pid]
-        for pid in found:
-            with suppress(OSError):
-                for children in Path(f"/proc/{pid}/task").glob("*/children"):
-                    found += map(int, children.read_text(encoding="ascii").split())
-        return found
+        return [] if self._scheduler_pid is None else tree(self._scheduler_pid)
 
     @property
     def _scheduler_pid(self) -> int | None:
@@ -252,9 +235,7 @@ class Services:
 def services(storage: SqlStorage, settings: Settings, folder: Path, *, dask: bool) -> Iterator[Services]:
     """Yield the running services of a deployment; none is left at the end.
 
-    Args:
-        folder: Of the logs; the database of a server is reached through a link.
-        dask: Whether workers of Dask work, in place of processes of the scheduler.
+    The database of a server is reached through a link. With ``dask`` its workers work, not those of the scheduler.
     """
     kept = folder / "retention.toml"
     kept.write_text(KEPT, encoding="utf-8")

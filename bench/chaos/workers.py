@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
+import os
 import random
 import shutil
 import signal
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
+
 from api.comparison.trial import Recorded, receive
 from api.factory import job_context, open_store, raw_store
-from bench.chaos.part import ChaosSettings
+from bench.chaos.run import ChaosSettings
 from bench.chaos.small_deployment import PASSWORD
 from bench.chaos.worker_fleet import WorkerFleet, come_to_rest, compared_state, stored_twice, worker_fleet
-from bench.chaos.worker_services import DASK_WORKERS, PROCESSES, services
+from bench.chaos.worker_services import DASK_WORKERS, LEASE_S, PROCESSES, Cut, Services, services
 from bench.report import BenchRow
 from fleet_db.keeping.checks import check_deep
 from fleet_db.storage import SqlStorage
 from tests.postgres_server import SAFE, stoppable_server
-import os
-import random
-import signal
-import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from bench.chaos.worker_services import Cut
-from bench.chaos.worker_services import LEASE_S, Services
-
 
 Strike = Callable[[Services, random.Random], bool]
 """Does harm and mends it; returns whether there was somebody to be harmed."""
@@ -162,8 +155,7 @@ class _Tally:
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Yield for each kind of workers what faults did to their results.
 
-    Args:
-        settings: ``size`` is the number of faults, of all kinds of workers together.
+    ``size`` is the number of faults, of all kinds of workers together.
     """
     rng = random.Random(settings.seed)  # noqa: S311 - drawn moments, not secrets
     short = settings.size <= SHORT
@@ -209,11 +201,11 @@ def _harmed(half: _Half, settings: ChaosSettings, rng: random.Random, faults: in
 def _round(half: _Half, settings: ChaosSettings, rng: random.Random, tally: _Tally, order: list[Strike]) -> None:
     """Let recordings come in, with a fault after each, and compare the state at rest; faults done leave ``order``."""
     folder = settings.folder / "round"
-    deployed = half.fleet.copy(folder)
+    deployed = half.fleet.load.copy(folder)
     undisturbed = half.fleet.undisturbed
     with closing(open_store(deployed)) as storage:
         with services(storage, deployed, folder, dask=half.dask) as running:
-            for recording in half.fleet.recordings:
+            for recording in half.fleet.load.recordings:
                 receive(Recorded((recording,), recording[1]), deployed)
                 if order and order[-1](running, rng):
                     tally.faults[order.pop().__name__] += 1

@@ -4,22 +4,39 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
+
+import numpy as np
 
 HEAD_END = b"\r\n\r\n"
 
 
-@dataclass(frozen=True)
-class Percentiles:
-    """Latencies of one endpoint in one round, in milliseconds, and how fast it was served."""
+@dataclass(slots=True)
+class Answers:
+    """What clients were answered: latencies, ms, from the first byte sent to the last one read; statuses and sizes."""
 
-    p50_ms: float
-    p99_ms: float
-    per_second: float
-    refused: int
-    mean_bytes: float
+    latencies_ms: list[float] = field(default_factory=list)
+    statuses: Counter[int] = field(default_factory=Counter)
+    bytes_: int = 0
+    took_s: float = 0.0
+    cpu_s: float = 0.0  # of this process, which asks
+
+    def percentile(self, share: float) -> float:
+        """Return a percentile of the latencies, ms."""
+        return float(np.percentile(self.latencies_ms, share))
+
+    @property
+    def per_second(self) -> float:
+        """Answers by the clock."""
+        return len(self.latencies_ms) / self.took_s
+
+    @property
+    def mean_kb(self) -> float:
+        """Size of an answer with its head."""
+        return self.bytes_ / len(self.latencies_ms) / 1000.0
 
 
 @dataclass
@@ -29,9 +46,7 @@ class _Round:
     requests: Sequence[bytes]
     done: asyncio.Future[None]
     sent: int = 0
-    latencies_s: list[float] = field(default_factory=list)
-    statuses: list[int] = field(default_factory=list)
-    sizes: list[int] = field(default_factory=list)
+    answers: Answers = field(default_factory=Answers)
 
     def next_request(self) -> bytes | None:
         if self.sent == len(self.requests):
@@ -40,10 +55,10 @@ class _Round:
         return self.requests[self.sent - 1]
 
     def note(self, latency_s: float, status: int, size: int) -> None:
-        self.latencies_s.append(latency_s)
-        self.statuses.append(status)
-        self.sizes.append(size)
-        if len(self.latencies_s) == len(self.requests) and not self.done.done():
+        self.answers.latencies_ms.append(1000.0 * latency_s)
+        self.answers.statuses[status] += 1
+        self.answers.bytes_ += size
+        if len(self.answers.latencies_ms) == len(self.requests) and not self.done.done():
             self.done.set_result(None)
 
 
@@ -90,52 +105,32 @@ class _Client(asyncio.Protocol):
             self.transport.write(request)
 
 
-def ask(
-    url: str, wanted: Mapping[str, Sequence[str]], clients: int, headers: Sequence[str] = ()
-) -> dict[str, Percentiles]:
-    """Ask for every path of each endpoint in turn, by clients that wait for their answer before they ask again.
+def request(method: str, path: str, header: str, content: bytes = b"") -> bytes:
+    """Return a request with one more line of header."""
+    length = f"Content-Length: {len(content)}\r\nContent-Type: application/octet-stream\r\n" if content else ""
+    return f"{method} {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n{header}\r\n{length}\r\n".encode() + content
 
-    All endpoints are asked over the same connections, so that they share how these fell to the worker processes: a
-    worker that got 30 of 50 answers each half as often again, whatever it is asked for.
 
-    Args:
-        wanted: What to ask for, under the name of the endpoint.
-        clients: Connections at the same time.
-        headers: Lines that every request has.
+def ask(url: str, wanted: Mapping[str, Iterable[bytes]], clients: int) -> dict[str, Answers]:
+    """Send every request of each name in turn, by clients that wait for their answer before they ask again.
+
+    All are asked over the same connections, so that they share how these fell to the worker processes: a worker that
+    got 30 of 50 answers each half as often again, whatever it is asked for.
     """
-    return asyncio.run(_ask_all(url, wanted, clients, headers))
+    return asyncio.run(_ask_all(url, {name: list(requests) for name, requests in wanted.items()}, clients))
 
 
-async def _ask_all(
-    url: str, wanted: Mapping[str, Sequence[str]], clients: int, headers: Sequence[str]
-) -> dict[str, Percentiles]:
-    address = urlsplit(url)
-    lines = "".join(f"{line}\r\n" for line in (f"Host: {address.netloc}", *headers))
-    loop = asyncio.get_running_loop()
+async def _ask_all(url: str, wanted: Mapping[str, Sequence[bytes]], clients: int) -> dict[str, Answers]:
+    address, loop, found = urlsplit(url), asyncio.get_running_loop(), {}
     opened = [await loop.create_connection(_Client, address.hostname, address.port) for _ in range(clients)]
-    found = {}
-    for name, paths in wanted.items():
-        shared = _Round([f"GET {path} HTTP/1.1\r\n{lines}\r\n".encode() for path in paths], loop.create_future())
-        began = time.perf_counter()
+    for name, requests in wanted.items():
+        shared = _Round(requests, loop.create_future())
+        began, cpu = time.perf_counter(), time.process_time()
         for _, client in opened:
             client.ask(shared)
         await shared.done
-        found[name] = _percentiles(shared, time.perf_counter() - began)
+        shared.answers.took_s, shared.answers.cpu_s = time.perf_counter() - began, time.process_time() - cpu
+        found[name] = shared.answers
     for transport, _ in opened:
         transport.abort()
     return found
-
-
-def _percentiles(shared: _Round, took_s: float) -> Percentiles:
-    sorted_ms = sorted(1000.0 * latency for latency in shared.latencies_s)
-    return Percentiles(
-        p50_ms=_quantile(sorted_ms, 0.5),
-        p99_ms=_quantile(sorted_ms, 0.99),
-        per_second=len(sorted_ms) / took_s,
-        refused=sum(status >= 300 for status in shared.statuses),
-        mean_bytes=sum(shared.sizes) / len(shared.sizes),
-    )
-
-
-def _quantile(ordered: Sequence[float], share: float) -> float:
-    return ordered[min(len(ordered) - 1, round(share * (len(ordered) - 1)))]
