@@ -30,7 +30,7 @@ MODULES = {
     "section_runs": "pipeline",
     "sustained": "workers",
     "chunks": "api",
-    "feed": "api",
+    "chaos": "chaos.run",
 }
 
 

@@ -67,7 +67,8 @@ def _family_row(roll: ContactRoll, of_all: list[WheelsetOnTrack]) -> BenchRow:
     inside = np.mean(np.abs(error[..., 0]) <= error[..., 1], axis=0)
     width = np.median(error[..., 1], axis=0)
     said = "; ".join(
-        f"{name} rms of the error {_text(rms[k])}, half width {_text(width[k])} (median), holds {_percents(inside[k])} %"
+        f"{name} rms of the error {_text(rms[k])}, half width {_text(width[k])} (median), holds"
+        f" {_percents(inside[k])} %"
         for k, name in enumerate(("without what R says", "with it"))
     )
     return BenchRow(

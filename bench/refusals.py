@@ -1,8 +1,8 @@
 """Right vehicles that are refused, and wrong ones that are not: ``python -m bench refusals [--seeds 0-199] ...``.
 
 Every seed draws a vehicle over sensors, vibration, profiles, speed, arrangement, track and survey and judges it as it
-is, every third one also wrong in several ways (``refusals_case``), by the functions that the jobs call. ``--seeds 0-29``
-is a quick look; the figures that decide take 300 wheelsets.
+is, every third one also wrong in several ways (``refusals_case``), by the functions that the jobs call. A quick look is
+``--seeds 0-29``; the figures that decide take 300 wheelsets.
 """
 
 from __future__ import annotations

@@ -52,10 +52,10 @@ def foreign(known: Mapping[str, TrackTruth], unknown: Mapping[str, TrackTruth], 
     for kind, count in KINDS_FOREIGN.items():
         for number in range(count):
             runs = on_a_vehicle(f"X {kind} {number}", 0, _on_track(kind, rng), rng)
-            for tracks in (known, unknown):
-                section = sorted(tracks)[int(rng.integers(len(tracks)))]
+            for rails in (known, unknown):
+                section = sorted(rails)[int(rng.integers(len(rails)))]
                 try:
-                    made = run_within(runs, section, tracks[section], FOREIGN_SPEEDS, rng)
+                    made = run_within(runs, section, rails[section], FOREIGN_SPEEDS, rng)
                 except RuntimeError:  # it left its contact table, or its window is refused
                     found.append(Foreign(kind, None))
                 else:
