@@ -43,12 +43,7 @@ class DaskCluster:
             time.sleep(0.05)
 
     def start_workers(self, count: int, name: str = "workers", **others: str) -> None:
-        """Start workers, as ``treadwatch worker`` does.
-
-        Args:
-            name: Of their log, and to kill them by.
-            others: Variables of their environment that are not those of the deployment.
-        """
+        """Start workers, as ``treadwatch worker`` does."""
         command = "import sys; sys.argv[0] = 'treadwatch'; from api.cli import main; main()"
         options = ["worker", "--dask-scheduler", self.address, "--workers", str(count)]
         self._start(name, [sys.executable, "-c", command, *options], others)
@@ -73,11 +68,7 @@ class DaskCluster:
 
 @contextmanager
 def dask_cluster(settings: Settings, folder: Path, workers: int) -> Iterator[DaskCluster]:
-    """Yield a running cluster for a deployment, and end it.
-
-    Args:
-        settings: Of the deployment; handed to the workers in their environment.
-    """
+    """Yield a running cluster for a deployment, and end it."""
     folder.mkdir(parents=True, exist_ok=True)
     environment = {**environment_of(settings), "TMPDIR": str(folder)}
     cluster = DaskCluster(environment, folder, _free_port())

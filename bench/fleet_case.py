@@ -11,7 +11,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -35,11 +35,11 @@ COVERAGE = (0.92, 0.98)
 SECONDS_PER_HOUR = 3600.0
 
 
-def scored(scenario_of: Callable[[Path], Scenario], keep: Path | None) -> dict[str, Any]:
+def scored(scenario: Scenario, keep: Path | None) -> dict[str, Any]:
     """Return the score of a scenario in a folder of its own; recordings stay in ``keep`` where it is given."""
     with tempfile.TemporaryDirectory(prefix="treadwatch-bench-") as name:
         folder = Path(name)
-        return score(scenario_of(folder), keep or folder / "recordings", folder / "data")
+        return score(scenario, keep or folder / "recordings", folder / "data")
 
 
 def score(scenario: Scenario, cache: Path, folder: Path) -> dict[str, Any]:

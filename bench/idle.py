@@ -57,11 +57,7 @@ STATE = {"wheelsets", "sections", "unchanged", "without_limit", "quarantined"}
 
 
 def rows(size: FleetSize | None = None) -> Iterator[BenchRow]:
-    """Yield processor time and statements of each job, on SQLite and on PostgreSQL.
-
-    Args:
-        size: Of the fleet; by default that of the reach.
-    """
+    """Yield processor time and statements of each job, on SQLite and on PostgreSQL."""
     size = size or FleetSize()
     with tempfile.TemporaryDirectory() as folder:
         settings = Settings(data_dir=Path(folder), database_url=None, _env_file=None)

@@ -34,11 +34,7 @@ OF_SECTIONS = ((table_of(SectionAdhesionRow), "track_section"),)
 
 
 def opinions_copied(mounting: Mounting, model: Mounting, sections: Sequence[str]) -> Iterator[Insert]:
-    """Yield statements that give a wheelset the second opinions of the model.
-
-    Args:
-        sections: Codes of those that the wheelset runs on, one after the other by day.
-    """
+    """Yield statements that give a wheelset the second opinions of the model."""
     wheelset, vehicle = literal(mounting.wheelset), literal(mounting.vehicle)
     for table, section in ((CREEP, "track_section"), (SIGNATURES, "section")):
         day = (table.c.start_ns // DAY_NS) % len(sections)
@@ -60,11 +56,7 @@ def put_friction(connection: Connection, sections: Sequence[str]) -> None:
 
 
 def note_opinions(context: JobContext, storage: SqlStorage) -> None:
-    """Note that the jobs of the second opinions have looked at everything, as they do it themselves.
-
-    Args:
-        storage: With the second opinions of all wheelsets.
-    """
+    """Note that the jobs of the second opinions have looked at everything, as they do it themselves."""
     with storage.read() as unit:
         seen = {}
         for stage in (refresh_rails.OF_WHEELSETS, refresh_rails.OF_ALL, ASSUMED, refresh_signatures.OF_ALL):

@@ -74,12 +74,7 @@ class _Course:
 
 
 def populate(storage: SqlStorage, size: FleetSize, seed: int, now_ns: int) -> float:
-    """Fill an empty database with the fleet; return how long it took, in seconds.
-
-    Args:
-        storage: Of a migrated, empty database.
-        seed: Of the courses of wear, of mileages and of what has an alert.
-    """
+    """Fill an empty database with the fleet; return how long it took, in seconds."""
     began = time.perf_counter()
     random = np.random.default_rng(seed)
     courses = [_course(random, size.days, now_ns) for _ in range(VARIANTS)]

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.limits_shapes import CLASSES, amplitude_reached, curve_of
+from bench.made_values import made_geometry
 from bench.report import BenchRow, RowBench, say
 from bench.study import seeds_of
 from bench.worn_family import AMPLITUDES, DISPLACEMENT
@@ -30,14 +31,12 @@ from estimation.trend.trend import TrendParameters, probability_above
 from estimation.trend.wear_curve import fit_wear_curve
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import (
-    BinStatus,
-    BinValues,
     GeometryRecord,
     IntervalConicities,
     WheelsetGeometry,
     interval_conicities,
 )
-from estimation.values.quantities import Estimate, Status, with_interval
+from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord
@@ -160,24 +159,13 @@ def _covered(worn: Worn) -> int:
 
 def _geometry(value: FloatArray, std: float, covered: int) -> WheelsetGeometry:
     known = [with_interval(float(one), std, count=6.0) for one in value[:covered]]
-    nothing = np.full(BINS, np.nan)
-    unseen = BinValues(nothing, nothing, (BinStatus.UNOBSERVABLE,) * BINS)
-    return WheelsetGeometry(
-        bin_edges=np.linspace(-1e-3, 1e-3, BINS + 1),
-        samples=np.zeros(BINS),
-        rolling_radius_sum=unseen,
-        rolling_radius_difference=unseen,
-        contact_angle_sum=unseen,
-        contact_angle_difference=unseen,
-        amplitude=AMPLITUDES,
+    return made_geometry(
+        np.linspace(-1e-3, 1e-3, BINS + 1),
+        None,
+        AMPLITUDES,
         conicity=(*known, *[NOT_COVERED] * (len(AMPLITUDES) - covered)),
         reported_amplitude=float(AMPLITUDES[covered - 1]),
         equivalent_conicity=known[-1],
-        nonlinearity=NOT_COVERED,
-        zero_crossing=NOT_COVERED,
-        windows=8,
-        parameter_key="k",
-        status=Status.ESTIMATED,
     )
 
 
@@ -201,12 +189,7 @@ def _measured(options: argparse.Namespace, _folder: Path) -> Iterator[BenchRow]:
 
 
 def worn_wheelsets(shapes: int, most: int, seed: int) -> list[Worn]:
-    """Return worn wheelsets that cover less than 3 mm, each on some track under a vehicle of some speed.
-
-    Args:
-        most: How many wheelsets are returned at most.
-        seed: Of all that is drawn.
-    """
+    """Return worn wheelsets that cover less than 3 mm, each on some track under a vehicle of some speed."""
     random = np.random.default_rng(seed)
     drawn = [(kind, curve_of(kind, random)) for _, kind in product(range(shapes), CLASSES)]
     kinds, curves = zip(*[(kind, curve) for kind, curve in drawn if curve is not None], strict=True)

@@ -35,11 +35,7 @@ _Draw = Callable[[np.random.Generator], tuple[Profile, Profile, int]]  # wheel, 
 
 
 def curve_of(kind: str, random: np.random.Generator) -> FloatArray | None:
-    """Return the rolling radius difference (n,), m, at ``DISPLACEMENT`` of a worn wheelset; None where none runs.
-
-    Args:
-        kind: One of ``CLASSES``.
-    """
+    """Return the rolling radius difference (n,), m, at ``DISPLACEMENT`` of a worn wheelset; None where none runs."""
     try:
         wheel, rail, inclination = CLASSES[kind](random)
         gauge = random.uniform(*MEAN_GAUGES) + GAUGE_OFFSETS

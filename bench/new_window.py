@@ -67,11 +67,7 @@ def rows() -> Iterator[BenchRow]:
 
 
 def measured(settings: Settings) -> dict[str, object]:
-    """Return what each job cost after each of some windows that were put one at a time.
-
-    Args:
-        settings: Of a deployment with a year of one wheelset.
-    """
+    """Return what each job cost after each of some windows that were put one at a time."""
     # as every command of ours runs jobs: under a lease
     with closing(open_store(settings)) as store, store.owned(JobTrigger.CLI, "bench", LEASE_S) as storage:
         context = job_context(settings, storage)

@@ -55,11 +55,7 @@ Scored = dict[str, Any]
 
 
 def score(seed: int, cache: Path, *, surveyed: bool = True, drawn: bool = False) -> list[Scored]:
-    """Return a score for each way to hold the level, as JSON values.
-
-    Args:
-        drawn: Whether vehicles and creep are off from what is on file.
-    """
+    """Return a score for each way to hold the level, as JSON values."""
     sections = sections_of(seed, surveyed=surveyed, drawn=drawn)
     found: list[Scored] = []
     with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
@@ -108,11 +104,7 @@ def received(sections: Sequence[BenchSection], cache: Path) -> Settings:
 
 
 def whole_fleet(sections: Sequence[BenchSection], measured: int = 0) -> Scenario:
-    """Return the scenario of the first section with the vehicles of all, as the registry has them.
-
-    Args:
-        measured: Of how many wheelsets the profiles are on file.
-    """
+    """Return the scenario of the first section with the vehicles of all, as the registry has them."""
     vehicles: dict[str, VehiclePlan] = {vehicle.code: vehicle for one in sections for vehicle in one.scenario.vehicles}
     drawn = DrawnFleet(pairs=(), profiles_measured=measured)
     ordered = tuple(vehicles[code] for code in sorted(vehicles))
@@ -198,11 +190,7 @@ VEHICLES = ("V0", "V1")
 
 
 def worn_for_years(seed: int) -> tuple[BenchSection, BenchSection]:
-    """Return two sections of a fleet, with campaigns over years.
-
-    Args:
-        seed: Of the fleet, and of how fast wheels and rails wear.
-    """
+    """Return two sections of a fleet, with campaigns over years."""
     fleet, rng = replace(with_seed(load_scenario(TEMPLATE), seed), drawn=None), np.random.default_rng([seed, 15])
     sessions = replace(
         fleet.sessions,

@@ -44,12 +44,7 @@ class BenchSection:
 
 
 def sections_of(seed: int, *, surveyed: bool = True, drawn: bool = False) -> tuple[BenchSection, ...]:
-    """Return the sections of a seed: rails as on file, worn heads, another gauge, rails as new that nobody knows.
-
-    Args:
-        seed: Of the fleet, and of what its rails are.
-        drawn: Whether springs and masses of the vehicles, and the creep on each section, are off from those on file.
-    """
+    """Return the sections of a seed: rails as on file, worn heads, another gauge, rails as new that nobody knows."""
     fleet = replace(with_seed(load_scenario(TEMPLATE), seed), drawn=None)
     if drawn:
         codes = tuple(vehicle.code for vehicle in fleet.vehicles)
@@ -67,12 +62,7 @@ def sections_of(seed: int, *, surveyed: bool = True, drawn: bool = False) -> tup
 def on_section(
     fleet: Scenario, place: int, runs: Sequence[str], wear: RailWear | None, gauge: float, *, surveyed: bool
 ) -> Scenario:
-    """Return a fleet as it runs on one of several sections.
-
-    Args:
-        place: Number of the section, from 0.
-        wear, gauge: Of its rails; m.
-    """
+    """Return a fleet as it runs on one of several sections."""
     recipe = fleet.section.recipe
     assert recipe is not None
     section = replace(

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.made_values import made_window
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import check_radius, rolling_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
@@ -36,7 +37,7 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.roll_up import RollingSums
 from estimation.values.track import TrackAlignment
-from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
+from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import Arrangement, VehicleClass
 from ingest.simulator.axle_motion import axle_motions, contact_of, true_geometry
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
@@ -49,7 +50,6 @@ from ingest.vehicle_class_schema import VehicleClassEntry
 SCENARIOS = Path(__file__).parent / "vehicle_scenarios"
 WINDOW_S = 60.0
 AMPLITUDES: FloatArray = np.asarray(np.arange(4, 13) * 0.25e-3)  # m
-GOOD = WindowQuality(1.0, 0.0, 0, 0.0, 0.0, 5.0, 25.0, 1.0, sensor_fault=False)
 RESOLUTION = (1e-3, 1e-3, 1e-3, 1e-3)  # of a count on the bus
 
 DIMENSIONS: Mapping[str, tuple[str, ...]] = {
@@ -102,24 +102,13 @@ class RefusalCase:
 
 
 def drawn_case(seed: int, **fixed: str) -> dict[str, str]:
-    """Return what the case of a seed is.
-
-    Args:
-        seed: From 0.
-        **fixed: Dimensions that are not drawn.
-    """
+    """Return what the case of a seed is."""
     rng = np.random.default_rng([35, seed])
     return {name: str(rng.choice(kinds)) for name, kinds in DIMENSIONS.items()} | fixed
 
 
 def simulated(seed: int, campaigns: int, **fixed: str) -> RefusalCase:
-    """Return the case of a seed after two minutes of running in each campaign.
-
-    Args:
-        seed: From 0.
-        campaigns: Runs; a push-pull train runs every second one backwards.
-        **fixed: Dimensions that are not drawn.
-    """
+    """Return the case of a seed after two minutes of running in each campaign."""
     drawn = drawn_case(seed, **fixed)
     scenario = _scenario(drawn, seed, campaigns)
     track, plan = scenario_track(scenario), scenario.vehicles[0]
@@ -148,31 +137,24 @@ def _windows(
     axle: int, values: FloatArray, start_ns: int, dt: float, speed: FloatArray, at: FloatArray
 ) -> list[Window]:
     size = round(WINDOW_S / dt)
-    found = []
-    for k in range(len(values) // size):
-        part = slice(k * size, (k + 1) * size)
-        counted = np.round(values[part] / RESOLUTION) * RESOLUTION
-        named = dict(zip(ACCELERATIONS, counted.T, strict=True))
-        found.append(
-            Window(
-                wheelset=f"W{axle + 1}",
-                vehicle="V",
-                axle=axle + 1,
-                start_ns=start_ns + round(1e9 * k * WINDOW_S),
-                length_ns=round(1e9 * WINDOW_S),
-                sample_interval_s=dt,
-                **named,
-                speed=speed[part],
-                distance=at[part],
-                valid=np.ones(size, dtype=np.bool_),
-                resolution=RESOLUTION,
-                track_section="S",
-                odometer_m=0.0,
-                quality=GOOD,
-                measures_gravity=True,
-            )
+    parts = [slice(k * size, (k + 1) * size) for k in range(len(values) // size)]
+    return [
+        made_window(
+            *(
+                np.round(values[part] / RESOLUTION) * RESOLUTION,
+                f"W{axle + 1}",
+                start_ns + round(1e9 * k * WINDOW_S),
+                dt,
+            ),
+            axle=axle + 1,
+            length_ns=round(1e9 * WINDOW_S),
+            speed=speed[part],
+            distance=at[part],
+            resolution=RESOLUTION,
+            measures_gravity=True,
         )
-    return found
+        for k, part in enumerate(parts)
+    ]
 
 
 def _scenario(drawn: Mapping[str, str], seed: int, campaigns: int) -> Scenario:

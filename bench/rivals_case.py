@@ -60,11 +60,7 @@ def scores(
     most: int,
     named: Sequence[str],
 ) -> Iterator[RivalScore]:
-    """Yield the score of every estimator on every wheelset.
-
-    Args:
-        folder: For the data of deployments; empty.
-    """
+    """Yield the score of every estimator on every wheelset."""
     recorded = record(scenario, cache, workers=1)
     truths = read_truth(recorded.truth)
     as_run = _as_run(scenario)
@@ -186,11 +182,7 @@ ON_TREAD = 8.0  # mm from the datum to either side, within which the tread is cu
 
 
 def fleet(family: str, seed: int, vehicles: int, wheels: Path) -> Scenario:
-    """Return the fleet of the accuracy table, on known track, with the wheels of a family.
-
-    Args:
-        family: One of ``FAMILIES``.
-    """
+    """Return the fleet of the accuracy table, on known track, with the wheels of a family."""
     scenario = load_scenario("known")
     drawn = scenario.drawn
     assert drawn is not None  # the built-in scenario draws its fleet

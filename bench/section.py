@@ -62,7 +62,7 @@ def seed_cases(seed: int, rows: Sequence[str], drawn: bool, keep: Path | None) -
     """Return the scores of rows for one seed, which share one simulation."""
     with tempfile.TemporaryDirectory(prefix="treadwatch-section-") as folder:
         cache = keep or Path(folder)
-        return [scored(lambda _, row=row: row_scenario(row, seed, drawn=drawn), cache) for row in rows]
+        return [scored(row_scenario(row, seed, drawn=drawn), cache) for row in rows]
 
 
 def row_scenario(row: str, seed: int, *, drawn: bool) -> Scenario:

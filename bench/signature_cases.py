@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 
+from bench.made_values import GOOD, made_window
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.contact.profiles import rail_profile, wheel_profile
@@ -17,7 +18,7 @@ from estimation.signatures.window_signatures import SignatureParameters, window_
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason
 from estimation.values.signatures import ConicitySource, LibraryEntry, Place, Signature
-from estimation.values.windows import Window, WindowQuality
+from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import Arrangement, VehicleClass, VehicleParameters
 from ingest.simulator.motion import STEP, PreparedTable, WheelsetMotion, simulate_wheelset
 from ingest.simulator.sensors import Channel, SensorNode, draw_offsets, measure
@@ -136,11 +137,7 @@ def run(
     *,
     placed: bool = True,
 ) -> Pass:
-    """Run a wheelset over a section at a mean speed, m/s, and return its signatures.
-
-    Raises:
-        RuntimeError: It has none.
-    """
+    """Run a wheelset over a section at a mean speed, m/s, and return its signatures."""
     window = window_of(runs, section, track, speed, rng, start_ns, placed=placed)
     found = window_signatures(window, window_parameters(), SignatureParameters())
     if isinstance(found, Reason):
@@ -151,11 +148,7 @@ def run(
 def run_within(
     runs: Wheelset, section: str, track: TrackTruth, limits: tuple[float, float], rng: np.random.Generator
 ) -> Pass:
-    """Run a wheelset at a speed, m/s, between limits at which it stays within its contact table, on some day.
-
-    Raises:
-        LeftTableError: There is none.
-    """
+    """Run a wheelset at a speed, m/s, between limits at which it stays within its contact table, on some day."""
     for _ in range(SPEEDS_TRIED):
         try:
             speed, day = float(rng.uniform(*limits)), int(rng.integers(1, 300))
@@ -188,28 +181,14 @@ def measured(
     motion: WheelsetMotion, serial: str, section: str, rng: np.random.Generator, start_ns: int, *, placed: bool
 ) -> Window:
     """Return what the node of a wheelset measures, at positions that are some metres off."""
-    record = measure(motion, NODE, rng, draw_offsets(NODE, rng))
-    lateral, yaw, roll, mass = record.values.T
-    n, dt = len(record.t), STEP * NODE.stride
+    values = measure(motion, NODE, rng, draw_offsets(NODE, rng)).values
     offset = float(np.clip(rng.normal(0.0, POSITION_STD), -2 * POSITION_STD, 2 * POSITION_STD))
-    return Window(
-        wheelset=serial,
-        vehicle="V",
-        axle=1,
-        start_ns=start_ns,
-        length_ns=round(n * dt * 1e9),
-        sample_interval_s=dt,
-        lateral_acceleration=lateral,
-        yaw_acceleration=yaw,
-        roll_acceleration=roll,
-        mass_lateral_acceleration=mass,
+    return made_window(
+        *(values, serial, start_ns, STEP * NODE.stride),
         speed=motion.speed[:: NODE.stride],
         distance=motion.distance[:: NODE.stride] + offset,
-        valid=np.ones(n, dtype=np.bool_),
-        resolution=(1e-4, 1e-4, 1e-4, 1e-4),
         track_section=section if placed else None,
-        odometer_m=0.0,
-        quality=WindowQuality(1.0, 0.0, 0, 0.0, 0.0, 5.0, 25.0, 1.0 if placed else 0.0, sensor_fault=False),
+        quality=replace(GOOD, position_quality=1.0 if placed else 0.0),
     )
 
 

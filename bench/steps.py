@@ -75,11 +75,7 @@ def _rows(options: argparse.Namespace, _folder: Path) -> Iterator[BenchRow]:
 
 
 def found_in(given: Life, history: int) -> Found:
-    """Return when the step of a life was found, looking after every interval behind it.
-
-    Args:
-        history: Intervals before it.
-    """
+    """Return when the step of a life was found, looking after every interval behind it."""
     first = given.first or 0
     for after in range(1, BEHIND + 1):
         known = given.records[: first + after]

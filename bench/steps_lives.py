@@ -64,11 +64,7 @@ class Case:
 
 
 def life(case: Case, seed: int) -> Life:
-    """Return a wheelset life.
-
-    Args:
-        seed: Of everything that is by chance.
-    """
+    """Return a wheelset life."""
     rng = np.random.default_rng(seed)
     mixed = int(case.mixed and case.size != 0.0)
     k = case.history + (0 if case.size == 0.0 else mixed + case.behind)
@@ -148,12 +144,7 @@ def _record(number: int, x: float, days: float, width: float, value: float, std:
 
 
 def worn_further(given: Life, share: float) -> Life:
-    """Return a life whose intervals cover less than 3 mm for a share of it, as worn wheels do.
-
-    Args:
-        given: With all amplitudes.
-        share: Of its intervals before the step, the newest of them.
-    """
+    """Return a life whose intervals cover less than 3 mm for a share of it, as worn wheels do."""
     first = given.first or len(given.records)
     begin = round(first * (1.0 - share))
     cut = [replace(r, known=r.known[:1]) if begin <= i < first else r for i, r in enumerate(given.records)]
@@ -170,11 +161,7 @@ MODEL = StepModel()
 
 
 def odds(given: Life, until: int, *, wear: bool) -> float:
-    """Return the log odds of a step among the newest intervals.
-
-    Args:
-        wear: Known, rather than its law.
-    """
+    """Return the log odds of a step among the newest intervals."""
     part = slice(max(0, until - NEWEST), until)
     records, noise = given.records[part], given.noise[part]
     x = np.array([one.mileage_km for one in records])

@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from bench.made_values import made_geometry
 from bench.report import BenchRow
 from bench.steps_lives import BEGIN_NS, DAY_NS
 from estimation.alerts.identity import Mistake, Observation, identity_events, reversed_between
@@ -22,9 +23,7 @@ from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import TreadWear, worn
 from estimation.trend.suspension import suspension_histories
 from estimation.values.arrays import FloatArray
-from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
-from estimation.values.quantities import Estimate, Status
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.geometry import BinStatus, BinValues
 from estimation.values.trend import SuspensionFinding
 
 EDGES: FloatArray = 0.25e-3 * np.arange(-14, 15, dtype=np.float64)
@@ -37,15 +36,10 @@ BEFORE, BEHIND = 12, 8  # intervals
 COMMON, NOISE, TRACK = 0.03, 0.003, 0.01e-3  # conicity; conicity; m of R
 WEAR_PER_KM = 2e-7  # of the hollow, relative
 FEW = 4  # intervals within which it is to be found
-NOTHING = Reason(ReasonCode.NOT_FINITE, "not simulated")
 
 
 def turned_rows(seed: int, lives: int) -> Iterator[BenchRow]:
-    """Yield how soon turned wheelsets are found, and how often right ones are.
-
-    Args:
-        lives: Of each difference of the wheels, pair of profiles and distance of intervals.
-    """
+    """Yield how soon turned wheelsets are found, and how often right ones are."""
     for difference in (0.0, *DIFFERENCES):
         found, pairs, total = 0, 0, 0
         sizes = []
@@ -113,30 +107,16 @@ def _life(
         value = scale * shape * (1.0 + WEAR_PER_KM * km * i) + track + noise
         std = np.hypot(2.0 * np.abs(AT) * np.hypot(COMMON, NOISE), TRACK)
         begin = BEGIN_NS + i * width
-        seen.append(Observation("W", begin, begin + width // 2, km * (i + 0.5), _geometry(value, std)))
+        seen.append(
+            Observation(
+                "W",
+                begin,
+                begin + width // 2,
+                km * (i + 0.5),
+                made_geometry(EDGES, BinValues(value, std, (BinStatus.ESTIMATED,) * len(AT)), np.array([3e-3])),
+            )
+        )
     return seen
-
-
-def _geometry(value: FloatArray, std: FloatArray) -> WheelsetGeometry:
-    unknown, b = Estimate.unknown(NOTHING), len(AT)
-    nothing = BinValues(np.full(b, np.nan), np.full(b, np.nan), (BinStatus.UNOBSERVABLE,) * b)
-    return WheelsetGeometry(
-        bin_edges=EDGES,
-        samples=np.ones(b),
-        rolling_radius_sum=nothing,
-        rolling_radius_difference=BinValues(value, std, (BinStatus.ESTIMATED,) * b),
-        contact_angle_sum=nothing,
-        contact_angle_difference=nothing,
-        amplitude=np.array([3e-3]),
-        conicity=(unknown,),
-        reported_amplitude=3e-3,
-        equivalent_conicity=unknown,
-        nonlinearity=unknown,
-        zero_crossing=unknown,
-        windows=8,
-        parameter_key="bench",
-        status=Status.ESTIMATED,
-    )
 
 
 VEHICLES, DAYS_APART = 5, 3.0
@@ -181,11 +161,7 @@ def _breaches(code: str, changes: list[object]) -> list[tuple[bool, int]]:
 
 
 def fleet(history: int, seed: int) -> list[SuspensionFinding]:
-    """Return the findings of a fleet on one section, of which the first vehicle softens at once.
-
-    Args:
-        history: Findings before that.
-    """
+    """Return the findings of a fleet on one section, of which the first vehicle softens at once."""
     rng = np.random.default_rng(seed)
     k = history + FINDINGS_BEHIND
     weather = np.zeros(k)

@@ -102,9 +102,6 @@ def score(fleet: Fleet, survey: TrackAlignment, *, rival: bool = False) -> tuple
 
     The rival takes the survey as it is on file, and corrects positions only from ``TRUSTED`` on. Without a survey it is
     the fleet's own alignment with the std that it truly has, which nobody but the bench knows.
-
-    Args:
-        survey: On file, or the gauge alone.
     """
     section = TrackSectionRecord("S", 1, "S", "56E1", 0.05, 1.435, float(fleet.track.s[-1]))
     update = update_alignment(section, list(fleet.passes), survey, AlignmentSettings(), survey_checked=False)

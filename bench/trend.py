@@ -106,11 +106,7 @@ def rows() -> Iterator[BenchRow]:
 
 
 def rates(shapes: tuple[float, float, float], scatter: float = 1.0) -> Rates:
-    """Return the rates over seeded histories.
-
-    Args:
-        scatter: By how much the stated standard deviations are too small.
-    """
+    """Return the rates over seeded histories."""
     level, slope, reached = [], [], []
     for history in histories(SEED, HISTORIES, shapes=shapes, scatter=scatter):
         curve = fit_recent(history.x, history.value, history.std)

@@ -51,14 +51,7 @@ class MeasuredWheels:
 
 
 def measured_wheels(folder: Path, section: SectionPlan) -> MeasuredWheels:
-    """Return the wheelsets that the wheels in a folder make and that can run on a section.
-
-    Args:
-        folder: With MiniProf wheels in it or below.
-
-    Raises:
-        ScenarioError: There is none.
-    """
+    """Return the wheelsets that the wheels in a folder make and that can run on a section."""
     left_out: dict[str, str] = {}
     alone, together = _read(sorted(folder.rglob("*.whl")), left_out)
     sound = [path for path in alone if not _left_out((path, path), section, left_out)]
@@ -75,9 +68,6 @@ def with_wheels(scenario: Scenario, pairs: Sequence[WheelPair]) -> tuple[Scenari
 
     A wheelset is left out, and another one drawn, that climbs a rail in any of its journeys or spends more than 1 % of
     one in flange contact (30 degrees).
-
-    Raises:
-        ScenarioError: None of the wheelsets can run in some place.
     """
     track, left_out = scenario_track(scenario), []
     places = [(plan.code, axle) for plan in scenario.vehicles for axle in range(len(plan.wheelsets))]

@@ -146,11 +146,7 @@ def conicities_of(pair: Pair) -> FloatArray:
 
 
 def conicities_on_track(left: Profile, right: Profile, rail: Profile, inclination: int) -> FloatArray:
-    """Return the conicities (g, a) of a wheelset at ``AMPLITUDES``, for each of the ``GAUGE_SHARES``.
-
-    Args:
-        inclination: 1 : inclination.
-    """
+    """Return the conicities (g, a) of a wheelset at ``AMPLITUDES``, for each of the ``GAUGE_SHARES``."""
     on_track = WheelsetOnTrack(left, right, rail, rail, 1.0 / inclination, 1.435)
     table = contact_table(on_track, DISPLACEMENT, GAUGES, method=ContactMethod.EN15302, outside="hold")
     curves = GAUGE_SHARES @ table.rolling_radius_difference.T

@@ -38,11 +38,7 @@ OF_HISTORY = frozenset({"fleet alerts"})
 
 
 def final_state(storage: SqlStorage) -> Mapping[str, str]:
-    """Return a digest for each kind of what is stored.
-
-    Args:
-        storage: Whose jobs have nothing left to do.
-    """
+    """Return a digest for each kind of what is stored."""
     with storage.read() as unit:
         found = {name: [repr(tuple(row)) for row in unit.connection.execute(text(sql))] for name, sql in ROWS.items()}
         found["geometries"] = list(_geometries(unit))

@@ -90,11 +90,7 @@ class LiveRound:
 
 @contextmanager
 def transmitting(one: LiveRound, busy: int = 1) -> Iterator[None]:
-    """Transmit without an end, a second at a time; every payload is known by its batch.
-
-    Args:
-        busy: How many times the acceleration frames are on the bus: again under identifiers of other devices.
-    """
+    """Transmit without an end, a second at a time; every payload is known by its batch."""
     stop = Event()
 
     def transmit() -> None:

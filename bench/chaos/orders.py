@@ -114,11 +114,7 @@ def _by_campaign(case: _Case) -> list[list[tuple[Window, float]]]:
 
 
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
-    """Yield how many final states there are, and how many epochs were computed for data that came in order.
-
-    Args:
-        settings: Rounds are shared by the surveyed and the unsurveyed fleet.
-    """
+    """Yield how many final states there are, and how many epochs were computed for data that came in order."""
     for surveyed in (False, True):
         case = _case(settings, surveyed=surveyed)
         campaigns = _by_campaign(case)

@@ -71,11 +71,7 @@ class CuttableLink:
         return int(self._listening.getsockname()[1])
 
     def cut_off(self, pid: int, how: Cut) -> int:
-        """Cut a process off until it is restored; return how many connections it had.
-
-        Args:
-            how: Closed or silent.
-        """
+        """Cut a process off until it is restored; return how many connections it had."""
         with self._lock:
             self._cut[pid] = how
             found = self._of({pid: how})
