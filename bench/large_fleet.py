@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -9,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sqlalchemy import Insert, func, insert, literal, select
 
+from bench.made_values import UNKNOWN, made_geometry
 from bench.put_values import put_geometry, put_trend
 from estimation.trend.trend import TrendPoint, refresh
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity, estimate_evidence, unknown_evidence
@@ -20,8 +22,7 @@ from estimation.values.geometry import (
     WheelsetGeometry,
     result_of_geometry,
 )
-from estimation.values.quantities import Estimate, Status, with_interval
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.quantities import Estimate, with_interval
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord, WearTrend
 from fleet_db.storage import SqlStorage
@@ -109,27 +110,20 @@ def _geometry(conicity: float) -> WheelsetGeometry:
         return BinValues(np.where(seen, found, np.nan), np.where(seen, std, np.nan), status)
 
     amplitude = np.arange(1.0, 9.0) * 1e-3
-    conicities = tuple(_estimate(conicity * (0.8 + 0.067 * a * 1e3)) if a < 5e-3 else _BEYOND for a in amplitude)
-    return WheelsetGeometry(
-        bin_edges=edges,
+    conicities = tuple(_estimate(conicity * (0.8 + 0.067 * a * 1e3)) if a < 5e-3 else UNKNOWN for a in amplitude)
+    return made_geometry(
+        *(edges, values(2.0 * conicity * middle, 1e-4), amplitude),
         samples=np.where(seen, 12_000.0, 3.0),
         rolling_radius_sum=values(0.92 + 0.0 * middle, 2e-4),
-        rolling_radius_difference=values(2.0 * conicity * middle, 1e-4),
         contact_angle_sum=values(0.05 + 0.0 * middle, 1e-2),
         contact_angle_difference=values(20.0 * conicity * middle, 1e-2),
-        amplitude=amplitude,
         conicity=conicities,
         reported_amplitude=3e-3,
         equivalent_conicity=_estimate(conicity),
         nonlinearity=_estimate(0.01),
         zero_crossing=_estimate(0.1e-3),
         windows=30,
-        parameter_key="bench",
-        status=Status.ESTIMATED,
     )
-
-
-_BEYOND = Estimate.unknown(Reason(ReasonCode.NOT_FINITE, "the motion does not reach this amplitude"))
 
 
 def _estimate(value: float) -> Estimate:
@@ -155,17 +149,14 @@ def _register(storage: SqlStorage, size: FleetSize, mileages: np.ndarray, now_ns
 
 
 def _record(
-    size: FleetSize, wheelset: int, day: int, mileage_km: float, now_ns: int, geometry: WheelsetGeometry
+    wheelset: str, interval: int | None, mileage_km: float, from_ns: int, to_ns: int, geometry: WheelsetGeometry
 ) -> GeometryRecord:
-    at_ns = now_ns - (size.days - 1 - day) * DAY_NS
-    return replace(
-        _of(geometry, at_ns),
-        wheelset=size.serial(wheelset),
-        interval=day,
-        mileage_km=mileage_km + KM_A_DAY * day,
-        from_ns=at_ns - DAY_NS,
-        input_digest=f"{wheelset * size.days + day:064x}",
-        recorded_ns=at_ns + 3600 * 10**9,
+    """Return a geometry as the jobs would have stored it, of an interval or the current one."""
+    digest = hashlib.sha256(f"{wheelset} {interval}".encode()).hexdigest()
+    later_ns = to_ns + 3600 * 10**9
+    half_life = {"half_life_km": 10_000.0}
+    return GeometryRecord(
+        *(wheelset, 0, interval, mileage_km, from_ns, to_ns, geometry, digest, {}, half_life, "bench", later_ns)
     )
 
 
@@ -181,8 +172,10 @@ def _store_history(
     models = {int(course): int(np.argmax(chosen == course)) for course in np.unique(chosen)}
     with storage.write() as unit:
         for course, wheelset in models.items():
-            run, days = float(mileages[wheelset]), enumerate(courses[course].geometries)
-            records = [_record(size, wheelset, day, run, now_ns, geometry) for day, geometry in days]
+            run, serial, records = float(mileages[wheelset]), size.serial(wheelset), []
+            for day, geometry in enumerate(courses[course].geometries):
+                at_ns = now_ns - (size.days - 1 - day) * DAY_NS
+                records.append(_record(serial, day, run + KM_A_DAY * day, at_ns - DAY_NS, at_ns, geometry))
             unit.results.put_all(GEOMETRY, [result_of_geometry(record) for record in records])
     for wheelsets in _batches(size.wheelsets, 500):
         with storage.write() as unit:
@@ -199,23 +192,6 @@ def _copied(model: str, serial: str) -> Insert:
     names = [column.name for column in RESULTS.columns if column.name != "result_id"]
     source = select(*(own.get(name, RESULTS.c[name]) for name in names)).where(RESULTS.c.subject == model)
     return insert(RESULTS).from_select(names, source)
-
-
-def _of(geometry: WheelsetGeometry, now_ns: int) -> GeometryRecord:
-    return GeometryRecord(
-        wheelset="",
-        baseline=0,
-        interval=None,
-        mileage_km=0.0,
-        from_ns=now_ns,
-        to_ns=now_ns,
-        geometry=geometry,
-        input_digest="0" * 64,
-        track_versions={},
-        parameters={"half_life_km": 10_000.0},
-        code_version="bench",
-        recorded_ns=now_ns,
-    )
 
 
 def _batches(count: int, size: int) -> Iterator[range]:
@@ -236,17 +212,11 @@ def _store_results(
         with storage.write() as unit:
             for wheelset in wheelsets:
                 course, run = courses[chosen[wheelset]], float(mileages[wheelset])
-                record = _of(course.geometries[-1], now_ns)
-                named = replace(
-                    record,
-                    wheelset=size.serial(wheelset),
-                    mileage_km=run + KM_A_DAY * (size.days - 1),
-                    from_ns=now_ns - size.days * DAY_NS,
-                    input_digest=f"{wheelset:064x}",
-                )
-                put_geometry(unit, named)
+                serial, last_km = size.serial(wheelset), run + KM_A_DAY * (size.days - 1)
+                from_ns = now_ns - size.days * DAY_NS
+                put_geometry(unit, _record(serial, None, last_km, from_ns, now_ns, course.geometries[-1]))
                 trend = replace(course.trend, mileage_km=course.trend.mileage_km + run)
-                put_trend(unit, TrendRecord(size.serial(wheelset), 0, trend, f"{wheelset:064x}", "bench", now_ns))
+                put_trend(unit, TrendRecord(serial, 0, trend, f"{wheelset:064x}", "bench", now_ns))
 
 
 def _store_alerts(

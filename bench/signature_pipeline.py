@@ -31,7 +31,7 @@ KINDS = {
 
 
 def judged_by_the_product(kind: str, seed: int) -> list[dict[str, Any]]:
-    """Return what is said of every wheelset of a fleet by the others, whose conicities are known by their geometries."""
+    """Return what is said of every wheelset of a fleet by the others, known by their geometries."""
     scenario = with_seed(load_scenario(SCENARIOS / f"{kind}.toml"), seed)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -14,7 +14,10 @@ from fleet_db.packed_values import pack_geometry, pack_value
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 ROWS = {
-    "windows": "SELECT wheelset, start_ns, state, reason_code, reason, content_digest, mileage_km FROM windows",
+    "windows": (
+        "SELECT wheelset, start_ns, axle, track_section, state, reason_code, reason, content_digest, mileage_km"
+        " FROM windows"
+    ),
     "positions": (
         "SELECT wheelset, start_ns, content_digest, offset_m, scale, middle_m, reason_code, reason"
         " FROM window_positions"

@@ -13,7 +13,8 @@ from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
 
-SECTION, VEHICLE = "C-3", "C-1"
+SECTION, VEHICLE = "C-1", "C-1"
+WHEELSETS = ("C-11", "C-12")
 HOUR_NS = 3_600_000_000_000
 UNDONE = Decision("chaos", "a mistake")
 
@@ -35,21 +36,21 @@ def void(unit: SqlUnitOfWork, key: RecordKey) -> None:
 
 def swapped(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:  # noqa: ARG001 - as every mistake
     """Enter two wheelsets under each other's name; the right file puts it right."""
-    first, second = _mounting(unit, "C-A"), _mounting(unit, "C-B")
+    first, second = (_mounting(unit, serial) for serial in WHEELSETS)
     put_mountings(unit, [replace(first, axle=second.axle), replace(second, axle=first.axle)])
     return []
 
 
 def turned_round(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
     """Enter a wheelset the other way round."""
-    was = _mounting(unit, str(rng.choice(["C-A", "C-B"])))
+    was = _mounting(unit, str(rng.choice(WHEELSETS)))
     unit.registry.add_mounting(replace(was, reversed=not was.reversed))
     return []
 
 
 def other_mileage(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
     """Enter another mileage of a wheelset."""
-    was = _mounting(unit, str(rng.choice(["C-A", "C-B"])))
+    was = _mounting(unit, str(rng.choice(WHEELSETS)))
     unit.registry.add_mounting(
         replace(was, wheelset_mileage_km=was.wheelset_mileage_km + float(rng.integers(1, 90000)))
     )
@@ -58,7 +59,7 @@ def other_mileage(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
 
 def ended_early(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
     """End a mounting between two campaigns, and mount the wheelset again the other way round or at another mileage."""
-    was = _mounting(unit, str(rng.choice(["C-A", "C-B"])))
+    was = _mounting(unit, str(rng.choice(WHEELSETS)))
     end_ns = was.from_ns + int(rng.integers(1, 40)) * 24 * HOUR_NS
     unit.registry.add_mounting(replace(was, to_ns=end_ns))
     turned = bool(rng.integers(2))
@@ -70,7 +71,7 @@ def ended_early(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
 
 def forgotten(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
     """Take a mounting out that was right."""
-    was = _mounting(unit, str(rng.choice(["C-A", "C-B"])))
+    was = _mounting(unit, str(rng.choice(WHEELSETS)))
     key = RecordKey(RecordKind.MOUNTING, was.wheelset, was.from_ns)
     void(unit, key)
     return [lambda unit: _restored(unit, key)]
@@ -78,7 +79,7 @@ def forgotten(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
 
 def never_reprofiled(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
     """Enter a reprofiling that never was."""
-    was = _mounting(unit, str(rng.choice(["C-A", "C-B"])))
+    was = _mounting(unit, str(rng.choice(WHEELSETS)))
     at_ns = was.from_ns + int(rng.integers(1, 40)) * 24 * HOUR_NS
     unit.registry.add_reprofiling(Reprofiling(was.wheelset, at_ns, was.wheelset_mileage_km + 15_000.0))
     return [_void(RecordKind.REPROFILING, was.wheelset, at_ns)]
@@ -86,7 +87,7 @@ def never_reprofiled(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo
 
 def other_radius(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
     """Enter another nominal radius."""
-    was = unit.registry.wheelset(str(rng.choice(["C-A", "C-B"])))
+    was = unit.registry.wheelset(str(rng.choice(WHEELSETS)))
     unit.registry.add_wheelset(replace(was, nominal_radius_m=was.nominal_radius_m - 0.02, mounting=None), 1)
     return []
 
