@@ -20,8 +20,7 @@ from sqlalchemy import func, select
 from api.factory import job_context, open_store, scheduled_jobs
 from api.settings import Settings
 from bench.counting import asked, run
-from bench.idle_fleet import FleetSize, fill
-from bench.idle_opinions import note_opinions
+from bench.idle_fleet import FleetSize, fill, note_opinions
 from bench.measuring import cpu_of, tree
 from bench.report import BenchRow, RowBench
 from bench.wheelset_year import At

@@ -1,7 +1,7 @@
 """A fleet whose windows are all estimated: rows of a small real deployment, copied to 1,000 vehicles in bulk.
 
 One wheelset runs through receiver and jobs for ``DAYS`` days (``bench.wheelset_year``). Its windows, positions, bin
-tables, roll-ups, geometries, trends and second opinions (``bench.idle_opinions``) are copied for every axle of every
+tables, roll-ups, geometries, trends and second opinions (``bench.idle_fleet``) are copied for every axle of every
 vehicle; registry, sections, alignments and epochs are written through the stores, as they are made otherwise. Of packed
 sums, of which a window has 50 kB and which no idle run reads, the copies have the first ``KEPT_BYTES``: about what
 databases keep in the row of such a value.
@@ -9,20 +9,22 @@ databases keep in the row of such a value.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
-from sqlalchemy import Connection, Insert, Table, case, func, insert, literal, select
+from sqlalchemy import ColumnElement, Connection, Insert, Table, case, func, insert, literal, select
 
 from api.settings import Settings
-from bench.idle_opinions import DAY_NS, KEPT_BYTES, opinions_copied, put_friction
 from bench.wheelset_recording import recorded
 from bench.wheelset_year import SERIAL, At, WheelsetYear
+from estimation.jobs import refresh_rails, refresh_signatures
 from estimation.jobs.catalogue import ALL_STAGES, job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.jobs.steps.epoch_inputs import FileLookup, given
+from estimation.jobs.steps.signature_windows import ASSUMED
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobTrigger, Mark
 from estimation.values.track import AlignmentSource, FoldState, TrackEpoch
@@ -33,7 +35,71 @@ from fleet_db.tables.operation import ResultRow
 from fleet_db.tables.recordings import ChunkRow
 from fleet_db.tables.registry import MountingRow
 from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, WindowPositionRow
-from fleet_db.tables.windows import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
+from fleet_db.tables.windows import (
+    RailCellRow,
+    RollingSumsRow,
+    RollUpRow,
+    RollUpStateRow,
+    SectionAdhesionRow,
+    WearSignatureRow,
+    WindowAdhesionRow,
+    WindowBinTableRow,
+    WindowDamperRow,
+    WindowRow,
+)
+
+KEPT_BYTES = 500
+DAY_NS = 86_400_000_000_000
+CREEP, DAMPERS = table_of(WindowAdhesionRow), table_of(WindowDamperRow)
+SIGNATURES, CELLS = table_of(WearSignatureRow), table_of(RailCellRow)
+OF_SECTIONS = ((table_of(SectionAdhesionRow), "track_section"),)
+
+
+def opinions_copied(mounting: Mounting, model: Mounting, sections: Sequence[str]) -> Iterator[Insert]:
+    """Yield statements that give a wheelset the second opinions of the model."""
+    wheelset, vehicle = literal(mounting.wheelset), literal(mounting.vehicle)
+    for table, section in ((CREEP, "track_section"), (SIGNATURES, "section")):
+        day = (table.c.start_ns // DAY_NS) % len(sections)
+        place = case(*((day == at, literal(code)) for at, code in enumerate(sections)))
+        yield _copy_opinions(table, {"wheelset": wheelset, "vehicle": vehicle, section: place}, _same(table, model))
+    gear: dict[str, ColumnElement[Any]] = {"vehicle": vehicle, "first_axle": literal(mounting.axle)}
+    yield _copy_opinions(DAMPERS, {"wheelset": wheelset, **gear}, _same(DAMPERS, model))
+    by_interval = CELLS.c.mileage_interval % len(sections)
+    place = case(*((by_interval == at, literal(code)) for at, code in enumerate(sections)))
+    yield _copy_opinions(CELLS, {"wheelset": wheelset, "section": place}, _same(CELLS, model))
+
+
+def put_friction(connection: Connection, sections: Sequence[str]) -> None:
+    """Give sections the friction of the model's section, and what was found of its rails."""
+    for table, name in OF_SECTIONS:
+        model = connection.scalar(select(func.min(table.c[name])))
+        for code in sections:
+            connection.execute(_copy_opinions(table, {name: literal(code)}, table.c[name] == model))
+
+
+def note_opinions(context: JobContext, storage: SqlStorage) -> None:
+    """Note that the jobs of the second opinions have looked at everything, as they do it themselves."""
+    with storage.read() as unit:
+        seen = {}
+        for stage in (refresh_rails.OF_WHEELSETS, refresh_rails.OF_ALL, ASSUMED, refresh_signatures.OF_ALL):
+            inputs = stage.inputs(context)
+            due = unit.marks.due(inputs, context.clock.now_ns())
+            seen[inputs] = {subject: Mark(state.seen, "") for subject, state in due.items()}
+    with storage.write() as unit:
+        for inputs, marks in seen.items():
+            unit.marks.note(inputs, marks)
+
+
+def _same(table: Table, model: Mounting) -> ColumnElement[bool]:
+    return table.c.wheelset == model.wheelset
+
+
+def _copy_opinions(table: Table, own: Mapping[str, ColumnElement[Any]], rows: ColumnElement[bool]) -> Insert:
+    names = [column.name for column in table.columns]
+    cut = {"packed": func.substr(table.c.packed, 1, KEPT_BYTES)} if "packed" in names else {}
+    values: dict[str, ColumnElement[Any]] = {**cut, **own}
+    return insert(table).from_select(names, select(*(values.get(name, table.c[name]) for name in names)).where(rows))
+
 
 DAYS = 38
 FLEETS, AXLES = 10, 4

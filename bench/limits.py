@@ -16,11 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.limits_shapes import CLASSES, amplitude_reached, curve_of
 from bench.made_values import made_geometry
 from bench.report import BenchRow, RowBench, say
 from bench.study import seeds_of
-from bench.worn_family import AMPLITUDES, DISPLACEMENT
+from bench.worn_family import AMPLITUDES, CLASSES, DISPLACEMENT, amplitude_reached, curve_of
 from estimation.alerts.rule_book import RuleBook, findings
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, MeasureRule
 from estimation.alerts.rules.rule import WheelsetFacts

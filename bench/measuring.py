@@ -18,7 +18,7 @@ from api.settings import Settings
 from api.workers.on_dask import DaskExecutor
 from api.workers.pool import ProcessPool
 from bench.counting import asked, run
-from bench.dask_cluster import dask_cluster
+from bench.services import dask_cluster
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import JobContext, WorkExecutor
 from fleet_db.storage import SqlStorage

@@ -7,7 +7,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,9 @@ from api.comparison.trial import (
     run_jobs,
 )
 from api.settings import Settings
-from bench.rails_sections import KNOWN, TEMPLATE, BenchSection, on_section, reference_wheel, sections_of
+from estimation.contact.conicity import equivalent_conicity
+from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
+from estimation.contact.profiles import wheel_profile
 from estimation.contact.wear import RailWear
 from estimation.jobs import refresh_rails
 from estimation.jobs.job import JobContext
@@ -34,10 +36,92 @@ from estimation.storage import Storage, UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS
 from estimation.values.quantities import Estimate
-from ingest.simulator.axle_motion import section_at, truth_of, wear_at, worn_contact
+from ingest.simulator.axle_motion import rails_of, section_at, truth_of, wear_at, worn_contact
 from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.scenario import DAY_NS, DrawnFleet, Scenario, VehiclePlan
+from ingest.simulator.scenario import DAY_NS, DrawnFleet, Scenario, SectionPlan, VehicleErrors, VehiclePlan
 from ingest.simulator.scenario_file import load_scenario
+
+TEMPLATE = Path(__file__).parent / "rails_scenarios" / "sections.toml"
+KNOWN = "S0"
+KM_BETWEEN_SECTIONS = 25.0  # between a run on one section and that on the next
+TRACK_SEEDS = 1000  # apart, of the tracks of sections
+RUNS: tuple[tuple[str, ...], ...] = (("V0", "V2"), ("V0", "V1"), ("V1", "V2"), ("V1",))
+
+
+@dataclass(frozen=True, slots=True)
+class BenchSection:
+    """A section, and the fleet as it runs there."""
+
+    scenario: Scenario
+    worn: bool
+
+    @property
+    def plan(self) -> SectionPlan:
+        """The section."""
+        return self.scenario.section
+
+
+def sections_of(seed: int, *, surveyed: bool = True, drawn: bool = False) -> tuple[BenchSection, ...]:
+    """Return the sections of a seed: rails as on file, worn heads, another gauge, rails as new that nobody knows."""
+    fleet = replace(with_seed(load_scenario(TEMPLATE), seed), drawn=None)
+    if drawn:
+        codes = tuple(vehicle.code for vehicle in fleet.vehicles)
+        fleet = replace(fleet, vehicle_errors=VehicleErrors(seed=seed, fleet=codes))
+    rng = np.random.default_rng([seed, 14])
+    wear = RailWear(rng.uniform(0.3e-3, 0.7e-3), rng.uniform(-1e-3, 3e-3), rng.uniform(22e-3, 28e-3))
+    gauge = float(rng.choice([-1.0, 1.0]) * rng.uniform(1e-3, 2e-3))
+    rails: tuple[tuple[RailWear | None, float], ...] = ((None, 0.0), (wear, 0.0), (None, gauge), (None, 0.0))
+    return tuple(
+        BenchSection(on_section(fleet, place, runs, *of_rails, surveyed=surveyed), of_rails != (None, 0.0))
+        for place, (runs, of_rails) in enumerate(zip(RUNS, rails, strict=True))
+    )
+
+
+def on_section(
+    fleet: Scenario, place: int, runs: Sequence[str], wear: RailWear | None, gauge: float, *, surveyed: bool
+) -> Scenario:
+    """Return a fleet as it runs on one of several sections."""
+    recipe = fleet.section.recipe
+    assert recipe is not None
+    section = replace(
+        fleet.section,
+        code=f"S{place}",
+        number=fleet.section.number + place,
+        name=f"Section {place}",
+        recipe=replace(recipe, gauge_offset=gauge),
+        rail_wear=(wear, wear),
+        surveyed=surveyed,
+    )
+    later = KM_BETWEEN_SECTIONS * place * 1e3
+    sessions = replace(
+        fleet.sessions,
+        start_ns=fleet.sessions.start_ns + round(later / fleet.sessions.distance_per_day * DAY_NS),
+        first_odometer=fleet.sessions.first_odometer + later,
+    )
+    return replace(
+        fleet,
+        seed=fleet.seed + TRACK_SEEDS * place,
+        section=section,
+        sessions=sessions,
+        vehicles=tuple(one for one in fleet.vehicles if one.code in runs),
+    )
+
+
+def reference_wheel(scenario: Scenario, amplitude: FloatArray) -> FloatArray:
+    """Return the true conicity (k,) of the wheel as designed on the rails of a section, at its gauge.
+
+    Args:
+        amplitude: (k,) m.
+    """
+    section = scenario.section
+    assert section.recipe is not None
+    left, right, inclination = rails_of(section)
+    wheel = wheel_profile(scenario.vehicles[0].wheelsets[0].wheel_profile)
+    gauge = section.nominal_gauge + section.recipe.gauge_offset
+    wheelset = WheelsetOnTrack(wheel, wheel, left, right, inclination, gauge)
+    curve = radius_difference_curve(wheelset, 0.05e-3 * np.arange(-240, 241))
+    return equivalent_conicity(curve.displacement, curve.difference, amplitude)
+
 
 AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1.0 to 3.0 mm, as in the accuracy table
 ANCHORS: Mapping[str, tuple[str, ...]] = {

@@ -18,9 +18,8 @@ import numpy as np
 
 from bench.report import BenchRow, row_table, say
 from bench.signature_cases import CONDITIONS, Foreign, LeftTableError, Pass, Simulated, SimulatedFleet, entries
-from bench.signature_fleets import KINDS_FOREIGN, Plan, simulated
+from bench.signature_fleets import KINDS_FOREIGN, Plan, simulated, trained
 from bench.signature_pipeline import EACH, KINDS, WHEELSETS, cost, judged_by_the_product
-from bench.signature_rivals import trained
 from bench.study import Case, Key, Study, seeds_of
 from estimation.signatures.answer import judged, most_likely
 from estimation.signatures.library import LARGEST, Library, current, library

@@ -20,9 +20,8 @@ import sqlalchemy
 from sqlalchemy import select
 
 from api.settings import Settings
-from bench.dask_cluster import DaskCluster, dask_cluster
 from bench.measuring import tree
-from bench.services import started, until
+from bench.services import DaskCluster, dask_cluster, started, until
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables.operation import WorkClaimRow, WorkLeaseRow

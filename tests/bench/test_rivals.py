@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.rivals import bench_rows, floor, near_rows, parts, table_rows
-from bench.rivals_case import JUMPS, SMOOTH, fleet
+from bench.rivals import JUMPS, SMOOTH, bench_rows, fleet, floor, near_rows, parts, table_rows
 from estimation.contact.geometry import refined_curve
 from ingest.simulator.axle_motion import contact_of
 from ingest.simulator.campaign import scenario_track
