@@ -53,8 +53,8 @@ def rows() -> Iterator[BenchRow]:
 
 
 def _blf(folder: Path, batch: FrameBatch, part: FrameBatch) -> BenchRow:
-    write_blf(folder / "whole.blf", batch)
-    write_blf(folder / "part.blf", part)
+    write_log(folder / "whole.blf", batch)
+    write_log(folder / "part.blf", part)
     database: Any = cantools.database.load_file(str(DATABASE))
 
     def theirs() -> None:
@@ -73,12 +73,9 @@ def _blf(folder: Path, batch: FrameBatch, part: FrameBatch) -> BenchRow:
 
 
 def _text(folder: Path, batch: FrameBatch, part: FrameBatch, suffix: str) -> BenchRow:
-    writer, reader, name = TEXT[suffix]
+    _, reader, name = TEXT[suffix]
     for stem, frames in (("whole", batch), ("part", part)):
-        with writer(folder / f"{stem}{suffix}") as log:
-            if suffix == ".asc":  # its date has whole milliseconds
-                log.log_event("Start of measurement", float(int(batch.t_ns[0]) // 1_000_000_000))
-            _write(log, frames)
+        write_log(folder / f"{stem}{suffix}", frames)
 
     def theirs() -> None:
         with reader(folder / f"part{suffix}") as log:
@@ -98,8 +95,7 @@ def _mf4(folder: Path, batch: FrameBatch) -> Iterator[BenchRow]:
     from asammdf import MDF  # noqa: PLC0415 - an extra
 
     path = folder / "whole.mf4"
-    with can.MF4Writer(path) as log:
-        _write(log, batch)
+    write_log(path, batch)
 
     def raw() -> None:
         with closing(MDF(path)) as mdf:
@@ -129,11 +125,19 @@ def _mf4(folder: Path, batch: FrameBatch) -> Iterator[BenchRow]:
         )
 
 
-def _write(log: Any, batch: FrameBatch) -> None:  # noqa: ANN401 - any writer of python-can
-    number = channel_number(batch.channel) - 1
-    for message in messages_of(batch):
-        message.channel = number
-        log.on_message_received(message)
+def write_log(path: Path, batch: FrameBatch) -> None:
+    """Write frames as a log file of the format of its suffix; only ours by our own writer."""
+    if path.suffix == ".blf":
+        write_blf(path, batch)
+        return
+    writer: Any = can.MF4Writer if path.suffix == ".mf4" else TEXT[path.suffix][0]
+    with writer(path) as log:
+        if path.suffix == ".asc":  # its date has whole milliseconds
+            log.log_event("Start of measurement", float(int(batch.t_ns[0]) // 1_000_000_000))
+        number = channel_number(batch.channel) - 1
+        for message in messages_of(batch):
+            message.channel = number
+            log.on_message_received(message)
 
 
 def _compared(ours: Callable[[], float], theirs: Callable[[], float]) -> tuple[float, float, float]:

@@ -8,93 +8,24 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from datetime import UTC, datetime
 from importlib.util import find_spec
 from pathlib import Path
 
-import can
 import numpy as np
 
 from bench.chaos.run import ChaosSettings
+from bench.logs import write_log
 from bench.report import BenchRow
 from estimation.errors import LogFileError
-from estimation.values.windows import ACCELERATIONS
-from ingest import catalogue as kinds
 from ingest.align.windows import vehicle_samples
-from ingest.catalogue import MOTION, POSITION, default_catalogue, sync_counter, time_of_day
-from ingest.codec import encode
-from ingest.frames import FrameBatch, concatenate, merge, sort_by_time
-from ingest.live.listening import messages_of
-from ingest.logs import write_blf
+from ingest.catalogue import MOTION, POSITION, default_catalogue
+from ingest.frames import FrameBatch, merge
 from ingest.logs.formats import LogContent, ReadCost, read_content
 from ingest.recordings import align_frames
+from tests.ingest.vehicle_bus import Run
 
-SECONDS = 2
-START_NS = 1_750_000_003_000_000_000
-NODES = (1, 2)
+SECONDS, OFFSET_NS = 2.0, 37_123_456_000  # on whole microseconds, as text has them
 Change = Callable[[bytearray, np.random.Generator], bytearray]
-
-
-def small_recording() -> FrameBatch:
-    """Return a few seconds of a vehicle of two wheelsets, on whole microseconds."""
-    catalogue = default_catalogue()
-    rng = np.random.default_rng(1)
-    ticks = START_NS // catalogue.sample_interval_ns + np.arange(SECONDS * 250)
-    t_ns = ticks * catalogue.sample_interval_ns
-    milliseconds, days = time_of_day(t_ns)
-    metres = 0.08 * np.arange(len(ticks))
-    sent: list[tuple[str, int | None, Mapping[str, object]]] = [
-        (kinds.SYNC, None, {"counter": sync_counter(ticks)}),
-        (kinds.TIME, None, {"milliseconds": milliseconds, "days": days}),
-        (kinds.MOTION, 16, {"speed": 20.0, "odometer": 5e6 + metres}),
-        (kinds.POSITION, 16, {"track_section": 12, "distance": metres, "position_quality": 0.9}),
-    ]
-    for node in NODES:
-        sent.append((kinds.ACCELERATION, node, {name: rng.normal(0.0, 1.0, len(ticks)) for name in ACCELERATIONS}))
-        sent.append((kinds.STATUS, node, {"sample_counter": 1000 + np.arange(len(ticks))}))
-    batches = []
-    for slot, (kind, number, values) in enumerate(sent):
-        plan = catalogue.find(kind, number)
-        at = np.flatnonzero(t_ns % plan.cycle_ns == 0)
-        stamps = t_ns[at] + 37_123_456_000 + 200_000 * slot
-        batches.append(encode(plan, stamps, {name: np.broadcast_to(v, ticks.shape)[at] for name, v in values.items()}))
-    return sort_by_time(concatenate(batches))
-
-
-def written(batch: FrameBatch, suffix: str, folder: Path) -> bytes:
-    """Return a recording as a file of a format."""
-    path = folder / f"whole{suffix}"
-    if suffix == ".blf":
-        write_blf(path, batch)
-    elif suffix == ".mf4":
-        with can.MF4Writer(path) as writer:
-            for message in messages_of(batch):
-                message.channel = 0
-                writer.on_message_received(message)
-    else:
-        path.write_bytes((_asc if suffix == ".asc" else _candump)(batch))
-    return path.read_bytes()
-
-
-def _candump(batch: FrameBatch) -> bytes:
-    rows = zip(batch.t_ns.tolist(), batch.arbitration_id.tolist(), batch.dlc.tolist(), batch.data, strict=True)
-    return "".join(
-        f"({t // 10**9}.{t // 1000 % 10**6:06d}) can0 {identifier:03X}#{bytes(data[:length]).hex().upper()} R\n"
-        for t, identifier, length, data in rows
-    ).encode()
-
-
-def _asc(batch: FrameBatch) -> bytes:
-    start_s = int(batch.t_ns[0]) // 10**9
-    date = f"{datetime.fromtimestamp(start_s, UTC):%a %b %d %H:%M:%S.000 %Y}"
-    head = f"date {date}\nbase hex  timestamps absolute\ninternal events logged\nBegin Triggerblock {date}\n"
-    rows = zip(batch.t_ns.tolist(), batch.arbitration_id.tolist(), batch.dlc.tolist(), batch.data, strict=True)
-    lines = (
-        f"{t // 10**9 - start_s:4d}.{t // 1000 % 10**6:06d} 1  {identifier:<15X} Rx   d {length} "
-        f"{' '.join(f'{byte:02X}' for byte in data[:length])}\n"
-        for t, identifier, length, data in rows
-    )
-    return (head + "".join(lines) + "End TriggerBlock\n").encode()
 
 
 def mutated(original: bytes, suffix: str, rng: np.random.Generator) -> bytes:
@@ -286,7 +217,7 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
 
     ``size`` is the number of files of each format.
     """
-    batch = small_recording()
+    batch = Run(seconds=SECONDS, recorder_offset_ns=OFFSET_NS).frames()
     for name in FORMATS:
         if name == ".mf4" and find_spec("asammdf") is None:
             continue
@@ -296,10 +227,9 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
 
 def _tally(batch: FrameBatch, name: str, files: int, settings: ChaosSettings) -> Tally:
     suffix = Path(f"a{name.removeprefix('inside ')}").suffix
-    original = written(batch, suffix, settings.folder)
     path = settings.folder / f"mutated{suffix}"
-    path.write_bytes(original)
-    content = read_content(path)
+    write_log(path, batch)
+    original, content = path.read_bytes(), read_content(path)
     values, damage = _values(content)
     sound = Sound(content.batch, values, damage)
     tally = Tally(files)
