@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 
 from sqlalchemy import text
 
+from bench.counting import run
 from estimation.alerts.rules.running_gear import HuntingRule
 from estimation.alerts.rules.sensor_data import SensorFaultRule
+from estimation.jobs.catalogue import ALL_JOBS
+from estimation.jobs.job import JobContext
 from estimation.values.alerts import Alert
 from fleet_db.packed_values import pack_geometry, pack_value
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
@@ -31,6 +35,9 @@ ROWS = {
     ),
     "suspension": "SELECT vehicle, section, from_ns, to_ns, ratio, ratio_std FROM suspension_findings",
 }
+
+MOST_RUNS = 8
+"""Runs of all jobs after which they must have come to rest."""
 
 ON_WINDOWS = (SensorFaultRule.kind, HuntingRule.kind)
 """Alerts that stand by all windows in vehicle time; those on estimates stand by all intervals of mileage."""
@@ -72,3 +79,20 @@ def _trends(unit: SqlUnitOfWork) -> Iterator[str]:
         latest = unit.trends.latest(wheelset.serial)
         if latest is not None:
             yield repr((wheelset.serial, latest.baseline, hashlib.sha256(pack_value(latest.trend)).hexdigest()))
+
+
+def compared_state(storage: SqlStorage) -> Mapping[str, str]:
+    """Return digests of what does not depend on the history."""
+    return {name: digest for name, digest in final_state(storage).items() if name not in OF_HISTORY}
+
+
+def come_to_rest(storage: SqlStorage, context: JobContext) -> tuple[Counter[str], bool]:
+    """Run all jobs until nothing changes any more; return their counts, and whether they came to rest."""
+    counts = Counter[str]()
+    for _ in range(MOST_RUNS):
+        before = final_state(storage)
+        for job in ALL_JOBS:
+            counts.update(run(job, context).counts)
+        if final_state(storage) == before:
+            return counts, True
+    return counts, False

@@ -10,21 +10,17 @@ from pathlib import Path
 
 from api.comparison.trial import copied, deploy, opened, receive, record
 from api.settings import Settings
-from bench.chaos.final_state import OF_HISTORY, final_state
+from bench.chaos.final_state import come_to_rest, compared_state
 from bench.chaos.run import ChaosSettings
 from bench.counting import run
 from bench.report import BenchRow
 from bench.small_fleets import small_fleet
 from estimation.jobs.catalogue import ALL_JOBS
-from estimation.jobs.job import JobContext
 from estimation.values.windows import Window
-from fleet_db.storage import SqlStorage
 
 AXLES = (2.0, 4.5, 16.5)
 WORN = {"A": ((0.1, 0.9), (0.9, 0.4), (0.5, 0.2)), "B": ((1.2, 1.0), (0.3, 0.1), (0.7, 0.6))}
 WINDOW_S = 30
-MOST_RUNS = 8
-"""Runs of all jobs after which they must have come to rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,24 +68,9 @@ def _play(case: _Case, folder: Path, pieces: Sequence[Sequence[tuple[Window, flo
             with storage.write() as unit:
                 for window, mileage_km in piece:
                     unit.windows.put(window, mileage_km, context.clock.now_ns())
-            epochs += _run(context)
-        runs = 0
-        while (changed := _digest(storage)) and runs < MOST_RUNS:
-            epochs += _run(context)
-            runs += 1
-            if _digest(storage) == changed:
-                break
-        state = {name: digest for name, digest in final_state(storage).items() if name not in OF_HISTORY}
-        return _Played(state, epochs, runs < MOST_RUNS)
-
-
-def _run(context: JobContext) -> int:
-    """Run all jobs once; return how many epochs were computed."""
-    return sum(run(job, context).counts.get("epochs", 0) for job in ALL_JOBS)
-
-
-def _digest(storage: SqlStorage) -> str:
-    return repr(sorted(final_state(storage).items()))
+            epochs += sum(run(job, context).counts.get("epochs", 0) for job in ALL_JOBS)
+        counts, rest = come_to_rest(storage, context)
+        return _Played(compared_state(storage), epochs + counts["epochs"], rest)
 
 
 def _pieces(case: _Case, rng: random.Random, *, late: bool) -> list[list[tuple[Window, float]]]:

@@ -8,20 +8,82 @@ import shutil
 import signal
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
-from api.comparison.trial import Recorded, receive
+from sqlalchemy import text
+
+from api.comparison.trial import Recorded, opened, receive
 from api.factory import job_context, open_store, raw_store
+from bench.chaos.final_state import come_to_rest, compared_state
 from bench.chaos.run import ChaosSettings
 from bench.chaos.small_deployment import PASSWORD
-from bench.chaos.worker_fleet import WorkerFleet, come_to_rest, compared_state, stored_twice, worker_fleet
 from bench.chaos.worker_services import DASK_WORKERS, LEASE_S, PROCESSES, Cut, Services, services
 from bench.report import BenchRow
+from bench.small_fleets import FOUR_AXLES, Workload, cars, deployed, small_fleet
 from fleet_db.keeping.checks import check_deep
 from fleet_db.storage import SqlStorage
 from tests.postgres_server import SAFE, stoppable_server
+
+WINDOW_S = 10.0
+STORED = "chaos_stored_tables"
+NOTED = (
+    "NEW.wheelset || '@' || NEW.start_ns || ' ' || NEW.window_digest || ' ' || NEW.parameter_key || ' ' ||"
+    " COALESCE(NEW.track_version, 0) || ' ' || NEW.content_digest"
+)
+NOTE = f"INSERT INTO {STORED} VALUES ({NOTED});"  # noqa: S608 - our own words
+TRIGGER = f"CREATE TRIGGER {STORED}_noted BEFORE INSERT ON window_bin_tables"
+FUNCTION = f"CREATE FUNCTION {STORED}_note() RETURNS trigger LANGUAGE plpgsql"
+COUNTED = {
+    "sqlite": (f"{TRIGGER} BEGIN {NOTE} END",),
+    "postgresql": (
+        f"{FUNCTION} AS $$ BEGIN {NOTE} RETURN NEW; END $$",
+        f"{TRIGGER} FOR EACH ROW EXECUTE FUNCTION {STORED}_note()",
+    ),
+}
+"""Notes each table that is stored in the same transaction; also where the same one is there already."""
+TIMES = f"SELECT COUNT(*) AS times FROM {STORED} GROUP BY what"  # noqa: S608 - the same
+DOUBLED = f"SELECT COALESCE(SUM(times - 1), 0) FROM ({TIMES}) AS each_one"  # noqa: S608 - the same
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerFleet:
+    """Recordings by time, a deployment that has received none of them, and what they come to undisturbed."""
+
+    load: Workload
+    undisturbed: Mapping[str, str]
+
+
+def worker_fleet(folder: Path, vehicles: int, campaigns: int, server: str | None = None) -> WorkerFleet:
+    """Return the fleet, with what one process makes of its recordings when nobody disturbs it.
+
+    The server is PostgreSQL's; None for SQLite.
+    """
+    scenario = small_fleet(
+        folder, "W", cars(vehicles, wear=0.8), FOUR_AXLES, 2.0, campaigns=campaigns, surveyed=False, seed=11,
+        km_between=20_000.0, position_m=3.0,
+    )  # fmt: skip
+    load = deployed(folder, scenario, server, PASSWORD, workers=1)
+    load = replace(load, received=load.received.model_copy(update={"window_length_s": WINDOW_S}))
+    with closing(open_store(load.received)) as storage, storage.write() as unit:
+        unit.connection.execute(text(f"CREATE TABLE {STORED} (what TEXT NOT NULL)"))
+        for statement in COUNTED[unit.connection.dialect.name]:
+            unit.connection.execute(text(statement))
+    alone = load.copy(load.received.data_dir.parent / "undisturbed")
+    receive(load.recorded, alone)
+    with opened(alone) as (storage, context):
+        _, rest = come_to_rest(storage, context)
+        assert rest
+        return WorkerFleet(load, compared_state(storage))
+
+
+def stored_twice(storage: SqlStorage) -> int:
+    """Return how many tables of windows were stored although the same one had been."""
+    with storage.read() as unit:
+        return int(unit.connection.execute(text(DOUBLED)).scalar_one())
+
 
 Strike = Callable[[Services, random.Random], bool]
 """Does harm and mends it; returns whether there was somebody to be harmed."""
@@ -216,7 +278,8 @@ def _round(half: _Half, settings: ChaosSettings, rng: random.Random, tally: _Tal
             tally.rest_s.append(time.monotonic() - begin_s)
             running.end_scheduler(signal.SIGTERM)
             tally.leaked += running.said().count(PASSWORD)
-        come_to_rest(storage, job_context(deployed, storage))
+        _, rest = come_to_rest(storage, job_context(deployed, storage))
+        tally.wrong += [] if rest else ["no rest"]
         state = compared_state(storage)
         tally.states.add(tuple(sorted(state.items())))
         tally.wrong += [name for name in state if state[name] != undisturbed[name]]
