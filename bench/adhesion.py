@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from bench.adhesion_case import LOW, WITHIN, judge, path_of, read_passes, score, vehicle_km, write_passes
+from bench.adhesion_case import LOW, judge, path_of, read_passes, score, vehicle_km, write_passes
 from bench.adhesion_fleet import simulate
 from bench.adhesion_rows import (
     OF,
@@ -32,7 +32,6 @@ from bench.adhesion_rows import (
 )
 from bench.report import BenchRow, Part, ResultTable, row_table
 from bench.study import Case, Key, Study, stored_cases
-from estimation.adhesion.creep_forces import FrictionParameters
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario_file import load_scenario
 
@@ -58,9 +57,7 @@ FRICTION_COLUMNS = (
     "conicity error, all samples",
     "without low friction",
 )
-CHOICE_COLUMNS = ("probability from which a place is low", "stretches of 50 m or more found", "alarms without")
 JUDGED = "low"  # the row of the wanted numbers
-AT_ENDS = FrictionParameters().at_ends
 WRONG_ROWS = {*WRONG, *ONE}
 LEAST_HELD = 0.92  # share of intervals and of lower bounds, in rows whose file is wrong
 CHOSEN_ON = range(30)  # seeds on which limits were chosen, or whose misses led to a rule
@@ -268,39 +265,6 @@ def _error(errors: np.ndarray) -> str:
     return f"{errors.mean():+.4f}, {np.abs(errors).mean():.4f}" if len(errors) else ""
 
 
-def choice_rows(cases: Sequence[Case]) -> list[tuple[str, ...]]:
-    """Return what another limit of the probability would find and raise, in the judged row."""
-    judged = [case for case in cases if case["row"] == JUDGED]
-    return [(f"{limit:g}", *_chosen(judged, limit)) for limit in (0.35, 0.4, 0.45, 0.5, 0.6)] if judged else []
-
-
-def _chosen(cases: Sequence[Case], limit: float) -> tuple[str, str]:
-    """Return how many stretches of one place or more are found, and false alarms."""
-    found, alarms = [], 0
-    for case in cases:
-        stretches = _stretches(case, limit)
-        for begin, end in case["stretches"]:
-            if end - begin >= LEAST_LENGTH:
-                reach = min(begin + WITHIN, end)
-                found.append(any(first <= reach and behind >= begin for first, behind, _ in stretches))
-        alarms += sum(least >= LOW for _, _, least in stretches)
-    return f"{sum(found)} of {len(found)}", str(alarms)
-
-
-def _stretches(case: Case, limit: float) -> list[tuple[float, float, float]]:
-    """Return begin, end and least true friction of the stretches of a probability, as ``low_stretches`` does."""
-    runs: list[list[dict[str, Any]]] = []
-    for cell in case["cells"]:
-        if cell["value"] is None or cell["probability"] < min(AT_ENDS, limit):
-            continue
-        if runs and cell["from"] - runs[-1][-1]["from"] <= 2 * LEAST_LENGTH:
-            runs[-1].append(cell)
-        else:
-            runs.append([cell])
-    likely = [run for run in runs if max(one["probability"] for one in run) >= limit]
-    return [(run[0]["from"], run[-1]["from"] + LEAST_LENGTH, min(one["least"] for one in run)) for run in likely]
-
-
 def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]:
     if options.again:
         for row, seed in sorted(done):
@@ -352,8 +316,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 def parts(cases: Sequence[Case]) -> list[Part]:
     """Return the tables of the page."""
-    tables = ((FRICTION_COLUMNS, friction_rows(cases)), (CHOICE_COLUMNS, choice_rows(cases)))
-    return [row_table(summary(cases)), *(ResultTable(*table) for table in tables)]
+    return [row_table(summary(cases)), ResultTable(FRICTION_COLUMNS, friction_rows(cases))]
 
 
 def _line(case: Case) -> str:

@@ -104,7 +104,6 @@ def compare(found: SectionAdhesion, stored: StoredPasses) -> FrictionScore:
                 "high": cell.friction.high,
                 "at_least": cell.at_least,
                 "probability": cell.low_probability,
-                "passes": cell.passes,
             }
         )
     passed = [cell.from_m for cell in found.cells if cell.friction.value is not None or cell.at_least]
@@ -153,8 +152,6 @@ class AdhesionScore:
     contact: Squares = field(default_factory=Squares)
     newton_contact: Squares = field(default_factory=Squares)  # integrals put into Newton's equations, without a filter
     newton_moment: Squares = field(default_factory=Squares)
-    innovations: list[float] = field(default_factory=list)
-    refused: dict[str, int] = field(default_factory=dict)
     friction: FrictionScore = field(default_factory=FrictionScore)
     vehicle_km: float = 0.0
     conicity_all: list[float] = field(default_factory=list)  # errors, with every sample
@@ -267,9 +264,6 @@ def _passes(
             one, motion, serial = fleet.windows[i], motions[i], windows[place].wheelset
             force = forces if isinstance(forces, Reason) else forces[place]
             if isinstance(force, Reason) or isinstance(motion, Reason):
-                reason = force if isinstance(force, Reason) else motion
-                code = str(reason.code) if isinstance(reason, Reason) else ""
-                done.refused[code] = done.refused.get(code, 0) + 1
                 continue
             inputs = AdhesionInputs(parameters[serial], geometries[serial], profiles[serial], section)
             found.append(window_adhesion(one.window, "", force, motion, inputs))
@@ -328,7 +322,6 @@ def _score_forces(
     turning = turning + p.pitch_inertia * motion.speed / p.nominal_radius * motion.roll_rate
     done.newton_contact.add(newton[good], contact[good])
     done.newton_moment.add(turning[good], moment[good])
-    done.innovations.append(force.innovation)
 
 
 def _length(fleet: Fleet) -> float:

@@ -184,11 +184,10 @@ def score(scenario: Scenario, cache: Path, folder: Path) -> dict[str, Any]:
 def _stored(storage: Storage, scenario: Scenario, truths: Sequence[TrueWheelset]) -> dict[str, Any]:
     """Return what the store holds after the jobs."""
     section = scenario.section.code
-    wheelsets, widths, codes = [], [], Counter[str]()
+    wheelsets, widths = [], []
     with storage.read() as unit:
         verdicts = [_verdict(unit, truth.serial) for truth in truths]
         for truth in truths:
-            codes += _window_codes(unit, truth.serial)
             current = unit.geometries.current(truth.serial)
             if current is not None and current.geometry.samples.sum() > 0:
                 wheelsets.append(_wheelset_score(current.geometry, truth))
@@ -205,7 +204,6 @@ def _stored(storage: Storage, scenario: Scenario, truths: Sequence[TrueWheelset]
         "half_widths": widths,  # of the 95 % intervals of conicity that are published
         "verdicts": verdicts,
         "windows": windows,
-        "codes": dict(codes),  # of windows that were refused
         "survey": str(reported.get("recording_code") or ""),  # verdict on it
         "reason": "" if report is None or report.reason is None else str(report.reason),  # why there is no alignment
         "status": "estimated" if fleet else "recorded" if known else "unestimated",

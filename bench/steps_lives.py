@@ -7,7 +7,7 @@ fallen leaves; intervals are now and then outliers, alone or two on end.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -42,7 +42,6 @@ class Life:
     worn: FloatArray  # (k,) without the step, too
     weather: FloatArray  # (k,) of the season
     noise: FloatArray  # (k,) standard deviations
-    km_per_year: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +99,6 @@ def life(case: Case, seed: int) -> Life:
         worn,
         weather,
         case.scatter * noise,
-        km_per_year,
     )
 
 
@@ -141,14 +139,6 @@ def _record(number: int, x: float, days: float, width: float, value: float, std:
     return IntervalConicities(
         0, number, float(x), middle - half, middle + half, 5, f"{number:064x}", "bench", known, None
     )
-
-
-def worn_further(given: Life, share: float) -> Life:
-    """Return a life whose intervals cover less than 3 mm for a share of it, as worn wheels do."""
-    first = given.first or len(given.records)
-    begin = round(first * (1.0 - share))
-    cut = [replace(r, known=r.known[:1]) if begin <= i < first else r for i, r in enumerate(given.records)]
-    return replace(given, records=tuple(cut))
 
 
 NEWEST = 16  # intervals that it looks at

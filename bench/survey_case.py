@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,14 +61,12 @@ class Conicity:
 class SurveyScore:
     """One fleet, one survey, one error of positions."""
 
-    outcome: str
     code: str  # of the verdict; empty for none
     refused: bool
     alignment_std: float | None  # m, of what is in force at the wavelengths of the motion; None for nothing
     alignment_error: float | None  # m, rms, against the truth
     asked: int
     published: tuple[Conicity, ...]
-    reasons: Mapping[str, int]  # codes of windows without motion
 
 
 def on_file(fleet: Fleet, plan: SurveyPlan, seed: int) -> TrackAlignment:
@@ -140,50 +139,37 @@ def _alignment_error(truth: TrackTruth, track: TrackAlignment) -> float | None:
 
 
 def _scored(fleet: Fleet, update: AlignmentUpdate) -> SurveyScore:
-    published, reasons = _conicities(fleet, update)
     track = update.alignment
     known = None if track is None or not np.isfinite(track.alignment).any() else track
     return SurveyScore(
-        outcome=str(update.outcome),
         code=str(code_of(update.survey) or ""),
         refused=str(update.survey or "").startswith(NOT_USED),
         alignment_std=None if known is None else alignment_std(known),
         alignment_error=None if known is None else _alignment_error(fleet.track, known),
         asked=len(fleet.conicity) * len(AMPLITUDES),
-        published=tuple(published),
-        reasons=reasons,
+        published=tuple(_conicities(fleet, update)),
     )
 
 
-def _conicities(fleet: Fleet, update: AlignmentUpdate) -> tuple[list[Conicity], dict[str, int]]:
+def _conicities(fleet: Fleet, update: AlignmentUpdate) -> list[Conicity]:
     track = update.alignment
-    found: list[Conicity] = []
-    reasons: dict[str, int] = {}
     if track is None or not np.isfinite(track.alignment).any():
-        return [], {"alignment_unknown": len(fleet.windows)}
-    placed = places(fleet, update)
-    for serial, true in fleet.conicity.items():
-        tables = []
-        for window in fleet.windows:
-            if window.wheelset != serial:
-                continue
-            place = placed[serial, window.start_ns]
-            if isinstance(place, Reason):
-                reasons[place.code] = reasons.get(place.code, 0) + 1
-                continue
-            table = cells_of_window(window, track, fleet.parameters, place)
-            if isinstance(table, Reason):
-                reasons[table.code] = reasons.get(table.code, 0) + 1
-            else:
-                tables.append(table)
-        if tables:
-            found += _compared(fleet, track, serial, tables, true)
-    return found, {str(code): count for code, count in reasons.items()}
+        return []
+    placed, tables = places(fleet, update), defaultdict[str, list[FilledCells]](list)
+    for window in fleet.windows:
+        place = placed[window.wheelset, window.start_ns]
+        table = place if isinstance(place, Reason) else cells_of_window(window, track, fleet.parameters, place)
+        if not isinstance(table, Reason):
+            tables[window.wheelset].append(table)
+    of_each = (_compared(fleet, track, serial, tables[serial], true) for serial, true in fleet.conicity.items())
+    return [one for compared in of_each for one in compared]
 
 
 def _compared(
     fleet: Fleet, track: TrackAlignment, serial: str, tables: Sequence[FilledCells], true: FloatArray
 ) -> list[Conicity]:
+    if not tables:
+        return []
     bins = bin_parameters(fleet.parameters)
     uncertainty = ParameterUncertainty.of(fleet.parameters.vehicle_class).on([track], serial)
     geometry = estimate_geometry(merge_all(tables, bins), bins, GeometryParameters(uncertainty=uncertainty))

@@ -33,7 +33,6 @@ from ingest.simulator.scenario import Scenario, SectionPlan, Stream, generator
 from ingest.simulator.scenario_file import load_scenario
 from ingest.simulator.track import TrackTruth
 
-NOMINAL_RADIUS = 0.45  # m, of the fleets of the rows
 MEASURED_ROWS = ("measured_known", "measured_unknown")
 PARTNERS = 3  # other wheels with which each one runs
 DISPLACEMENT = np.arange(-240, 241) * 0.05e-3  # m
