@@ -20,6 +20,7 @@ import numpy as np
 
 from bench.adhesion_fleet import class_of, simulate
 from bench.report import BenchRow, Part, ResultTable, row_table
+from bench.scores import Compared
 from bench.study import Case, Key, Study
 from estimation.adhesion.creep_forces import gear_segments
 from estimation.dampers.damper import DamperParameters, gear_damper, window_damper
@@ -248,6 +249,15 @@ main = Study(
     cases=_cases,
     parts=lambda cases: parts([gear for case in cases for gear in case["gears"]]),
     line=lambda case: f"{case['row']}, seed {case['seed']}, share {case['share']}: done",
+    published=lambda case: [
+        Compared(
+            gear["value"] - case["share"],
+            0.5 * (gear["high"] - gear["low"]),
+            gear["low"] <= case["share"] <= gear["high"],
+        )
+        for gear in case["gears"]
+        if gear["value"] is not None
+    ],
     rows=ROWS,
     separator=";",
     seeds="0-4",

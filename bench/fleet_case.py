@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from api.comparison.study import TrueWheelset, conicity_errors, read_truth
+from api.comparison.study import TrueWheelset, read_truth
 from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, run_jobs
+from bench.scores import Compared, compared, compared_at
 from bench.study import Case
 from estimation.accuracy.fleet_accuracy import curve_origin
 from estimation.filters import high_pass, local_cubic_kernel
@@ -184,15 +185,13 @@ def score(scenario: Scenario, cache: Path, folder: Path) -> dict[str, Any]:
 def _stored(storage: Storage, scenario: Scenario, truths: Sequence[TrueWheelset]) -> dict[str, Any]:
     """Return what the store holds after the jobs."""
     section = scenario.section.code
-    wheelsets, widths = [], []
+    wheelsets: list[dict[str, Any]] = []
     with storage.read() as unit:
         verdicts = [_verdict(unit, truth.serial) for truth in truths]
         for truth in truths:
             current = unit.geometries.current(truth.serial)
             if current is not None and current.geometry.samples.sum() > 0:
                 wheelsets.append(_wheelset_score(current.geometry, truth))
-                intervals = ((one.low, one.high) for one in current.geometry.conicity)
-                widths += [0.5 * (high - low) for low, high in intervals if low is not None and high is not None]
         alignment, report = unit.tracks.alignment(section), unit.tracks.report(section)
         windows = {str(state): count for state, count in unit.windows.counts().items()}
     known = alignment is not None and bool(np.isfinite(alignment.alignment).any())
@@ -201,7 +200,6 @@ def _stored(storage: Storage, scenario: Scenario, truths: Sequence[TrueWheelset]
     diversity = reported.get("diversity")
     return {
         "wheelsets": wheelsets,
-        "half_widths": widths,  # of the 95 % intervals of conicity that are published
         "verdicts": verdicts,
         "windows": windows,
         "survey": str(reported.get("recording_code") or ""),  # verdict on it
@@ -232,10 +230,9 @@ def _window_codes(unit: UnitOfWork, serial: str) -> Counter[str]:
 
 def _wheelset_score(found: WheelsetGeometry, truth: TrueWheelset) -> dict[str, Any]:
     """Return how near a geometry comes: errors of the conicity, and how many intervals cover of how many, by kind."""
-    compared = conicity_errors(found, truth)
-    errors = [None if item is None else item[0] for item in compared]
-    inside = [item[1] for item in compared if item is not None]
-    given = [error for error in errors if error is not None]
+    conicities = compared_at(truth.amplitude, truth.conicity, found.amplitude, found.conicity)
+    published = [one for one in conicities if one is not None]
+    given = [one.error for one in published]
     origin = curve_origin(found, truth.displacement, truth.difference, truth.zero_crossing)
     x = found.bin_centres + origin.displacement
     differences = np.interp(x, truth.displacement, truth.angle_difference)
@@ -245,8 +242,9 @@ def _wheelset_score(found: WheelsetGeometry, truth: TrueWheelset) -> dict[str, A
         "serial": truth.serial,
         "error": float(np.mean(np.abs(given))) if given else None,  # over the amplitudes estimated
         "signed": float(np.mean(given)) if given else None,
-        "amplitudes": errors,
-        "conicity": _counted(inside),
+        "asked": len(conicities),
+        "published": published,
+        "conicity": _counted([one.covered for one in published]),
         "difference": _counted(_bins(found.rolling_radius_difference, radius_difference)),
         "other_bins": _counted(  # by the criterion of the geometry S and A are not published
             [
@@ -255,8 +253,8 @@ def _wheelset_score(found: WheelsetGeometry, truth: TrueWheelset) -> dict[str, A
                 *_bins(found.contact_angle_difference, differences - unknown),
             ]
         ),
-        "nonlinearity": _counted(_covers(found.nonlinearity, truth.nonlinearity)),
-        "zero_crossing": _counted(_covers(found.zero_crossing, truth.zero_crossing)),
+        "nonlinearity": _covers(found.nonlinearity, truth.nonlinearity),
+        "zero_crossing": _covers(found.zero_crossing, truth.zero_crossing),
     }
 
 
@@ -270,14 +268,13 @@ def _bins(values: BinValues, truth: FloatArray) -> list[bool]:
     return inside
 
 
-def _covers(estimate: Estimate, truth: float) -> list[bool]:
-    if estimate.value is None or estimate.low is None or estimate.high is None or not np.isfinite(truth):
-        return []
-    return [estimate.low <= truth <= estimate.high]
+def _covers(estimate: Estimate, truth: float) -> dict[str, int]:
+    found = compared(estimate, truth)
+    return _counted([] if found is None else [found.covered])
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
+class Conicities:
     """Errors of the conicity by wheelset, intervals of it and how many cover, and their half widths."""
 
     errors: list[float]
@@ -286,12 +283,13 @@ class Figures:
     widths: list[float]
 
     @classmethod
-    def of(cls, cases: Sequence[Case]) -> Figures:
+    def of(cls, cases: Sequence[Case]) -> Conicities:
         """Return those of all cases together."""
         wheelsets = [item for case in cases for item in case["wheelsets"]]
         errors = [item["error"] for item in wheelsets if item["error"] is not None]
         published, covered = (sum(item["conicity"][name] for item in wheelsets) for name in ("published", "covered"))
-        return cls(errors, published, covered, [width for case in cases for width in case["half_widths"]])
+        widths = [one[1] for item in wheelsets for one in item["published"]]
+        return cls(errors, published, covered, widths)
 
     @property
     def p95(self) -> float:
@@ -315,7 +313,7 @@ class Figures:
 
 def summary_line(case: Case) -> str:
     """Return a case in a line."""
-    figures, statuses = Figures.of([case]), Counter(verdict["status"] for verdict in case["verdicts"])
+    figures, statuses = Conicities.of([case]), Counter(verdict["status"] for verdict in case["verdicts"])
     codes = sorted({verdict["code"] for verdict in case["verdicts"] if verdict["code"]})
     line = f"{case['row']}{' with parameter errors' if case['drawn'] else ''} seed {case['seed']}, {case['pair']}: "
     line += f"error {figures.error}, {figures.covered} of {figures.published} cover, {dict(statuses)}, "
@@ -330,3 +328,8 @@ def by_row(cases: Sequence[Case], rows: Sequence[str] | Mapping[str, Any]) -> di
     """Return the cases of each row that was run."""
     groups = {name: [case for case in cases if case["row"] == name] for name in rows}
     return {name: of_row for name, of_row in groups.items() if of_row}
+
+
+def published_of(case: Case) -> list[Compared]:
+    """Return the published conicities of a case."""
+    return [one for item in case["wheelsets"] for one in item["published"]]

@@ -251,6 +251,7 @@ main = Study(
     cases=_cases,
     parts=lambda cases: parts([one for case in cases for one in case["wheelsets"]]),
     line=_line,
+    published=lambda case: [one for item in case["wheelsets"] if item["kind"] == RIGHT for one in item["found"]],
     seeds="0-29",
     key=("seed",),
     options=_options,

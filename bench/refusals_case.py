@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.made_values import made_window
+from bench.scores import Compared, compared_at
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import check_radius, rolling_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
@@ -229,6 +230,7 @@ class Judged:
     errors: tuple[float, ...]  # of the conicity where it is published
     covered: tuple[bool, ...]
     values: tuple[float | None, ...] = ()  # of the conicity, over all amplitudes
+    found: tuple[Compared, ...] = ()
     radius: tuple[float, float, float] | None = None  # error, std and bound of the std of that by the motion, relative
 
     @property
@@ -333,14 +335,11 @@ def _loaded(own: Window, other: Window | None, ahead: float, behind: float) -> W
 
 
 def _verdict(geometry: WheelsetGeometry, case: RefusalCase, axle: int) -> Judged:
-    errors, covered, values = [], [], []
-    for amplitude, true in zip(AMPLITUDES, case.conicity[axle], strict=True):
-        one = geometry.conicity[int(np.argmin(np.abs(geometry.amplitude - amplitude)))]
-        values.append(one.value)
-        if one.value is not None and one.low is not None and one.high is not None:
-            errors.append(float(one.value - true))
-            covered.append(bool(one.low <= true <= one.high))
-    reason = geometry.reason or (geometry.equivalent_conicity.reason if not errors else None)
+    found = compared_at(AMPLITUDES, case.conicity[axle], geometry.amplitude, geometry.conicity)
+    published = tuple(one for one in found if one is not None)
+    values = [None if one is None else one.error + true for one, true in zip(found, case.conicity[axle], strict=True)]
+    reason = geometry.reason or (None if published else geometry.equivalent_conicity.reason)
+    code, errors = "" if reason is None else str(reason.code), tuple(one.error for one in published)
     return Judged(
-        bool(errors), "" if reason is None else str(reason.code), tuple(errors), tuple(covered), tuple(values)
+        bool(published), code, errors, tuple(one.covered for one in published), tuple(values), found=published
     )

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from api.comparison.trial import recording_key
-from bench.fleet_case import COVERAGE, scored, summary_line
+from bench.fleet_case import COVERAGE, published_of, scored, summary_line
 from bench.report import Part, ResultTable
 from bench.study import Case, Key, Study, in_processes
 from ingest.simulator.drawn_fleet import with_seed
@@ -159,7 +159,7 @@ def _summary(row: str, drawn: bool, cases: Sequence[Case]) -> RowSummary:  # noq
     aligned = [case["alignment"] for case in cases if case["alignment"] is not None]
     coverage["alignment"] = (sum(a["published"] for a in aligned), sum(a["covered"] for a in aligned))
     coverage["gauge"] = (sum(a["gauge_published"] for a in aligned), sum(a["gauge_covered"] for a in aligned))
-    asked = sum(len(item["amplitudes"]) for item in wheelsets)
+    asked = sum(item["asked"] for item in wheelsets)
     estimated = len(errors) + sum(case["status"] == "estimated" for case in cases)
     return RowSummary(
         row=row,
@@ -237,6 +237,7 @@ main = Study(
     cases=_cases,
     parts=tables,
     line=summary_line,
+    published=published_of,
     rows=(*LIMITS, *OTHERS),
     seeds="0-19",
     key=("row", "seed", "drawn"),

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bench.scores import compared_at
 from bench.survey_fleets import AMPLITUDES, Fleet, drawn_track
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
@@ -19,7 +20,7 @@ from estimation.track.settings import AlignmentSettings
 from estimation.track.update import NOT_USED, AlignmentUpdate, UpdateOutcome, update_alignment
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import FilledCells
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
 from ingest.simulator.track import TrackTruth
@@ -175,18 +176,9 @@ def _compared(
     geometry = estimate_geometry(merge_all(tables, bins), bins, GeometryParameters(uncertainty=uncertainty))
     if geometry.status is Status.MODEL_MISMATCH:
         return []
-    at = [int(np.argmin(np.abs(geometry.amplitude - amplitude))) for amplitude in AMPLITUDES]
-    return [
-        one
-        for place, value, amplitude in zip(at, true, AMPLITUDES, strict=True)
-        if (one := _one(f"{serial} {1e3 * amplitude:g}", geometry.conicity[place], float(value))) is not None
-    ]
-
-
-def _one(key: str, found: Estimate, true: float) -> Conicity | None:
-    if found.value is None or found.low is None or found.high is None:
-        return None
-    return Conicity(key, found.value - true, 0.5 * (found.high - found.low), bool(found.low <= true <= found.high))
+    found = compared_at(AMPLITUDES, true, geometry.amplitude, geometry.conicity)
+    keys = (f"{serial} {1e3 * amplitude:g}" for amplitude in AMPLITUDES)
+    return [Conicity(key, *one) for key, one in zip(keys, found, strict=True) if one is not None]
 
 
 def places(fleet: Fleet, update: AlignmentUpdate) -> dict[tuple[str, int], Correction | Reason | None]:

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.stats import beta
 
 from bench.report import BenchRow, Part, ResultTable, row_table
+from bench.scores import Compared, Figures
 from bench.study import Case, Key, Study, one_of
 from bench.survey_case import SurveyPlan, moved, on_file, score
 from bench.survey_fleets import COACH, FleetPlan, drawn_fleet
@@ -28,7 +29,6 @@ HEADER = (
     *("", "cases", "refused", "doubted", "published", "error", "z rms", "half width", "interval score", "cover"),
     *("alignment error, mm", "stated, mm", "rival: error", "interval score", "cover"),
 )
-MISS = 40.0  # weight of a miss in the interval score of 95 % intervals
 REFUSED = 0.005  # share of right surveys
 FOUND = 0.99  # share of wrong ones
 COVER_UNDERSTATED = 0.92
@@ -75,21 +75,9 @@ def summary(cases: Sequence[Case]) -> Iterator[BenchRow]:
         yield BenchRow(f"positions off by {positions}, survey of 0.3 mm", text, "shown", met=True)
 
 
-class Figures:
-    """Error, z, half width, interval score and coverage of published conicities."""
-
-    def __init__(self, published: Sequence[Mapping[str, Any]]) -> None:
-        """Count them."""
-        error = np.array([one["error"] for one in published])
-        half = np.array([one["half_width"] for one in published])
-        self.count = len(error)
-        some = self.count > 0
-        self.error = float(np.mean(np.abs(error))) if some else float("nan")
-        self.half = float(np.median(half)) if some else float("nan")
-        self.z = float(np.sqrt(np.mean((1.96 * error / half) ** 2))) if some else float("nan")
-        missed = np.maximum(np.abs(error) - half, 0.0)
-        self.score = float(np.mean(2.0 * half + MISS * missed)) if some else float("nan")
-        self.cover = float(np.mean([one["covered"] for one in published])) if some else float("nan")
+def figures_of(published: Sequence[Mapping[str, Any]]) -> Figures:
+    """Return the figures of published conicities."""
+    return Figures.of(Compared(one["error"], one["half_width"], one["covered"]) for one in published)
 
 
 def differences(cases: Sequence[Case], surveys: Sequence[str]) -> list[tuple[str, ...]]:
@@ -116,7 +104,7 @@ def most_share(count: int, of: int) -> float:
 def figures(cases: Sequence[Case], *, rival: bool = False) -> Figures:
     """Return the figures of all cases together; of the rival where asked for."""
     scores = [case["rival"] if rival else case for case in cases]
-    return Figures([one for case in scores if case is not None for one in case["published"]])
+    return figures_of([one for case in scores if case is not None for one in case["published"]])
 
 
 def rows_of(cases: Sequence[Case], key: str) -> list[tuple[str, ...]]:
@@ -133,11 +121,7 @@ def rows_of(cases: Sequence[Case], key: str) -> list[tuple[str, ...]]:
                 str(sum(case["refused"] for case in members)),
                 str(sum(case["code"] == "survey_not_assessable" for case in members)),
                 f"{mine.count} of {asked}",
-                f"{mine.error:.4f}",
-                f"{mine.z:.2f}",
-                f"{mine.half:.4f}",
-                f"{mine.score:.4f}",
-                f"{mine.cover:.3f}",
+                *mine.cells[1:],
                 *(_millimetres(members, name) for name in ("alignment_error", "alignment_std")),
                 *(
                     ("", "", "")
@@ -157,7 +141,7 @@ def _millimetres(members: Sequence[Case], name: str) -> str:
 
 def _published_as_good(case: Case) -> bool:
     """Whether conicities on a survey that is not refused do not hold the truth."""
-    values = Figures(case["published"])
+    values = figures_of(case["published"])
     return not case["refused"] and values.count > 0 and values.cover < COVER_UNDERSTATED
 
 
@@ -203,13 +187,8 @@ def paired(cases: Sequence[Case], others: Mapping[Any, Case], name: str) -> tupl
         if shared:
             pairs = [(own[key], without[key]) for key in shared]
             errors.append(np.array([abs(one["error"]) - abs(none["error"]) for one, none in pairs]))
-            scores.append(np.array([_score(one) - _score(none) for one, none in pairs]))
+            scores.append(np.array([figures_of([one]).score - figures_of([none]).score for one, none in pairs]))
     return errors, scores
-
-
-def _score(one: Mapping[str, Any]) -> float:
-    """Return the interval score of one number."""
-    return float(2.0 * one["half_width"] + MISS * max(abs(one["error"]) - one["half_width"], 0.0))
 
 
 def _against_none(cases: Sequence[Case], name: str) -> Iterator[BenchRow]:

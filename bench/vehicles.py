@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from bench.fleet_case import Figures, by_row, scored, summary_line
+from bench.fleet_case import Conicities, by_row, published_of, scored, summary_line
 from bench.report import ResultTable, share_of
 from bench.study import Case, Key, Study, in_processes
 from ingest.simulator.drawn_fleet import with_seed
@@ -113,7 +113,7 @@ def summary_rows(cases: Sequence[Case]) -> list[tuple[str, ...]]:
 
 
 def _summary(name: str, cases: Sequence[Case]) -> tuple[str, ...]:
-    figures, counted, limit = Figures.of(cases), Counted.of(cases), ROWS[name]
+    figures, counted, limit = Conicities.of(cases), Counted.of(cases), ROWS[name]
     cpu = sum(sum(case["cpu_s"]) for case in cases) / sum(case["wheelset_hours"] for case in cases)
     met = counted.kept_back >= FOUND
     if limit is not None:
@@ -151,6 +151,7 @@ main = Study(
     cases=_cases,
     parts=lambda cases: [EXPLANATION, ResultTable(HEADER, summary_rows(cases), range(1, 7))],
     line=summary_line,
+    published=published_of,
     rows=ROWS,
     options=_options,
 ).run

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.fleet_case import Figures, by_row, scored, summary_line
+from bench.fleet_case import Conicities, by_row, published_of, scored, summary_line
 from bench.report import Part, ResultTable, say, share_of
 from bench.study import Case, Key, Study, in_processes
 from bench.wheelset_motion import wheelset_motion
@@ -263,7 +263,7 @@ def summary_rows(cases: Sequence[Case]) -> list[tuple[str, ...]]:
 
 
 def _summary(name: str, cases: Sequence[Case]) -> tuple[str, ...]:
-    reach, figures = ROWS[name], Figures.of(cases)
+    reach, figures = ROWS[name], Conicities.of(cases)
     right = sum(case["survey"] in reach.survey for case in cases)
     covers = figures.covers(1.0) if reach.covers_above else figures.covers()
     met = (
@@ -300,7 +300,7 @@ def width_rows(cases: Sequence[Case]) -> list[tuple[str, ...]]:
 
 
 def _width_row(name: str, cases: Sequence[Case]) -> tuple[str, ...]:
-    figures = Figures.of(cases)
+    figures = Conicities.of(cases)
     error = f"{np.median(figures.errors):.4f}" if figures.errors else ""
     share = share_of(figures.covered, figures.published)
     return name, str(len(cases)), _without_intervals(cases), share, figures.width, error
@@ -308,7 +308,7 @@ def _width_row(name: str, cases: Sequence[Case]) -> tuple[str, ...]:
 
 def _without_intervals(cases: Sequence[Case]) -> str:
     """Return how many fleets have no published conicity."""
-    return str(sum(Figures.of([case]).published == 0 for case in cases))
+    return str(sum(Conicities.of([case]).published == 0 for case in cases))
 
 
 def tables(cases: Sequence[Case]) -> list[Part]:
@@ -333,6 +333,7 @@ main = Study(
     cases=_cases,
     parts=tables,
     line=summary_line,
+    published=published_of,
     rows=ROWS,
     options=_options,
 ).run

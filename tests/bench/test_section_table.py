@@ -20,8 +20,7 @@ def count(published: int, covered: int) -> dict[str, int]:
 def case(row: str = "known", error: float = 0.004, **covered: int) -> dict[str, Any]:
     """Return a case of one wheelset as JSON holds it; ``covered`` says of how many of 200 intervals by kind."""
     counts = {kind: count(BINS, covered.get(kind, 190)) for kind in KINDS} | {"zero_crossing": count(0, 0)}
-    amplitudes = [error] * CONICITIES
-    wheelset = counts | {"serial": "W00", "error": error, "signed": error, "amplitudes": amplitudes, "stds": amplitudes}
+    wheelset = counts | {"serial": "W00", "error": error, "signed": error, "asked": CONICITIES}
     return {
         "row": row,
         "pair": "P8/113A",

@@ -20,12 +20,16 @@ def case(row: str, statuses: list[str], *, covered: int = 0, error: float = 0.00
         for good in [status == "estimated"]
     ]
     wheelsets = [
-        {"error": error if item["published"] else None, "conicity": {"published": 20 * item["published"], "covered": n}}
+        {
+            "error": error if item["published"] else None,
+            "conicity": {"published": 20 * item["published"], "covered": n},
+            "published": [],
+        }
         for item in verdicts
         for n in [covered if item["published"] else 0]
     ]
     cost = {"cpu_s": [1.0, 2.0, 3.0], "wheelset_hours": 3.0}
-    return {"row": row, "seed": seed, "verdicts": verdicts, "wheelsets": wheelsets, "half_widths": [], **cost}
+    return {"row": row, "seed": seed, "verdicts": verdicts, "wheelsets": wheelsets, **cost}
 
 
 def cells(header: tuple[str, ...], row: tuple[str, ...]) -> dict[str, str]:

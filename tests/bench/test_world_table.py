@@ -11,9 +11,10 @@ from bench.world import HEADER, WIDTH_HEADER, summary_rows, tables, width_rows
 
 def case(row: str, diversity: float, widths: list[float], *, covered: int, error: float = 0.01) -> dict[str, Any]:
     conicity = {"published": len(widths), "covered": covered}
-    wheelsets = [{"error": error, "conicity": conicity}] if widths else []
+    published = [(error, width, True) for width in widths]
+    wheelsets = [{"error": error, "conicity": conicity, "published": published}] if widths else []
     survey = "survey_confirmed" if row.startswith("known") else ""
-    return {"row": row, "survey": survey, "wheelsets": wheelsets, "half_widths": widths, "diversity": diversity}
+    return {"row": row, "survey": survey, "wheelsets": wheelsets, "diversity": diversity}
 
 
 def cells(header: tuple[str, ...], row: tuple[str, ...]) -> dict[str, str]:
