@@ -7,7 +7,7 @@ little. The true forces follow from the true motion by Newton's equations.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 
 import numpy as np
@@ -190,12 +190,7 @@ def _sampled(forces: TrueForces, stride: int) -> TrueForces:
 
 def _part(forces: TrueForces, number: int, n: int) -> TrueForces:
     part = slice(number * n, (number + 1) * n)
-    return TrueForces(
-        forces.lateral_creep[part].copy(),
-        forces.yaw_creep[part].copy(),
-        forces.contact[part].copy(),
-        forces.friction[part].copy(),
-    )
+    return TrueForces(*(getattr(forces, item.name)[part].copy() for item in fields(forces)))
 
 
 def _cut(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> Iterator[Window]:

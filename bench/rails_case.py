@@ -61,7 +61,7 @@ class BenchSection:
         return self.scenario.section
 
 
-def sections_of(seed: int, *, surveyed: bool = True, drawn: bool = False) -> tuple[BenchSection, ...]:
+def sections_of(seed: int, *, drawn: bool = False) -> tuple[BenchSection, ...]:
     """Return the sections of a seed: rails as on file, worn heads, another gauge, rails as new that nobody knows."""
     fleet = replace(with_seed(load_scenario(TEMPLATE), seed), drawn=None)
     if drawn:
@@ -72,14 +72,12 @@ def sections_of(seed: int, *, surveyed: bool = True, drawn: bool = False) -> tup
     gauge = float(rng.choice([-1.0, 1.0]) * rng.uniform(1e-3, 2e-3))
     rails: tuple[tuple[RailWear | None, float], ...] = ((None, 0.0), (wear, 0.0), (None, gauge), (None, 0.0))
     return tuple(
-        BenchSection(on_section(fleet, place, runs, *of_rails, surveyed=surveyed), of_rails != (None, 0.0))
+        BenchSection(on_section(fleet, place, runs, *of_rails), of_rails != (None, 0.0))
         for place, (runs, of_rails) in enumerate(zip(RUNS, rails, strict=True))
     )
 
 
-def on_section(
-    fleet: Scenario, place: int, runs: Sequence[str], wear: RailWear | None, gauge: float, *, surveyed: bool
-) -> Scenario:
+def on_section(fleet: Scenario, place: int, runs: Sequence[str], wear: RailWear | None, gauge: float) -> Scenario:
     """Return a fleet as it runs on one of several sections."""
     recipe = fleet.section.recipe
     assert recipe is not None
@@ -90,7 +88,7 @@ def on_section(
         name=f"Section {place}",
         recipe=replace(recipe, gauge_offset=gauge),
         rail_wear=(wear, wear),
-        surveyed=surveyed,
+        surveyed=True,
     )
     later = KM_BETWEEN_SECTIONS * place * 1e3
     sessions = replace(
@@ -138,9 +136,9 @@ MEASURED: Mapping[int, tuple[str, ...]] = {  # wheelsets whose profiles are on f
 Scored = dict[str, Any]
 
 
-def score(seed: int, cache: Path, *, surveyed: bool = True, drawn: bool = False) -> list[Scored]:
+def score(seed: int, cache: Path, *, drawn: bool = False) -> list[Scored]:
     """Return a score for each way to hold the level, as JSON values."""
-    sections = sections_of(seed, surveyed=surveyed, drawn=drawn)
+    sections = sections_of(seed, drawn=drawn)
     found: list[Scored] = []
     with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
         settings = copied(received(sections, cache), Path(folder))
@@ -150,8 +148,7 @@ def score(seed: int, cache: Path, *, surveyed: bool = True, drawn: bool = False)
             with opened(settings) as (storage, context):
                 run_jobs(context, ESTIMATION)
                 found += [_scored(seed, sections, anchor, storage, context) for anchor in anchors]
-    head = {"surveyed": surveyed, "drawn": drawn}
-    return [head | one for one in found]
+    return found
 
 
 def _scored(seed: int, sections: Sequence[BenchSection], anchor: str, storage: Storage, context: JobContext) -> Scored:
@@ -284,8 +281,8 @@ def worn_for_years(seed: int) -> tuple[BenchSection, BenchSection]:
     )
     fleet = replace(fleet, sessions=sessions, vehicles=tuple(_wearing(one, rng) for one in fleet.vehicles))
     wear = RailWear(FIRST_DEPTH, rng.uniform(*CENTRE), rng.uniform(22e-3, 28e-3))
-    known = on_section(fleet, 0, VEHICLES, None, 0.0, surveyed=True)
-    worn = on_section(fleet, 1, VEHICLES, wear, 0.0, surveyed=True)
+    known = on_section(fleet, 0, VEHICLES, None, 0.0)
+    worn = on_section(fleet, 1, VEHICLES, wear, 0.0)
     growing = replace(worn.section, rail_growth=rng.uniform(*RAILS_WEAR), tonnage=TONNAGE)
     return BenchSection(known, worn=False), BenchSection(replace(worn, section=growing), worn=True)
 
