@@ -18,6 +18,7 @@ from fleet_db.packed_values import pack_geometry, pack_value
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 ROWS = {
+    "receipts": "SELECT digest, vehicle, state, reason_code, first_ns, last_ns, frames FROM chunks",
     "windows": (
         "SELECT wheelset, start_ns, axle, track_section, state, reason_code, reason, content_digest, mileage_km"
         " FROM windows"

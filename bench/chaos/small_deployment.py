@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 import uuid
@@ -19,15 +18,14 @@ from psycopg import sql
 
 from api.factory import SystemClock, job_context, open_store, process_name, raw_store, receiver, scheduled_jobs
 from api.settings import Settings
+from bench.chaos.final_state import final_state
 from bench.services import created
 from estimation.jobs.job import run_job
 from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.kept_files import orphaned_recordings
 from fleet_db.migrate import upgrade
-from fleet_db.packed_values import pack_geometry
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import Base
 from ingest.frames import take
 from ingest.logs import write_blf
 from ingest.vehicle_class_schema import shipped_class
@@ -35,11 +33,7 @@ from tests.ingest.vehicle_bus import START_NS, VEHICLE, Run, register
 from tests.postgres_server import SAFE, PostgresServer, stoppable_server
 
 WINDOW_S = 10.0
-STATE = {
-    "chunks": ("digest", "vehicle", "state", "reason_code", "first_ns", "last_ns", "frames"),
-    "windows": ("wheelset", "start_ns", "mileage_km", "track_section", "state", "reason_code", "content_digest"),
-    "window_bin_tables": ("wheelset", "start_ns", "window_digest", "parameter_key", "packed"),
-}
+OF_RECEIVED = ("receipts", "windows", "bin tables", "geometries")
 """What is a function of what was received: not when it was stored, and in which order."""
 
 
@@ -134,22 +128,9 @@ def wait_for(pids: Sequence[int]) -> list[int]:
 
 
 def state(storage: SqlStorage) -> dict[str, str]:
-    """Return digests of receipts, windows, bin tables, and the present geometries."""
-    found = {}
-    with storage.read() as unit:
-        for name, columns in STATE.items():
-            table = Base.metadata.tables[name]
-            chosen = sqlalchemy.select(*(table.c[column] for column in columns))
-            rows = sorted(repr(tuple(row)) for row in unit.connection.execute(chosen))
-            found[name] = _digest("\n".join(rows).encode())
-        current = [unit.geometries.current(f"WS-{axle}") for axle in (1, 2)]
-        packed = [b"" if record is None else pack_geometry(record.geometry) for record in current]
-        found["geometries"] = _digest(b"\n".join(packed))
-    return found
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:12]
+    """Return digests of receipts, windows, bin tables, and geometries."""
+    found = final_state(storage)
+    return {name: found[name] for name in OF_RECEIVED}
 
 
 def faults(settings: Settings, storage: SqlStorage) -> list[str]:
