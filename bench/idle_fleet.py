@@ -52,29 +52,28 @@ KEPT_BYTES = 500
 DAY_NS = 86_400_000_000_000
 CREEP, DAMPERS = table_of(WindowAdhesionRow), table_of(WindowDamperRow)
 SIGNATURES, CELLS = table_of(WearSignatureRow), table_of(RailCellRow)
-OF_SECTIONS = ((table_of(SectionAdhesionRow), "track_section"),)
+FRICTION = table_of(SectionAdhesionRow)
 
 
-def opinions_copied(mounting: Mounting, model: Mounting, sections: Sequence[str]) -> Iterator[Insert]:
+def opinions_copied(mounting: Mounting, sections: Sequence[str]) -> Iterator[Insert]:
     """Yield statements that give a wheelset the second opinions of the model."""
     wheelset, vehicle = literal(mounting.wheelset), literal(mounting.vehicle)
     for table, section in ((CREEP, "track_section"), (SIGNATURES, "section")):
         day = (table.c.start_ns // DAY_NS) % len(sections)
         place = case(*((day == at, literal(code)) for at, code in enumerate(sections)))
-        yield _copy_opinions(table, {"wheelset": wheelset, "vehicle": vehicle, section: place}, _same(table, model))
+        yield _copy(table, {"wheelset": wheelset, "vehicle": vehicle, section: place})
     gear: dict[str, ColumnElement[Any]] = {"vehicle": vehicle, "first_axle": literal(mounting.axle)}
-    yield _copy_opinions(DAMPERS, {"wheelset": wheelset, **gear}, _same(DAMPERS, model))
+    yield _copy(DAMPERS, {"wheelset": wheelset, **gear})
     by_interval = CELLS.c.mileage_interval % len(sections)
     place = case(*((by_interval == at, literal(code)) for at, code in enumerate(sections)))
-    yield _copy_opinions(CELLS, {"wheelset": wheelset, "section": place}, _same(CELLS, model))
+    yield _copy(CELLS, {"wheelset": wheelset, "section": place})
 
 
 def put_friction(connection: Connection, sections: Sequence[str]) -> None:
-    """Give sections the friction of the model's section, and what was found of its rails."""
-    for table, name in OF_SECTIONS:
-        model = connection.scalar(select(func.min(table.c[name])))
-        for code in sections:
-            connection.execute(_copy_opinions(table, {name: literal(code)}, table.c[name] == model))
+    """Give sections the friction of the model's section."""
+    model = connection.scalar(select(func.min(FRICTION.c.track_section)))
+    for code in sections:
+        connection.execute(_copy(FRICTION, {"track_section": literal(code)}, FRICTION.c.track_section == model))
 
 
 def note_opinions(context: JobContext, storage: SqlStorage) -> None:
@@ -90,17 +89,6 @@ def note_opinions(context: JobContext, storage: SqlStorage) -> None:
             unit.marks.note(inputs, marks)
 
 
-def _same(table: Table, model: Mounting) -> ColumnElement[bool]:
-    return table.c.wheelset == model.wheelset
-
-
-def _copy_opinions(table: Table, own: Mapping[str, ColumnElement[Any]], rows: ColumnElement[bool]) -> Insert:
-    names = [column.name for column in table.columns]
-    cut = {"packed": func.substr(table.c.packed, 1, KEPT_BYTES)} if "packed" in names else {}
-    values: dict[str, ColumnElement[Any]] = {**cut, **own}
-    return insert(table).from_select(names, select(*(values.get(name, table.c[name]) for name in names)).where(rows))
-
-
 DAYS = 38
 FLEETS, AXLES = 10, 4
 SECTIONS_OF_A_VEHICLE = 4
@@ -114,10 +102,11 @@ TOGETHER = 50  # vehicles written in one transaction
 OPINIONS = ("refresh_adhesion", "refresh_signatures", "refresh_rails")
 SUMS = {"window_bin_tables": ("packed",), "rolling_sums": ("packed",), "roll_up_states": ("earlier",)}
 SUMS |= {"roll_ups": ("plain", "forgetting")}
+SUMS |= dict.fromkeys((CREEP.name, DAMPERS.name, SIGNATURES.name, FRICTION.name), ("packed",))
 WINDOWS, POSITIONS, TABLES = table_of(WindowRow), table_of(WindowPositionRow), table_of(WindowBinTableRow)
 ROLL_UPS, MEMBERS, EPOCHS = table_of(RollUpRow), table_of(TrackEpochWindowRow), table_of(TrackEpochRow)
 MOUNTINGS, CHUNKS = table_of(MountingRow), table_of(ChunkRow)
-OF_WHEELSET = (table_of(RollUpStateRow), table_of(RollingSumsRow), table_of(ResultRow))
+OF_WHEELSET, RESULTS = (table_of(RollUpStateRow), table_of(RollingSumsRow)), table_of(ResultRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +190,7 @@ def _vehicles(unit: SqlUnitOfWork, size: FleetSize, numbers: Sequence[int]) -> N
             serial = size.serial(number, axle)
             mounting = replace(model.mounting, wheelset=serial, vehicle=size.vehicle(number), axle=axle)
             unit.registry.add_wheelset(replace(model, serial=serial, fleet=fleet, mounting=mounting))
-            for statement in (*_copied(size, number, mounting), *opinions_copied(mounting, model.mounting, sections)):
+            for statement in (*_copied(size, number, mounting), *opinions_copied(mounting, sections)):
                 unit.connection.execute(statement)
         unit.connection.execute(insert(CHUNKS), list(_chunks(unit.connection, size.vehicle(number))))
 
@@ -212,22 +201,26 @@ def _copied(size: FleetSize, number: int, mounting: Mounting) -> Iterator[Insert
     day = (WINDOWS.c.start_ns // DAY_NS) % SECTIONS_OF_A_VEHICLE
     place = case(*((day == at, literal(code)) for at, code in enumerate(sections)))
     own = {"vehicle": literal(mounting.vehicle), "axle": literal(mounting.axle), "track_section": place}
-    yield _copy(WINDOWS, mounting.wheelset, own)
-    yield _copy(POSITIONS, mounting.wheelset)
-    yield _copy(ROLL_UPS, mounting.wheelset)
-    yield _copy(TABLES, mounting.wheelset, {"track_version": literal(1)})
-    yield _copy(DUE, mounting.wheelset, {"vehicle": literal(mounting.vehicle)})
+    wheelset = {"wheelset": literal(mounting.wheelset)}
+    yield _copy(WINDOWS, wheelset | own)
+    yield _copy(POSITIONS, wheelset)
+    yield _copy(ROLL_UPS, wheelset)
+    yield _copy(TABLES, wheelset | {"track_version": literal(1)})
+    yield _copy(DUE, wheelset | {"vehicle": literal(mounting.vehicle)})
+    yield _copy(RESULTS, {"subject": literal(mounting.wheelset)})
     for table in OF_WHEELSET:
-        yield _copy(table, mounting.wheelset)
+        yield _copy(table, wheelset)
 
 
-def _copy(table: Table, serial: str, own: dict[str, object] | None = None) -> Insert:
-    cut = {name: func.substr(table.c[name], 1, KEPT_BYTES) for name in SUMS.get(table.name, ())}
-    owner = "subject" if table.name == "results" else "wheelset"
-    values = {owner: literal(serial), **cut, **(own or {})}
+def _copy(table: Table, own: Mapping[str, object], rows: ColumnElement[bool] | None = None) -> Insert:
+    """Return a statement that copies rows, by default those of the model, with some values of their own."""
+    packed = SUMS.get(table.name, ())
+    values = {name: func.substr(table.c[name], 1, KEPT_BYTES) for name in packed} | dict(own)
     numbered = {column.name for column in table.primary_key if column.autoincrement is True} | {"number", "result_id"}
     names = [column.name for column in table.columns if column.name not in numbered]
-    chosen = select(*(values.get(name, table.c[name]) for name in names)).where(table.c[owner] == SERIAL)
+    if rows is None:
+        rows = table.c["subject" if table is RESULTS else "wheelset"] == SERIAL
+    chosen = select(*(values.get(name, table.c[name]) for name in names)).where(rows)
     return insert(table).from_select(names, chosen)
 
 
