@@ -85,67 +85,53 @@ def stored_twice(storage: SqlStorage) -> int:
         return int(unit.connection.execute(text(DOUBLED)).scalar_one())
 
 
-Strike = Callable[[Services, random.Random], bool]
-"""Does harm and mends it; returns whether there was somebody to be harmed."""
+Strike = Callable[[Services, int, random.Random], bool]
+"""Does harm to a process that is at work, or to others while it is, and mends it; returns whether it was any."""
 LONGEST_DELAY_S = 0.3
 """Between the moment at which somebody is seen at work, and the harm, s."""
 
 
-def killed(services: Services, rng: random.Random) -> bool:
-    """Kill a worker that is at work."""
-    pid = _victim(services, rng)
-    if pid is not None:
-        _signal([pid], signal.SIGKILL)
-    return pid is not None
+def killed(_services: Services, pid: int, _rng: random.Random) -> bool:
+    """Kill a worker."""
+    return _signal([pid], signal.SIGKILL)
 
 
-def stood_still(services: Services, rng: random.Random) -> bool:
-    """Stop a worker that is at work for longer than its lease, and wake it."""
-    pid = _victim(services, rng)
-    if pid is None:
-        return False
+def stood_still(_services: Services, pid: int, rng: random.Random) -> bool:
+    """Stop a worker for longer than its lease, and wake it."""
     _signal([pid], signal.SIGSTOP)
     time.sleep(LEASE_S * rng.uniform(1.2, 2.5))
-    _signal([pid], signal.SIGCONT)
-    return True
+    return _signal([pid], signal.SIGCONT)
 
 
-def all_stood_still(services: Services, rng: random.Random) -> bool:
+def all_stood_still(services: Services, _pid: int, rng: random.Random) -> bool:
     """Stop the scheduler with all its workers for longer than their leases, as a machine that is suspended."""
-    if _victim(services, rng) is None:
-        return False
     family = services.family()
     _signal(family, signal.SIGSTOP)
     time.sleep(LEASE_S * rng.uniform(1.2, 2.5))
-    _signal(rng.sample(family, len(family)), signal.SIGCONT)
-    return True
+    return _signal(rng.sample(family, len(family)), signal.SIGCONT)
 
 
-def refused(services: Services, rng: random.Random) -> bool:
+def refused(services: Services, pid: int, rng: random.Random) -> bool:
     """Close the connections of a worker to the database and refuse new ones."""
-    return _cut_off(services, rng, Cut.CLOSED)
+    return _cut_off(services, pid, rng, Cut.CLOSED)
 
 
-def unreachable(services: Services, rng: random.Random) -> bool:
+def unreachable(services: Services, pid: int, rng: random.Random) -> bool:
     """Let nothing through between a worker and the database; what was sent arrives when the link is mended."""
-    return _cut_off(services, rng, Cut.SILENT)
+    return _cut_off(services, pid, rng, Cut.SILENT)
 
 
-def scheduler_killed(services: Services, rng: random.Random) -> bool:
+def scheduler_killed(services: Services, _pid: int, rng: random.Random) -> bool:
     """Kill the process that hands out the work, and start it again."""
-    if _victim(services, rng) is None:
-        return False
     services.end_scheduler(signal.SIGKILL)
     time.sleep(rng.uniform(0.0, LEASE_S))
     services.start_scheduler()
     return True
 
 
-def dask_scheduler_killed(services: Services, rng: random.Random) -> bool:
+def dask_scheduler_killed(services: Services, _pid: int, rng: random.Random) -> bool:
     """Kill the scheduler of Dask, and start it again."""
     assert services.cluster is not None
-    if _victim(services, rng) is None:
-        return False
     services.cluster.kill("scheduler")
     time.sleep(rng.uniform(0.0, 2.0 * LEASE_S))
     services.cluster.start_scheduler()
@@ -159,29 +145,28 @@ ON_SERVER: Sequence[Strike] = (*HERE, refused, unreachable)
 ON_DASK: Sequence[Strike] = (killed, stood_still, refused, unreachable, scheduler_killed, dask_scheduler_killed)
 
 
-def _victim(services: Services, rng: random.Random) -> int | None:
-    """Return a process that is at work, after a drawn delay; None where nobody works."""
-    found = services.at_work()
-    if not found:
-        return None
-    time.sleep(rng.uniform(0.0, LONGEST_DELAY_S))
-    return rng.choice(found)
-
-
-def _cut_off(services: Services, rng: random.Random, how: Cut) -> bool:
-    pid = _victim(services, rng)
-    if pid is None or services.link is None:
+def _strike(strike: Strike, services: Services, rng: random.Random) -> bool:
+    """Strike after a drawn delay where somebody is at work; return whether somebody was harmed."""
+    at_work = services.at_work()
+    if not at_work:
         return False
+    time.sleep(rng.uniform(0.0, LONGEST_DELAY_S))
+    return strike(services, rng.choice(at_work), rng)
+
+
+def _cut_off(services: Services, pid: int, rng: random.Random, how: Cut) -> bool:
+    assert services.link is not None
     had = services.link.cut_off(pid, how)
     time.sleep(rng.uniform(0.5, 3.0 * LEASE_S))
     services.link.restore(pid)
     return had > 0
 
 
-def _signal(pids: Sequence[int], number: signal.Signals) -> None:
+def _signal(pids: Sequence[int], number: signal.Signals) -> bool:
     for pid in pids:
         with suppress(ProcessLookupError):  # it has ended by itself, or was replaced
             os.kill(pid, number)
+    return True
 
 
 VEHICLES, CAMPAIGNS = 2, 4
@@ -269,7 +254,7 @@ def _round(half: _Half, settings: ChaosSettings, rng: random.Random, tally: _Tal
         with services(storage, deployed, folder, dask=half.dask) as running:
             for recording in half.fleet.load.recordings:
                 receive(Recorded((recording,), recording[1]), deployed)
-                if order and order[-1](running, rng):
+                if order and _strike(order[-1], running, rng):
                     tally.faults[order.pop().__name__] += 1
             begin_s = time.monotonic()
             while compared_state(storage) != undisturbed and time.monotonic() - begin_s < AT_REST_S:
