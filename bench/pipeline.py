@@ -21,6 +21,7 @@ time so far against all windows so far.
 from __future__ import annotations
 
 import argparse
+import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -44,7 +45,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 from api.comparison.trial import Recorded, opened, receive
 from api.terminal.store import executor_of
 from bench.counting import run
-from bench.measuring import INGEST, Stages, every, exponent, memory_of_tree
+from bench.measuring import INGEST, Stages, every, exponent, resident_of, tree
 from bench.report import BenchRow, RowBench, say
 from bench.small_fleets import (
     FOUR_AXLES,
@@ -203,11 +204,15 @@ def _chunks(load: Workload, folder: Path, chunk_s: float) -> tuple[Workload, int
 def _measured(load: Workload, folder: Path) -> tuple[Stages, int]:
     """Return what the stages took, and the largest memory of this process and those that it started, bytes."""
     settings, stages, largest = load.copy(folder), Stages(), [0]
+
+    def look() -> None:
+        largest[0] = max(largest[0], sum(map(resident_of, tree(os.getpid()))))
+
     with opened(settings) as (storage, context), ExitStack() as stack:
         assert isinstance(storage, SqlStorage)
         for job in ALL_JOBS:
             run(job, context)
-        stack.enter_context(every(0.05, lambda: largest.append(max(largest.pop(), memory_of_tree("Rss")))))
+        stack.enter_context(every(0.05, look))
         stages.measure(storage, context, settings, load.recorded)
     return stages, largest[0]
 

@@ -7,7 +7,6 @@ receiver is away for as long as an hour of its bus: what comes waits in the spoo
 from __future__ import annotations
 
 import hashlib
-import resource
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -24,6 +23,7 @@ from bench.api import new_key
 from bench.chaos.live import PATIENCE_S, LiveRound, stored_frames, transmitting
 from bench.chaos.run import ChaosSettings
 from bench.chaos.small_deployment import WINDOW_S, Databases, databases, faults
+from bench.measuring import resident_of
 from bench.report import BenchRow
 from bench.services import answers, free_port, running, until
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
@@ -34,11 +34,6 @@ from ingest.logs import write_blf
 from tests.ingest.vehicle_bus import OFFSETS_M, START_NS, Run
 
 MOST_GROWTH_MB = 16.0
-
-
-def resident_mb(pid: int) -> float:
-    """Return how much memory a process has, MB."""
-    return int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * resource.getpagesize() / 1e6
 
 
 def grown(what: str, early_mb: float, late_mb: float) -> BenchRow:
@@ -109,14 +104,14 @@ def _uploads(both: Databases, kind: str, vehicles: int, minutes: int) -> Iterato
             assert until(lambda: answers(f"{url}/readyz"), START_S) is not None, serving.data_dir
             answered, early_mb = _sent(client, chunks, api.pid)
             yield _row_of_answers(name, client, chunks, answered)
-            late_mb = resident_mb(api.pid)
+            late_mb = 1e-6 * resident_of(api.pid)
             yield grown(f"{name}: memory of the API", early_mb, late_mb)
             with running(serving, "chunk", "work", log=serving.data_dir / "chunk.log"):
                 again = list(answered.refused)
                 patience_s = START_S + EACH_S * len(chunks)
                 done = until(lambda: _all_taken(client, again) and _waiting(storage) == 0, patience_s)
             yield _row_of_receipts(name, storage, chunks, done)
-            yield grown(f"{name}: memory of the API when all is decoded", early_mb, resident_mb(api.pid))
+            yield grown(f"{name}: memory of the API when all is decoded", early_mb, 1e-6 * resident_of(api.pid))
     both.drop(settings)
 
 
@@ -132,7 +127,7 @@ def _sent(client: httpx.Client, chunks: Sequence[_Chunk], pid: int) -> tuple[_An
         for number, (chunk, answer) in enumerate(threads.map(send, chunks), start=1):
             answers.add(chunk, answer)
             if number == max(1, len(chunks) // 10):
-                early_mb = resident_mb(pid)
+                early_mb = 1e-6 * resident_of(pid)
     return answers, early_mb
 
 
@@ -230,9 +225,9 @@ def _outage(both: Databases, folder: Path, name: str, seconds: float, chosen: di
         time.sleep(2.0)
         both.server.stop()
         time.sleep(seconds / 10)
-        early_mb = resident_mb(one.process.pid)
+        early_mb = 1e-6 * resident_of(one.process.pid)
         time.sleep(0.9 * seconds)
-        late_mb, waiting = resident_mb(one.process.pid), len(one.spool())
+        late_mb, waiting = 1e-6 * resident_of(one.process.pid), len(one.spool())
     both.server.start()
     one.end(PATIENCE_S + EACH_S * waiting)
     yield _row_of_outage(name, both, one, waiting, full=bool(chosen))
