@@ -161,10 +161,18 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
             yield _full_disk(both, kind, settings)
 
 
-def _kills_without_database(both: Databases, settings: ChaosSettings) -> BenchRow:
-    one = LiveRound(both.new("postgresql"), settings.folder / "kills-without-database.log")
+@contextmanager
+def _listening(both: Databases, kind: str, settings: ChaosSettings, name: str) -> Iterator[LiveRound]:
+    """Yield a receiver to which a vehicle transmits; it is ended once nothing waits any more."""
+    one = LiveRound(both.new(kind), settings.folder / f"{name}.log")
     one.start()
     with transmitting(one):
+        yield one
+    one.end()
+
+
+def _kills_without_database(both: Databases, settings: ChaosSettings) -> BenchRow:
+    with _listening(both, "postgresql", settings, "kills-without-database") as one:
         time.sleep(1.0)
         both.server.stop()
         for _ in range(settings.size):
@@ -172,49 +180,39 @@ def _kills_without_database(both: Databases, settings: ChaosSettings) -> BenchRo
             one.kill()
         both.server.start()
         time.sleep(1.0)
-    one.end()
     return _row(f"postgresql: {settings.size} kills while it is away", both, one, timed=False)
 
 
 def _kills(both: Databases, kind: str, settings: ChaosSettings, draw: random.Random) -> BenchRow:
-    one = LiveRound(both.new(kind), settings.folder / f"kills-{kind}.log")
     kills = settings.size // 2
-    one.start()
-    with transmitting(one):
+    with _listening(both, kind, settings, f"kills-{kind}") as one:
         for _ in range(kills):
             time.sleep(draw.uniform(0.3, 3.0))
             one.kill()
         time.sleep(1.5)
-    one.end()
     return _row(f"{kind}: {kills} kills of the receiver", both, one)
 
 
 def _outage(both: Databases, settings: ChaosSettings, seconds: float) -> BenchRow:
-    one = LiveRound(both.new("postgresql"), settings.folder / f"outage-{seconds:g}.log")
-    one.start()
-    with transmitting(one):
+    with _listening(both, "postgresql", settings, f"outage-{seconds:g}") as one:
         time.sleep(2.0)
         both.server.stop()
         time.sleep(seconds)
         both.server.start()
         time.sleep(2.0)
-    one.end()
     return _row(f"postgresql: away {seconds:g} s", both, one)
 
 
 def _full_disk(both: Databases, kind: str, settings: ChaosSettings) -> BenchRow:
     """Let the receiver write nothing for a while: no spool, no recording, no file of SQLite."""
-    one = LiveRound(both.new(kind), settings.folder / f"full-{kind}.log")
-    one.start()
-    assert one.process is not None
-    with transmitting(one):
+    with _listening(both, kind, settings, f"full-{kind}") as one:
+        assert one.process is not None
         time.sleep(2.0)
         before = resource.prlimit(one.process.pid, resource.RLIMIT_FSIZE)
         resource.prlimit(one.process.pid, resource.RLIMIT_FSIZE, (FULL_BYTES, before[1]))
         time.sleep(FULL_S)
         resource.prlimit(one.process.pid, resource.RLIMIT_FSIZE, before)
         time.sleep(2.0)
-    one.end()
     return _row(f"{kind}: disk full for {FULL_S:g} s", both, one)
 
 
