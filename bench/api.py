@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from api.access.key_ring import EVERYTHING, Wanted, make_key
+from api.access.keys import EVERYTHING, Wanted, make_key
 from api.factory import open_store
 from api.settings import Settings
 from bench.http_load import Answers, ask, request

@@ -17,7 +17,8 @@ from statistics import median
 
 from sqlalchemy import func, select
 
-from api.factory import job_context, open_store, scheduled_jobs
+from api.factory import open_store
+from api.pipeline import job_context, scheduled_jobs
 from api.settings import Settings
 from bench.counting import asked, run
 from bench.idle_fleet import FleetSize, fill, note_opinions

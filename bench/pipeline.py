@@ -43,7 +43,7 @@ from sqlalchemy import create_engine
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
 from api.comparison.trial import Recorded, opened, receive
-from api.terminal.store import executor_of
+from api.terminal.processes import executor_of
 from bench.counting import run
 from bench.measuring import INGEST, Stages, every, exponent, resident_of, tree
 from bench.report import BenchRow, RowBench, say

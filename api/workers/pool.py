@@ -1,8 +1,8 @@
 """Worker processes of this machine: the standard library's pool, one for each worker.
 
 In a pool of several processes one that is killed breaks the futures of all, and nothing limits how long a unit takes:
-``docs/decisions/worker-pool.md`` shows what becomes of that here and in other libraries. A pool of one process breaks alone,
-and a new one takes its place; the unit is handed out again by whoever handed it out.
+``docs/decisions/worker-pool.md`` shows what becomes of that here and in other libraries. A pool of one process breaks
+alone, and a new one takes its place; the unit is handed out again by whoever handed it out.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from api import logs
-from api.factory import job_context, open_store, process_name
+from api.factory import open_store, process_name
+from api.pipeline import job_context
 from api.settings import Settings
 from estimation.errors import StorageError, TreadwatchError, WorkFailedError
 from estimation.jobs.catalogue import stage_named

@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from api import logs
-from api.factory import create_server, open_store
+from api.factory import open_store
+from api.serving import create_server
 from api.settings import Settings
 from bench.chaos.kills import LEASE_S, schedule
 from bench.chaos.run import ChaosSettings

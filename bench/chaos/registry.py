@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from api.comparison.trial import opened, receive
-from api.factory import receiver, scheduled_jobs
+from api.pipeline import receiver, scheduled_jobs
 from api.settings import Settings
 from bench.chaos.final_state import final_state
 from bench.chaos.run import ChaosSettings

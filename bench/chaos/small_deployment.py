@@ -16,7 +16,8 @@ import psycopg
 import sqlalchemy
 from psycopg import sql
 
-from api.factory import SystemClock, job_context, open_store, process_name, raw_store, receiver, scheduled_jobs
+from api.factory import SystemClock, open_store, process_name, raw_store
+from api.pipeline import job_context, receiver, scheduled_jobs
 from api.settings import Settings
 from bench.chaos.final_state import final_state
 from bench.services import created

@@ -16,7 +16,8 @@ from pathlib import Path
 from sqlalchemy import text
 
 from api.comparison.trial import Recorded, opened, receive
-from api.factory import job_context, open_store, raw_store
+from api.factory import open_store, raw_store
+from api.pipeline import job_context
 from bench.chaos.final_state import come_to_rest, compared_state
 from bench.chaos.run import ChaosSettings
 from bench.chaos.small_deployment import PASSWORD

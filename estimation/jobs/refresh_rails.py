@@ -25,14 +25,8 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.assumptions import last_change
 from estimation.jobs.steps.rail_cells import CELL_VERSION, WheelsetCells, wheelset_cells
 from estimation.rails.apart import exceeds, rails_apart, reported
-from estimation.rails.cell import (
-    Anchors,
-    RailsParameters,
-    ReferenceWheel,
-    conicity_on_rails,
-    designed_wheel,
-    with_refused,
-)
+from estimation.rails.cell import Anchors, ReferenceWheel, conicity_on_rails, designed_wheel, with_refused
+from estimation.rails.parameters import RailsParameters
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import GEOMETRY

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from estimation.alerts.rule_book import RuleBook
 from estimation.geometry.estimate import GeometryParameters
 from estimation.motion.integration import Gates, SignalParameters, WindowParameters
-from estimation.rails.cell import RailsParameters
+from estimation.rails.parameters import RailsParameters
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.trend.trend import TrendParameters

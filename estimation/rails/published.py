@@ -16,8 +16,9 @@ import numpy as np
 from scipy.special import fdtri
 
 from estimation.geometry.conicity import LARGEST_STD
-from estimation.rails.cell import RailsParameters, ReferenceWheel
+from estimation.rails.cell import ReferenceWheel
 from estimation.rails.component import Component
+from estimation.rails.parameters import RailsParameters
 from estimation.rails.two_way import Parted, part
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.opinions import RailKey, RailsReference, WheelKey

@@ -24,7 +24,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
 
-from estimation.rails.cell import RailsParameters
+from estimation.rails.parameters import RailsParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDS = 50
