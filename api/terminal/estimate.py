@@ -18,13 +18,13 @@ from api.logs import start_tracing
 from api.pipeline import job_context, scheduled_jobs
 from api.schemas.windows import SHOWN, WindowReasons, together
 from api.settings import Settings
+from api.stopping import stop_on_signals
 from api.terminal.processes import executor_of
 from api.terminal.progress import bar
 from api.times import to_rfc3339
 from estimation.errors import ParameterError
 from estimation.jobs.estimate_windows import REFUSED, refusals
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.jobs.scheduler import stop_on_signals
 from estimation.values.alerts import WorklistRow
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
