@@ -26,7 +26,8 @@ from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.contact.conicity import equivalent_conicity
 from estimation.jobs.refresh_trends import trend_of
 from estimation.trend.extrapolation import conicity_points
-from estimation.trend.trend import TrendParameters, probability_above
+from estimation.trend.now import probability_above
+from estimation.trend.trend import TrendParameters
 from estimation.trend.wear_curve import fit_wear_curve
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import (

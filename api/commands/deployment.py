@@ -195,8 +195,8 @@ def worker(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -> 
 
     from api import logs
     from api.settings import load_settings
-    from api.stopping import stop_on_signals
     from api.terminal.processes import store_once_it_answers
+    from api.terminal.stopping import stop_on_signals
     from api.workers.on_dask import serve_dask
 
     settings = load_settings(workers=workers, dask_scheduler=dask_scheduler)

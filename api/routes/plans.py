@@ -15,9 +15,8 @@ from api.schemas.common import Derived, Links, Representation, finite
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.services import ServicesDep, require_known
 from api.times import Timestamp, to_rfc3339
-from estimation.values.alerts import Urgency, WorklistRow, WorklistState
+from estimation.values.alerts import OVER, Urgency, WorklistRow, WorklistState
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.worklist.stored import OVER
 from estimation.worklist.turning_plan import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
 from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistFilter

@@ -13,8 +13,8 @@ from api.schemas.common import Derived, Links, Representation, Uncertain, finite
 from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import QUANTITY
-from estimation.trend.now import BEYOND, limit_now
-from estimation.trend.trend import QUANTILES, refresh
+from estimation.trend.now import BEYOND, QUANTILES, limit_now
+from estimation.trend.trend import refresh
 from estimation.values import trend as values
 from estimation.values.alerts import LimitNow, MileageNow
 from estimation.values.geometry import GeometryRecord

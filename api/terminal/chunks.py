@@ -18,11 +18,11 @@ from api.factory import SystemClock, open_store, process_name, raw_store
 from api.measures import counter, gauge
 from api.pipeline import RECEIPT_PATIENCE_S, backlog_watch, publishing, receiver, topic_of, with_named_setting
 from api.settings import PREFIX, Settings, load_settings
-from api.stopping import stop_on_signals
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.ingest import vehicle_in_name
 from api.terminal.processes import begun, store_once_it_answers
 from api.terminal.progress import counted
+from api.terminal.stopping import stop_on_signals
 from estimation.errors import InputError, MigrationError, ParameterError, PassingFaultError, StoppedError, StorageError
 from fleet_db.keeping.checks import ScrubFault, ScrubPlan, scrub
 from fleet_db.storage import SqlStorage

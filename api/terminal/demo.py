@@ -24,10 +24,10 @@ from api.factory import open_store, raw_store
 from api.pipeline import job_context, scheduled_jobs
 from api.serving import create_server
 from api.settings import Settings, load_settings
-from api.stopping import stop_on_signals
 from api.terminal.keys import make_stored_key
 from api.terminal.progress import bar
 from api.terminal.simulate import simulate_with_progress
+from api.terminal.stopping import stop_on_signals
 from estimation.errors import StorageError
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.jobs.scheduler import serve_jobs

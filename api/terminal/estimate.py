@@ -18,9 +18,9 @@ from api.logs import start_tracing
 from api.pipeline import job_context, scheduled_jobs
 from api.schemas.windows import SHOWN, WindowReasons, together
 from api.settings import Settings
-from api.stopping import stop_on_signals
 from api.terminal.processes import executor_of
 from api.terminal.progress import bar
+from api.terminal.stopping import stop_on_signals
 from api.times import to_rfc3339
 from estimation.errors import ParameterError
 from estimation.jobs.estimate_windows import REFUSED, refusals

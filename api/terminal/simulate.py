@@ -8,8 +8,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from api.stopping import stop_on_signals
 from api.terminal.progress import bar
+from api.terminal.stopping import stop_on_signals
 from api.terminal.store import print_line
 from estimation.errors import ParameterError
 from ingest.live.listening import open_bus

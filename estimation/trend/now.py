@@ -11,6 +11,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from scipy.special import ndtr
+
 from estimation.trend.extrapolation import (
     LEAST_AMPLITUDE,
     LIMIT_AMPLITUDE,
@@ -20,13 +23,13 @@ from estimation.trend.extrapolation import (
     conicity_at_limit_amplitude,
     extrapolated,
 )
-from estimation.trend.trend import QUANTILES, probability_above, probability_within
 from estimation.values.alerts import NO_FORECAST, LimitNow, MileageNow, Severity, Urgency
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.trend import WearTrend
 
+QUANTILES = {"p10": 0.1, "p50": 0.5, "p90": 0.9}
 LAST_POINTS = 2  # of a trend: one alone may be an outlier
 NOT_BELOW = 0.6  # least probability at 3 mm with which a conicity over the limit at a smaller amplitude is over it
 NO_TREND = Reason(ReasonCode.TOO_FEW_POINTS, "there is no trend since the last reprofiling yet")
@@ -58,6 +61,33 @@ class UrgencyScale:
 
 
 SCALE = UrgencyScale()
+
+
+def probability_above(estimate: Estimate, limit: float) -> float | None:
+    """Return the probability that the true value is above ``limit``; None where nothing is estimated."""
+    # the value is taken as normal with its standard deviation
+    if estimate.value is None or estimate.std is None:
+        return None
+    if estimate.std <= 0.0:
+        return float(estimate.value > limit)
+    return float(ndtr((estimate.value - limit) / estimate.std))
+
+
+def probability_within(trend: WearTrend, distance_km: float) -> float | None:
+    """Return the probability that the limit is reached within a distance from the last point; None where not known."""
+    # Interpolated between the published quantiles, so that a reader of the trend can repeat it; beyond the last known
+    # quantile it stays at that quantile's probability.
+    if trend.status is not Status.ESTIMATED or trend.probability_over_limit is None:
+        return None
+    distances, probabilities = [0.0], [trend.probability_over_limit]
+    for name, probability in QUANTILES.items():
+        distance = getattr(trend.distance_to_limit_km, name)
+        if distance is not None and distance > distances[-1]:
+            distances.append(distance)
+            probabilities.append(max(probability, probabilities[0]))
+        elif distance is not None:
+            probabilities[-1] = max(probability, probabilities[-1])
+    return float(np.interp(distance_km, distances, probabilities))
 
 
 @dataclass(frozen=True, slots=True)

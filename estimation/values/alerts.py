@@ -14,7 +14,7 @@ from typing import Annotated
 
 from estimation.values.fields import JsonValue, Served
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.reasons import MeaningEnum, Reason, code_of, text_of
+from estimation.values.reasons import MeaningEnum, Reason, ReasonCode, code_of, text_of
 from estimation.values.registry import WheelsetRecord
 
 
@@ -245,6 +245,11 @@ class LimitNow:
         return known and self.conicity.high < self.limit  # type: ignore[operator]  # both are known
 
 
+OVER = frozenset({Urgency.OVER_LIMIT, Urgency.PROBABLY_OVER})
+FAR_KM = 1e9  # stands for a distance that is not known, behind all that are
+BAND_KM = 1e10  # from one class of urgency to the next
+
+
 @dataclass(frozen=True, slots=True)
 class WorklistState(LimitNow):
     """How a wheelset is now."""
@@ -255,6 +260,29 @@ class WorklistState(LimitNow):
     alerts: Annotated[tuple[OpenAlert, ...], Served("Open alerts, the worst first.")]
     urgency: Urgency
     reasons: tuple[Reason, ...]  # why, the most important one first
+
+    @property
+    def urgency_key(self) -> float:
+        """What orders wheelsets by urgency, the most urgent first."""
+        # within a class the limit that may be reached first (p10) comes first; over it, the most certain one
+        within = FAR_KM if self.distance_to_limit_km.p10 is None else self.distance_to_limit_km.p10
+        if self.urgency in OVER:
+            within = 1.0 - (self.probability_over_limit or 0.0)
+        return self.urgency.rank * BAND_KM + min(within, FAR_KM)
+
+    @property
+    def distance_key(self) -> float | None:
+        """What orders wheelsets by the median of their distance to the limit; None where it is not known.
+
+        A median beyond the horizon comes behind all others, those first whose limit may be reached within it (p10).
+        """
+        p10, p50 = self.distance_to_limit_km.p10, self.distance_to_limit_km.p50
+        if p50 is not None:
+            return p50
+        if p10 is not None:
+            return FAR_KM + p10
+        beyond = self.forecast_reason is not None and self.forecast_reason.code is ReasonCode.BEYOND_HORIZON
+        return 2.0 * FAR_KM if beyond else None
 
 
 @dataclass(frozen=True, slots=True)

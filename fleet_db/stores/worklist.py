@@ -35,7 +35,7 @@ from estimation.values.runs import EVERYTHING, code_of_error, first_line
 from estimation.values.trend import TREND
 from estimation.values.windows import WindowState
 from estimation.vehicle.vehicle_class import VehicleClass
-from estimation.worklist.stored import FORM, STAGE, WorklistInputs, distance_key, urgency_key
+from estimation.worklist.stored import FORM, STAGE, WorklistInputs
 from fleet_db.packed_values import to_document
 from fleet_db.records import RecordKind
 from fleet_db.rows import equal, insert_new, replace_all, table_of, value_of_row
@@ -388,8 +388,8 @@ def _values(row: WorklistRow) -> dict[str, Any]:
         "status": state.status.value,
         "urgency": state.urgency.value,
         "worst_severity": state.alerts[0].severity.value if state.alerts else None,
-        "urgency_key": urgency_key(state),
-        "distance_key": distance_key(state),
+        "urgency_key": state.urgency_key,
+        "distance_key": state.distance_key,
         "conicity_key": state.conicity.value,
         "trend_key": state.slope_per_1000_km.value,
         "mileage_key": None if state.mileage is None else state.mileage.mileage_km,

@@ -9,7 +9,7 @@ import textwrap
 PROGRAM = textwrap.dedent(
     """
     import signal, threading
-    from api.stopping import stop_on_signals
+    from api.terminal.stopping import stop_on_signals
 
     def elsewhere():  # as where the signal comes just before the main thread waits
         signal.pthread_kill(threading.get_ident(), signal.SIGTERM)

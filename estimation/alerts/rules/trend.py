@@ -10,8 +10,7 @@ import numpy as np
 from annotated_types import Interval
 
 from estimation.alerts.rules.rule import AlertRule, IntervalsRule, Probability, WheelsetFacts
-from estimation.trend.now import SCALE, limit_now
-from estimation.trend.trend import probability_within
+from estimation.trend.now import SCALE, limit_now, probability_within
 from estimation.values.alerts import DecidingEvidence, Evidence, Finding, LimitNow, Severity, number_evidence, restated
 from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Forecast, Status

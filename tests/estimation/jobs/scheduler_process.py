@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from threading import Event
 
-from api.stopping import stop_on_signals
+from api.terminal.stopping import stop_on_signals
 from estimation.errors import AlreadyRunningError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.scheduler import serve_jobs
