@@ -24,10 +24,9 @@ from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, 
 from ingest.profiles.files import read_profile, read_wheel_profile
 from ingest.simulator.campaign import VehicleRun, friction_factor, with_stretches
 from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
-from ingest.simulator.gear_rates import ROUND, Wheels
-from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
+from ingest.simulator.motion import WheelsetMotion
 from ingest.simulator.running import CONTACT_STEP
-from ingest.simulator.running_gear import RunningGear, simulate_gear
+from ingest.simulator.running_gear import ROUND, RunningGear, Wheels, simulate_gear
 from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, WheelsetPlan, generator
 from ingest.simulator.section import MGT_OF_GROWTH, SectionPlan
 from ingest.simulator.track import TrackTruth
@@ -272,11 +271,7 @@ def axle_motions(
     contacts = [averaged(table, scenario.running.contact_half_width) for table in found]
     gear = running_gear(scenario, run, axles)
     track = with_stretches(track, scenario.running, run.campaign, gear.creep.friction)
-    if scenario.bogie is None and scenario.running.plain:
-        alone = replace(gear.parameters, nominal_radius=gear.nominal_radii[0])
-        motions: tuple[WheelsetMotion, ...] = (simulate_wheelset(alone, contacts[0], track, run.speed, start),)
-    else:
-        motions = simulate_gear(gear, contacts, track, run.speed, start)
+    motions = simulate_gear(gear, contacts, track, run.speed, start)
     for axle, table, motion in zip(axles, found, motions, strict=True):
         at = first_climb(table, motion)
         if at is None:

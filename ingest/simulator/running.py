@@ -25,13 +25,13 @@ from typing import Annotated, NamedTuple, Self
 import numpy as np
 from annotated_types import Interval
 
+from estimation.compiled import compiled
 from estimation.values.arrays import FloatArray
 from estimation.values.fields import MM, PERCENT, FileDefault, Key, M
 from ingest.file_value import Counted, between, written
 from ingest.input_file import NotNegative, Positive, Text, field_error
 from ingest.simulator.irregularity import Waves
 from ingest.simulator.motion import WheelsetMotion
-from ingest.simulator.rates import stepped
 
 
 class CreepLaw(IntEnum):
@@ -84,7 +84,7 @@ class Creep:
         return CreepConstants(int(self.law), self.friction, self.adhesion, self.slip, self.residual, self.decay)
 
 
-@stepped
+@compiled(nogil=True, error_model="numpy")
 def share_of_linear(c: CreepConstants, linear: float, bound: float, slip_velocity: float) -> float:
     """Return by what factor (0 to 1) a law, not the linear one, multiplies the linear creep forces of one wheel.
 

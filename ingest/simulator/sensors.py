@@ -24,8 +24,7 @@ from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.vehicle_class import GRAVITY
 from ingest.file_value import between
 from ingest.input_file import NotNegative, Positive, Text, field_error, refusing
-from ingest.simulator.motion import STEP, WheelsetMotion
-from ingest.simulator.rates import time_derivative
+from ingest.simulator.motion import STEP, WheelsetMotion, time_derivative
 from ingest.simulator.sensor_errors import (
     NodeErrors,
     SensorErrors,
@@ -151,7 +150,7 @@ def _true_signals(
 ) -> list[FloatArray]:
     """Return what the transducers are exposed to, four signals (n,) in the order of ``ACCELERATIONS``."""
     if short_pulses:
-        signals = [time_derivative(getattr(motion, name), STEP) for name in VELOCITIES]
+        signals = [time_derivative(getattr(motion, name)) for name in VELOCITIES]
     else:
         signals = [np.asarray(getattr(motion, name)) for name in ACCELERATIONS]
     if motion.path_accelerations is not None:
