@@ -25,8 +25,9 @@ from ingest.profiles.files import read_profile, read_wheel_profile
 from ingest.simulator.campaign import VehicleRun, friction_factor, with_stretches
 from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
 from ingest.simulator.motion import WheelsetMotion
+from ingest.simulator.rates import ROUND, Wheels
 from ingest.simulator.running import CONTACT_STEP
-from ingest.simulator.running_gear import ROUND, RunningGear, Wheels, simulate_gear
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, WheelsetPlan, generator
 from ingest.simulator.section import MGT_OF_GROWTH, SectionPlan
 from ingest.simulator.track import TrackTruth
@@ -292,16 +293,19 @@ def running_gear(scenario: Scenario, run: VehicleRun, axles: Sequence[int]) -> R
     """Return the true running gear of the wheelsets at ``axles`` (from 0), which move together, in one run."""
     running = scenario.running
     parameters, bogie = true_suspension(scenario, run.vehicle, axles[0], run.campaign)
+    radii = tuple(run.vehicle.wheelsets[axle].nominal_radius for axle in axles)
+    if bogie is None:
+        parameters = replace(parameters, nominal_radius=radii[0])
     shares = running.shares_of_traction(len(run.vehicle.wheelsets))
     factor = friction_factor(running, scenario.seed, run.campaign)
     return RunningGear(
         parameters=parameters,
         bogie=bogie,
         creep=replace(running.creep, friction=min(factor * running.creep.friction, 1.0)),
-        wheels=_wheels(scenario, run, axles) if running.out_of_round else ROUND,
+        wheels=tuple(_wheels(scenario, run, axle) if running.out_of_round else ROUND for axle in axles),
         traction=tuple(shares[axle] for axle in axles) if running.traction else None,
         braking=(1.0,) * len(axles) if running.traction else None,
-        nominal_radii=tuple(run.vehicle.wheelsets[axle].nominal_radius for axle in axles),
+        nominal_radii=radii,
     )
 
 
@@ -318,11 +322,10 @@ def true_suspension(
     return parameters, replace(bogie, secondary_lateral_damping=weak.share * bogie.secondary_lateral_damping)
 
 
-def _wheels(scenario: Scenario, run: VehicleRun, axles: Sequence[int]) -> Wheels:
-    key = scenario.seed, Stream.OUT_OF_ROUND, scenario.vehicles.index(run.vehicle)
-    drawn = [generator(*key, axle, run.campaign).uniform(0.0, 2.0 * np.pi, 2) for axle in (axles[0], axles[-1])]
-    a, b, c, d = np.concatenate(drawn).tolist()
-    return Wheels((scenario.running.out_of_round,) * 4, (a, b, c, d))
+def _wheels(scenario: Scenario, run: VehicleRun, axle: int) -> Wheels:
+    rng = generator(scenario.seed, Stream.OUT_OF_ROUND, scenario.vehicles.index(run.vehicle), axle, run.campaign)
+    left, right = rng.uniform(0.0, 2.0 * np.pi, 2).tolist()
+    return Wheels((scenario.running.out_of_round,) * 2, (left, right))
 
 
 def averaged(table: ContactTable, half_width: float) -> ContactTable:

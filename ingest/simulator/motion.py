@@ -43,12 +43,12 @@ class WheelsetMotion(FrozenArrays):
     rolling_radius_right: Annotated[FloatArray, "n"]  # m
     contact_angle_left: Annotated[FloatArray, "n"]  # rad
     contact_angle_right: Annotated[FloatArray, "n"]  # rad
+    mass_roll: Annotated[FloatArray, "n"]  # rad, of what the mass sensor is on
     outside: int
     path_accelerations: Annotated[FloatArray, 4, "n"] | None = (
         None  # (4, n) in the order of ACCELERATIONS; None on straight track
     )
     frame_yaw: Annotated[FloatArray, "n"] | None = None  # psi_f, rad, of the bogie frame; None without one
-    mass_roll: Annotated[FloatArray, "n"] | None = None  # rad, of what the mass sensor is on; None: as the wheelset
 
     def __len__(self) -> int:
         return len(self.t)

@@ -8,8 +8,9 @@ x_i = +a and i = 2 at -a (a half the wheelbase), frame (y_f, psi_f), body y_b an
     m_f y_f''   = -sum F_i + G,   G = ks (y_b - y_f) + cs (y_b' - y_f')   m_b y_b'' = -G
     I_f psi_f'' = -sum (x_i F_i + M_i) - k2 psi_f - c2 psi_f'
 
-One wheelset has a mass above it that does not yaw, and no body: y_f is ym of Eq. 5. Where the wheels roll freely (not
-with the linear law alone, whose angular velocity is V/r0), u = r0 omega - V is a state of every wheelset:
+One wheelset has a mass above it that does not yaw, y_f is ym of Eq. 5, and nothing ties it to a body. Where the wheels
+roll freely (not with the linear law alone, whose angular velocity is V/r0), u = r0 omega - V is a state of every
+wheelset:
 
     Iwy u'/r0 = -sum r Fx + r0 T - Iwy V'/r0 + (torque that turns the wheelset with the speed) = -sum r Fx + r0 T
 
@@ -22,11 +23,10 @@ The contact geometry is looked up bilinearly in (y - d, gauge deviation); the sl
 at the same nodes, so that roll rate is the chain rule phi' = phi_x (y' - d') + phi_e e', and roll acceleration is its
 time derivative.
 
-Arrays, in SI: ``table`` (n, g, 7), at its nodes rL, rR, dL, dR, phi, phi_x, phi_e; ``coefficients`` (m, 8), cubic
-splines of alignment and gauge deviation, (m, 20) with those of cross level, friction and load where the track has them;
-``state`` and ``rates``: y, y', psi, psi', u of each wheelset, then y, y' of what is above and, in a bogie, psi, psi' of
-the frame and y, y' of the body; ``path`` as ``gear_path`` returns it; ``seen`` (a, 8) of each axle what is known beside
-its state: ``SEEN``. ``s`` is the distance.
+Arrays, in SI: ``nodes`` (n, g, 7) hold rL, rR, dL, dR, phi, phi_x, phi_e; ``coefficients`` (m, 8) are cubic splines of
+alignment and gauge deviation, (m, 20) with those of cross level, friction and load where the track has them; ``state``
+and ``rates`` (5 a + 6,) with a axles: y, y', psi, psi', u of each wheelset, y, y', psi, psi' of the frame, y, y' of the
+body; ``path`` (2 + 7 a,) is as ``gear_path`` returns it; ``seen`` (a, 8) is written, in the order of ``SEEN``.
 """
 
 from __future__ import annotations
@@ -34,17 +34,16 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from estimation.compiled import compiled
-from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.arrays import FloatArray
 from ingest.simulator.running import CreepConstants, share_of_linear
 
 STANDSTILL = 0.05  # m/s: below it the wheels stick, and only what is above moves
 AXLE_STATES = 5  # y, y', psi, psi', u of each wheelset
-FRAME_PATH = 2
-AXLE_PATH = 7  # of each wheelset, see ``gear_path``
-WITHOUT_SURFACE = 8  # columns of the coefficients of a track that is level, and alike everywhere
+STATES_ABOVE = 6  # y, y', psi, psi' of the frame, y, y' of the body
+FRAME_PATH = 2  # of the frame and the body, see ``gear_path``
+AXLE_PATH = 7  # of each wheelset
+LEVEL = 8  # columns of the coefficients of a track without cross level, friction and load
 SEEN = (
     "rolling_radius_left",
     "rolling_radius_right",
@@ -56,18 +55,18 @@ SEEN = (
     "gauge_deviation",
 )
 
-stepped = compiled(nogil=True, error_model="numpy")
+# Inlined by numba: they have more arguments than registers, and are called once in the source.
+stepped = compiled(nogil=True, error_model="numpy", inline="always")
 
 
-class Grid(NamedTuple):
-    """Uniform grids: first node and reciprocal spacing of y - d, of gauge deviation, and of distance."""
+class Wheels(NamedTuple):
+    """Out-of-roundness of the left and the right wheel of an axle, whose radii vary once per revolution."""
 
-    x0: float
-    per_x: float
-    e0: float
-    per_e: float
-    s0: float
-    interval: float
+    amplitude: tuple[float, float]  # m
+    phase: tuple[float, float]  # rad, where the run begins to count distance
+
+
+ROUND = Wheels((0.0, 0.0), (0.0, 0.0))
 
 
 class AxleConstants(NamedTuple):
@@ -91,17 +90,17 @@ class AxleConstants(NamedTuple):
     x: float  # m, ahead of the frame's middle
     traction: float  # traction force over the acceleration, kg
     braking: float
-    out_of_round: tuple[float, float]  # m, of the left and the right wheel, whose radii vary once per revolution
-    phase: tuple[float, float]  # rad, where the run begins to count distance
+    wheels: Wheels
 
 
 class GearConstants(NamedTuple):
-    """The parameters of a running gear by their symbols, as the compiled code takes them."""
+    """The parameters of a running gear by their symbols, from ``frame_mass`` on in the order of ``BogieParameters``."""
 
-    axles: tuple[AxleConstants, AxleConstants]  # the second is not used where there is one
-    count: int  # of axles, 1 or 2
+    axles: tuple[AxleConstants, AxleConstants]  # the second is that of the first where there is one
+    n_axles: int  # 1 or 2
+    free_rolling: bool  # whether the angular velocity of the wheels is a state, or V/r0
     frame_mass: float
-    frame_inertia: float
+    frame_inertia: float  # infinite where it does not yaw
     body_mass: float
     ks: float
     cs: float
@@ -109,14 +108,25 @@ class GearConstants(NamedTuple):
     c2: float
 
 
+class TableGrid(NamedTuple):
+    """The even grids of a contact table: first node and reciprocal spacing of y - d and of gauge deviation."""
+
+    x0: float
+    per_x: float
+    e0: float
+    per_e: float
+
+
 class GearOnTrack(NamedTuple):
-    """What the rates of a running gear follow from, beside its state; tables and grids of both axles."""
+    """What the rates of a running gear follow from, beside its state; contact tables of both axles."""
 
     g: GearConstants
     creep: CreepConstants
-    tables: tuple[FloatArray, FloatArray]
-    grids: tuple[Grid, Grid]
+    nodes: tuple[FloatArray, FloatArray]
+    grids: tuple[TableGrid, TableGrid]
     coefficients: FloatArray
+    begin: float  # m, distance of the first point of the track
+    interval: float  # m
 
 
 class Contact(NamedTuple):
@@ -147,42 +157,44 @@ LookedUp = tuple[float, float, float, float, float, float, float]
 
 
 @stepped
-def look_up(table: FloatArray, grid: Grid, x: float, e: float) -> tuple[bool, LookedUp]:
-    """Interpolate ``table`` at (x, e); return whether x is inside the grid, and what is there.
+def look_up(nodes: FloatArray, grid: TableGrid, x: float, e: float) -> LookedUp:
+    """Interpolate a contact table at (x, e).
 
     Outside, the edge cell is continued linearly in x; e is held at the edge.
     """
-    n, g, _ = table.shape
+    n, g, _ = nodes.shape
     fx, fe = (x - grid.x0) * grid.per_x, min(max((e - grid.e0) * grid.per_e, 0.0), g - 1.0)
     i, j = min(max(int(fx), 0), n - 2), max(min(int(fe), g - 2), 0)
     right = min(j + 1, g - 1)
     wx, we = fx - i, fe - j
     w = ((1.0 - wx) * (1.0 - we), (1.0 - wx) * we, wx * (1.0 - we), wx * we)
-    return bool(0.0 <= fx <= n - 1), (
-        blend(table, i, j, right, w, 0),
-        blend(table, i, j, right, w, 1),
-        blend(table, i, j, right, w, 2),
-        blend(table, i, j, right, w, 3),
-        blend(table, i, j, right, w, 4),
-        blend(table, i, j, right, w, 5),
-        blend(table, i, j, right, w, 6),
+    return (
+        blend(nodes, i, j, right, w, 0),
+        blend(nodes, i, j, right, w, 1),
+        blend(nodes, i, j, right, w, 2),
+        blend(nodes, i, j, right, w, 3),
+        blend(nodes, i, j, right, w, 4),
+        blend(nodes, i, j, right, w, 5),
+        blend(nodes, i, j, right, w, 6),
     )
 
 
 @stepped
-def blend(table: FloatArray, i: int, j: int, right: int, w: tuple[float, float, float, float], k: int) -> float:
-    """Return value ``k`` of four nodes of ``table``, weighted."""
-    return w[0] * table[i, j, k] + w[1] * table[i, right, k] + w[2] * table[i + 1, j, k] + w[3] * table[i + 1, right, k]
+def blend(nodes: FloatArray, i: int, j: int, right: int, w: tuple[float, float, float, float], k: int) -> float:
+    """Return value ``k`` of four nodes, weighted."""
+    left = w[0] * nodes[i, j, k] + w[1] * nodes[i, right, k]
+    return float(left + (w[2] * nodes[i + 1, j, k] + w[3] * nodes[i + 1, right, k]))
 
 
 @stepped
-def place_at(coefficients: FloatArray, grid: Grid, s: float, height: float) -> Place:
+def place_at(gear: GearOnTrack, s: float, height: float) -> Place:
     """Return the track at distance ``s``, its alignment at ``height`` above the rails."""
-    i = min(max(int((s - grid.s0) / grid.interval), 0), len(coefficients) - 1)
-    h = s - grid.s0 - i * grid.interval
+    coefficients = gear.coefficients
+    i = min(max(int((s - gear.begin) / gear.interval), 0), len(coefficients) - 1)
+    h = s - gear.begin - i * gear.interval
     d, d_slope = cubic(coefficients, i, 0, h)
     e, e_slope = cubic(coefficients, i, 4, h)
-    if coefficients.shape[1] == WITHOUT_SURFACE:
+    if coefficients.shape[1] == LEVEL:
         return Place(d, d_slope, e, e_slope, 0.0, 0.0, 1.0, 1.0)
     roll, roll_slope = cubic(coefficients, i, 8, h)
     friction, _ = cubic(coefficients, i, 12, h)
@@ -193,46 +205,38 @@ def place_at(coefficients: FloatArray, grid: Grid, s: float, height: float) -> P
 @stepped
 def cubic(coefficients: FloatArray, i: int, first: int, h: float) -> tuple[float, float]:
     """Return the cubic whose coefficients begin at ``first`` of row ``i``, and its slope, ``h`` m into the cell."""
-    a, b, c, d = (
-        coefficients[i, first],
-        coefficients[i, first + 1],
-        coefficients[i, first + 2],
-        coefficients[i, first + 3],
-    )
-    return ((a * h + b) * h + c) * h + d, (3.0 * a * h + 2.0 * b) * h + c
+    a, b, c = coefficients[i, first], coefficients[i, first + 1], coefficients[i, first + 2]
+    return ((a * h + b) * h + c) * h + coefficients[i, first + 3], (3.0 * a * h + 2.0 * b) * h + c
 
 
 @stepped
 def mean_roll(gear: GearOnTrack, s: float) -> float:
-    """Return the mean roll of the track at the axles, rad; ``s`` is the distance of the first one."""
-    if gear.coefficients.shape[1] == WITHOUT_SURFACE:
-        return 0.0
+    """Return the mean roll of the track at the axles, rad; ``s`` is the distance of the frame's middle."""
     g, total = gear.g, 0.0
-    for axle in range(g.count):
-        total += place_at(gear.coefficients, gear.grids[axle], s - g.axles[0].x + g.axles[axle].x, 0.0).roll
-    return total / g.count
+    if gear.coefficients.shape[1] > LEVEL:
+        for axle in range(g.n_axles):
+            total += place_at(gear, s + g.axles[axle].x, 0.0).roll
+    return total / g.n_axles
 
 
 @stepped
-def contact_at(
-    c: AxleConstants, table: FloatArray, grid: Grid, place: Place, s: float, speed: float, y: float, v: float
-) -> tuple[bool, Contact]:
-    """Return whether a wheelset is inside its contact table, and its contact with the track at distance ``s``."""
-    inside, (left, right, angle_left, angle_right, roll, roll_x, roll_e) = look_up(
-        table, grid, y - place.alignment, place.gauge
+def contact_at(gear: GearOnTrack, axle: int, place: Place, s: float, speed: float, y: float, v: float) -> Contact:
+    """Return the contact of an axle with the track at distance ``s``."""
+    c = gear.g.axles[axle]
+    left, right, angle_left, angle_right, roll, roll_x, roll_e = look_up(
+        gear.nodes[axle], gear.grids[axle], y - place.alignment, place.gauge
     )
     roll += place.roll
     if speed < STANDSTILL:
-        return inside, Contact(left, right, angle_left, angle_right, roll, 0.0)
+        return Contact(left, right, angle_left, angle_right, roll, 0.0)
     rate = roll_x * (v - speed * place.alignment_slope) + speed * (roll_e * place.gauge_slope + place.roll_slope)
-    if c.out_of_round[0] != 0.0 or c.out_of_round[1] != 0.0:
-        angle = s / c.r0
-        at_left, at_right = angle + c.phase[0], angle + c.phase[1]
-        more_left, more_right = c.out_of_round[0] * math.sin(at_left), c.out_of_round[1] * math.sin(at_right)
+    if c.wheels != ROUND:
+        (more, other), angle = c.wheels.amplitude, s / c.r0
+        at_left, at_right = angle + c.wheels.phase[0], angle + c.wheels.phase[1]
+        more_left, more_right = more * math.sin(at_left), other * math.sin(at_right)
         left, right, roll = left + more_left, right + more_right, roll + (more_left - more_right) / (2.0 * c.half)
-        swing = c.out_of_round[0] * math.cos(at_left) - c.out_of_round[1] * math.cos(at_right)
-        rate += speed / c.r0 * swing / (2.0 * c.half)
-    return inside, Contact(left, right, angle_left, angle_right, roll, rate)
+        rate += speed / c.r0 * (more * math.cos(at_left) - other * math.cos(at_right)) / (2.0 * c.half)
+    return Contact(left, right, angle_left, angle_right, roll, rate)
 
 
 @stepped
@@ -245,48 +249,39 @@ def gear_rates(
     state: FloatArray,
     rates: FloatArray,
     seen: FloatArray,
-) -> int:
-    """Write the time derivative of ``state`` into ``rates``; return a bit for each axle outside its table.
+) -> None:
+    """Write the time derivative of ``state`` into ``rates``, and what was looked up into ``seen``.
 
-    Speed rises by ``slope``; ``s`` is the distance of the first axle.
+    Speed rises by ``slope``; ``s`` is the distance of the frame's middle.
     """
-    outside, g = 0, gear.g
-    frame = AXLE_STATES * g.count
-    y_f, v_f, psi_f, turn_f = state[frame], state[frame + 1], 0.0, 0.0
-    if g.count > 1:
-        psi_f, turn_f = state[frame + 2], state[frame + 3]
-    leaning = mean_roll(gear, s)
-    force = moment = 0.0
-    for axle in range(g.count):
+    g, frame = gear.g, AXLE_STATES * gear.g.n_axles
+    y_f, v_f, psi_f, psi_rate_f = state[frame], state[frame + 1], state[frame + 2], state[frame + 3]
+    leaning, force, moment = mean_roll(gear, s), 0.0, 0.0
+    rates[:frame] = 0.0
+    for axle in range(g.n_axles):
         c, first, bend = g.axles[axle], AXLE_STATES * axle, FRAME_PATH + AXLE_PATH * axle
-        at = s - g.axles[0].x + c.x
-        y, v, psi, turn = state[first], state[first + 1], state[first + 2], state[first + 3]
-        place = place_at(gear.coefficients, gear.grids[axle], at, c.r0)
-        inside, contact = contact_at(c, gear.tables[axle], gear.grids[axle], place, at, speed, y, v)
-        outside += 0 if inside else 1 << axle
-        deflection = y_f + c.x * psi_f - y - path[bend + 3]
-        deflection_rate = v_f + c.x * turn_f - v - path[bend + 4]
-        suspension = c.ky * deflection + c.fy * deflection_rate + c.weight_above * leaning
-        turned = -c.k_psi * (psi + path[bend + 5] - psi_f) - c.f_psi * (turn + path[bend + 6] - turn_f)
-        force += suspension
-        moment += c.x * suspension + turned
+        y, v, psi, psi_rate = state[first], state[first + 1], state[first + 2], state[first + 3]
+        place = place_at(gear, s + c.x, c.r0)
+        contact = contact_at(gear, axle, place, s + c.x, speed, y, v)
         for k in range(len(contact)):
             seen[axle, k] = contact[k]
         seen[axle, 6], seen[axle, 7] = place.alignment, place.gauge
-        for k in range(AXLE_STATES):
-            rates[first + k] = 0.0
+        deflection = y_f + c.x * psi_f - y - path[bend + 3]
+        deflection_rate = v_f + c.x * psi_rate_f - v - path[bend + 4]
+        suspension = c.ky * deflection + c.fy * deflection_rate + c.weight_above * leaning
+        turned = -c.k_psi * (psi + path[bend + 5] - psi_f) - c.f_psi * (psi_rate + path[bend + 6] - psi_rate_f)
+        force += suspension
+        moment += c.x * suspension + turned
         if speed < STANDSTILL:
             continue
-        lateral, yaw, braking = creep_forces(
-            c, gear.creep, place, contact, speed, v, psi, turn, state[first + 4], path[bend + 2]
-        )
+        u, curvature = state[first + 4], path[bend + 2]
+        lateral, yaw, braking = creep_forces(c, gear.creep, place, contact, speed, v, psi, psi_rate, u, curvature)
         rates[first], rates[first + 1] = v, (lateral + suspension) / c.mass + path[bend]
-        rates[first + 2], rates[first + 3] = turn, (yaw + turned) / c.inertia + path[bend + 1]
-        if gear.creep.free_rolling:
+        rates[first + 2], rates[first + 3] = psi_rate, (yaw + turned) / c.inertia + path[bend + 1]
+        if g.free_rolling:
             traction = slope * (c.traction if slope > 0.0 else c.braking)
             rates[first + 4] = (c.r0 * traction - braking) * c.r0 / c.pitch_inertia
     carried(g, path, force, moment, state, rates)
-    return outside
 
 
 @stepped
@@ -298,14 +293,14 @@ def creep_forces(
     speed: float,
     v: float,
     psi: float,
-    turn: float,
+    psi_rate: float,
     u: float,
     curvature: float,
 ) -> tuple[float, float, float]:
     """Return what the rails do to a wheelset: lateral force, yaw moment and the moment that brakes its rolling."""
     per_speed, per_r0 = 1.0 / speed, 1.0 / c.r0
     rolling = (1.0 + u * per_speed) * per_r0
-    turning = turn * per_speed + curvature
+    turning = psi_rate * per_speed + curvature
     load = c.load * place.load
     f11, f22, f23, f33 = c.f11, c.f22, c.f23 * place.load, c.f33
     if place.load != 1.0:
@@ -339,113 +334,13 @@ def creep_forces(
 def carried(
     g: GearConstants, path: FloatArray, force: float, moment: float, state: FloatArray, rates: FloatArray
 ) -> None:
-    """Write the time derivative of what is above the wheelsets into ``rates``.
+    """Write the time derivative of frame and body into ``rates``.
 
     Force and moment are those of the primary suspensions on the wheelsets, about the frame's middle.
     """
-    frame, above = AXLE_STATES * g.count, 0.0
-    if g.count > 1:
-        body = frame + 4
-        above = g.ks * (state[body] - state[frame]) + g.cs * (state[body + 1] - state[frame + 1])
-        rates[body], rates[body + 1] = state[body + 1], path[0] - above / g.body_mass
-        rates[frame + 2] = state[frame + 3]
-        resisted = moment + g.k2 * state[frame + 2] + g.c2 * state[frame + 3]
-        rates[frame + 3] = path[1] - resisted / g.frame_inertia
-    rates[frame], rates[frame + 1] = state[frame + 1], path[0] + (above - force) / g.frame_mass
-
-
-OUTPUTS = (
-    "lateral_displacement",
-    "lateral_velocity",
-    "yaw",
-    "yaw_rate",
-    "mass_lateral_displacement",
-    "mass_lateral_velocity",
-    "lateral_acceleration",
-    "yaw_acceleration",
-    "mass_lateral_acceleration",
-    *SEEN,
-)
-STAGES = ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0))  # of Runge-Kutta: part of the step, weight
-
-
-@stepped
-def integrate(
-    gear: GearOnTrack,
-    speed: FloatArray,
-    distance: FloatArray,
-    path: FloatArray,
-    step: float,
-    parts: IntArray,
-    state: FloatArray,
-    out: FloatArray,
-    outside: IntArray,
-) -> None:
-    """Integrate the motion of a running gear over a course by the classical Runge-Kutta method of 4th order.
-
-    Args:
-        distance: (k,) of the first axle.
-        path: (k, 2 + 7 a) of the curved path; (1, 2 + 7 a) zeros on straight track.
-        parts: (k,) sub-steps from each sample on.
-        state: At the first sample; changed to that a step behind the last.
-        out: (a, 17, k) written, in the order of ``OUTPUTS``, for each axle; of a bogie (2, 18, k), last the frame's yaw.
-        outside: (a,) written: how many samples left the contact table of each axle.
-    """
-    size, width, n = len(state), path.shape[1], len(speed)
-    trial, rates, total = np.zeros(size), np.zeros(size), np.zeros(size)
-    forced, seen = path[0].copy(), np.zeros((gear.g.count, len(SEEN)))
-    for i in range(n):
-        following, h = min(i + 1, n - 1), step / parts[i]
-        slope = (speed[following] - speed[i]) / step
-        if speed[i] < STANDSTILL:
-            for axle in range(gear.g.count):  # the wheels stick
-                first = AXLE_STATES * axle
-                state[first + 1] = state[first + 3] = state[first + 4] = 0.0
-        for part in range(parts[i]):
-            for stage in range(4):
-                share, weight = STAGES[stage]
-                t = (part + share) * h
-                for k in range(size):
-                    trial[k] = state[k] + share * h * rates[k]
-                if len(path) > 1:
-                    for k in range(width):
-                        forced[k] = path[i, k] + t / step * (path[following, k] - path[i, k])
-                v, s = speed[i] + slope * t, distance[i] + (speed[i] + 0.5 * slope * t) * t
-                left = gear_rates(gear, v, slope, s, forced, trial, rates, seen)
-                if stage == 0:
-                    total[:] = 0.0
-                    if part == 0:
-                        write_sample(gear.g, state, rates, seen, left, out, outside, i)
-                for k in range(size):
-                    total[k] += weight * rates[k]
-            for k in range(size):
-                state[k] += h / 6.0 * total[k]
-
-
-@stepped
-def write_sample(
-    g: GearConstants,
-    state: FloatArray,
-    rates: FloatArray,
-    seen: FloatArray,
-    left: int,
-    out: FloatArray,
-    outside: IntArray,
-    i: int,
-) -> None:
-    """Write sample ``i`` of every output of each axle into ``out``, and count axles that ``left`` their tables."""
-    frame = AXLE_STATES * g.count
-    for axle in range(g.count):
-        first, x = AXLE_STATES * axle, g.axles[axle].x
-        outside[axle] += left >> axle & 1
-        for k in range(4):
-            out[axle, k, i] = state[first + k]
-        out[axle, 4, i], out[axle, 5, i], out[axle, 8, i] = state[frame], state[frame + 1], rates[frame + 1]
-        if g.count > 1:
-            out[axle, 4, i] += x * state[frame + 2]
-            out[axle, 5, i] += x * state[frame + 3]
-            out[axle, 8, i] += x * rates[frame + 3]
-            out[axle, len(OUTPUTS), i] = state[frame + 2]
-        out[axle, 6, i], out[axle, 7, i] = rates[first + 1], rates[first + 3]
-        for k in range(len(SEEN)):
-            out[axle, 9 + k, i] = seen[axle, k]
+    frame = AXLE_STATES * g.n_axles
+    y, v, psi, psi_rate = state[frame], state[frame + 1], state[frame + 2], state[frame + 3]
+    above = g.ks * (state[frame + 4] - y) + g.cs * (state[frame + 5] - v)
+    rates[frame], rates[frame + 1] = v, path[0] + (above - force) / g.frame_mass
+    rates[frame + 2], rates[frame + 3] = psi_rate, path[1] - (moment + g.k2 * psi + g.c2 * psi_rate) / g.frame_inertia
+    rates[frame + 4], rates[frame + 5] = state[frame + 5], path[0] - above / g.body_mass

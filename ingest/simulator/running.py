@@ -55,7 +55,6 @@ class CreepConstants(NamedTuple):
     slip: float  # kS
     residual: float  # A, friction at large slip velocity over mu0
     decay: float  # B, s/m
-    free_rolling: bool = False  # whether the angular velocity of the wheels is a state, or V/r0
 
 
 Share = Annotated[float, Interval(gt=0.0, le=1.0)]
@@ -271,12 +270,6 @@ class RunningPlan:
     def changes_the_track(self) -> bool:
         """Whether the track has more than alignment, gauge and curves."""
         return not (self.friction is None and self.cross_level is None and self.load_variation is None)
-
-    @property
-    def plain(self) -> bool:
-        """Whether Eq. 1-5 of one wheelset hold as they are."""
-        linear = self.creep.law is CreepLaw.LINEAR
-        return linear and not (self.changes_the_track or self.out_of_round or self.traction)
 
     def shares_of_traction(self, axles: int) -> tuple[float, ...]:
         """Return the traction of each of ``axles`` axles over that of an even distribution."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -18,17 +18,17 @@ from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, GRAVITY, BogiePar
 from ingest.simulator.motion import STEP, WheelsetMotion, time_derivative, travelled
 from ingest.simulator.rates import (
     AXLE_PATH,
-    AXLE_STATES,
     FRAME_PATH,
-    OUTPUTS,
+    ROUND,
     STANDSTILL,
     AxleConstants,
     GearConstants,
     GearOnTrack,
-    Grid,
-    integrate,
+    TableGrid,
+    Wheels,
 )
 from ingest.simulator.running import Creep, CreepLaw
+from ingest.simulator.stepping import OUTPUTS, integrate
 from ingest.simulator.track import Curves, TrackTruth
 
 RATE_LIMIT = 1.0  # creep rate x sub-step; Runge-Kutta of 4th order is stable to 2.78
@@ -36,28 +36,12 @@ ROLLING_LIMIT = 2.0  # as RATE_LIMIT, of the wheels' angular velocity: it follow
 # state matters
 
 
-class Wheels(NamedTuple):
-    """Out-of-roundness of the wheels of two axles: left and right wheel of the first, then of the second.
-
-    Their radii vary once per revolution.
-    """
-
-    amplitude: tuple[float, float, float, float]  # m
-    phase: tuple[float, float, float, float]  # rad, where the run begins to count distance
-
-
-ROUND = Wheels((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
-
-
 @dataclass(frozen=True, slots=True)
 class PreparedTable:
     """A contact table on even grids, laid out for the stepping loop; make it once, run it often."""
 
     nodes: FloatArray  # (n, g, 7)
-    x0: float
-    x_step: float
-    e0: float
-    e_step: float
+    grid: TableGrid
 
     @staticmethod
     def of(table: ContactTable) -> PreparedTable:
@@ -75,11 +59,13 @@ class PreparedTable:
             table.contact_angle_right,
         )
         nodes = np.stack([*radii_and_angles, roll, *slopes], axis=-1)
-        return PreparedTable(frozen_array(nodes, nodes.shape, name="nodes"), float(x[0]), x_step, float(e[0]), e_step)
+        grid = TableGrid(float(x[0]), 1.0 / x_step, float(e[0]), 1.0 / e_step)
+        return PreparedTable(frozen_array(nodes, nodes.shape, name="nodes"), grid)
 
-    def grid(self, track: TrackTruth) -> Grid:
-        """Return the grids of the table and of a track."""
-        return Grid(self.x0, 1 / self.x_step, self.e0, 1 / self.e_step, float(track.s[0]), track.interval)
+    def count_outside(self, x: FloatArray) -> int:
+        """Return how many of the lateral displacements ``x`` (n,), m, are not in the table."""
+        cells = (x - self.grid.x0) * self.grid.per_x
+        return int(np.count_nonzero(~((cells >= 0.0) & (cells <= len(self.nodes) - 1))))  # NaN is outside
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +77,10 @@ class RunningGear:
     the speed is forced, and uses no creep.
     """
 
-    parameters: VehicleParameters
+    parameters: VehicleParameters = field(default_factory=VehicleParameters)
     bogie: BogieParameters | None = None
     creep: Creep = field(default_factory=Creep)
-    wheels: Wheels = ROUND
+    wheels: tuple[Wheels, ...] = (ROUND, ROUND)  # of each axle
     nominal_radii: tuple[float, ...] = ()  # m, of each axle; empty: those of ``parameters``
     traction: tuple[float, ...] | None = None
     braking: tuple[float, ...] | None = None
@@ -115,31 +101,16 @@ class RunningGear:
         """Whether the angular velocity of the wheels follows from creep; with the linear law alone it is V/r0."""
         return self.creep.law is not CreepLaw.LINEAR or self.traction is not None
 
-    def wheelset(self, axle: int) -> VehicleParameters:
-        """Return the parameters of one wheelset."""
-        return (
-            replace(self.parameters, nominal_radius=self.nominal_radii[axle]) if self.nominal_radii else self.parameters
-        )
-
     def constants(self) -> GearConstants:
         """Return the parameters as the compiled loop takes them."""
         axles = [self._axle(axle) for axle in range(self.axles)]
-        b, none = self.bogie, 0.0
-        above = (self.parameters.suspended_mass, none, none, none, none, none, none)
-        if b is not None:
-            above = (
-                b.frame_mass,
-                b.frame_yaw_inertia,
-                b.body_mass,
-                b.secondary_lateral_stiffness,
-                b.secondary_lateral_damping,
-                b.secondary_yaw_stiffness,
-                b.secondary_yaw_damping,
-            )
-        return GearConstants((axles[0], axles[-1]), len(axles), *above)
+        above = (self.parameters.suspended_mass, np.inf, np.inf, 0.0, 0.0, 0.0, 0.0)
+        if self.bogie is not None:
+            above = astuple(self.bogie)[1:]
+        return GearConstants((axles[0], axles[-1]), len(axles), self.free_rolling, *above)
 
     def _axle(self, axle: int) -> AxleConstants:
-        p = self.wheelset(axle)
+        p = self.parameters
         mass = p.load / GRAVITY
         return AxleConstants(
             f11=p.longitudinal_creep_coefficient,
@@ -156,12 +127,11 @@ class RunningGear:
             half=p.half_contact_distance,
             load=p.load,
             weight_above=p.load - p.wheelset_mass * GRAVITY,
-            r0=p.nominal_radius,
+            r0=self.nominal_radii[axle] if self.nominal_radii else p.nominal_radius,
             x=self.places[axle],
             traction=0.0 if self.traction is None else mass * self.traction[axle],
             braking=0.0 if self.braking is None else mass * self.braking[axle],
-            out_of_round=self.wheels.amplitude[2 * axle : 2 * axle + 2],
-            phase=self.wheels.phase[2 * axle : 2 * axle + 2],
+            wheels=self.wheels[axle],
         )
 
     def fastest_mode(self) -> float:
@@ -188,45 +158,40 @@ def simulate_gear(
     """Run a running gear along ``track``, its first axle from distance ``start`` (m); return the motion of each axle.
 
     Between samples of ``speed`` (n,), m/s, given every ``STEP`` s, it is linear; it may be zero, where the gear stands.
-    ``initial`` (7,) or, of a bogie, (16,) holds the state in the order of ``rates``, SI; without it all is at rest
-    relative to the track, on its centre line. Two runs of the same input give the same bits. The mass that a node
-    measures is in a bogie the frame above its axle: y_f + x_i psi_f.
+    ``initial`` (5 a + 6,) holds the state in the order of ``rates``, SI; without it all is at rest relative to the
+    track, on its centre line. Two runs of the same input give the same bits. The mass that a node measures is in a
+    bogie the frame above its axle: y_f + x_i psi_f.
     """
     speed = frozen_array(speed, (None,), name="speed")  # read-only from every caller: it is compiled once
+    prepared = [table if isinstance(table, PreparedTable) else PreparedTable.of(table) for table in tables]
     courses = [course(track, speed, start - gear.places[0] + x) for x in gear.places]
+    middle = courses[0] - gear.places[0]
     path, sensed = np.zeros((1, FRAME_PATH + AXLE_PATH * gear.axles)), None
     if track.curves is not None:
-        path, sensed = gear_path(gear, track.curves, track.s, courses[0] - gear.places[0], speed)
-    rows = len(OUTPUTS) + (gear.bogie is not None)
-    out, outside = np.empty((gear.axles, rows, len(speed))), np.zeros(gear.axles, np.int64)
-    integrate(
-        _on_track(gear, tables, track),
-        speed,
-        courses[0],
-        path,
-        STEP,
-        _parts(gear, speed),
-        _start(gear, track, start, float(speed[0])) if initial is None else np.array(initial, np.float64),
-        out,
-        outside,
-    )
+        path, sensed = gear_path(gear, track.curves, track.s, middle, speed)
+    out = np.empty((gear.axles, len(OUTPUTS), len(speed)))
+    state = _start(gear, track, start, float(speed[0])) if initial is None else np.array(initial, np.float64)
+    integrate(_on_track(gear, prepared, track), speed, middle, path, STEP, _parts(gear, speed), state, out)
     out.flags.writeable = False
-    named = [dict(zip(OUTPUTS, rows_of_axle, strict=False)) for rows_of_axle in out]
-    mass_roll = np.mean([item["roll"] for item in named], axis=0)  # it rests on the axles
-    return tuple(
-        WheelsetMotion(
-            t=STEP * np.arange(len(speed), dtype=np.float64),
-            distance=courses[axle],
-            speed=speed,
-            roll_acceleration=time_derivative(item["roll_rate"]),
-            outside=int(outside[axle]),
-            path_accelerations=None if sensed is None else sensed[axle],
-            frame_yaw=None if gear.bogie is None else out[axle, -1],
-            mass_roll=mass_roll,
-            **item,
+    mass_roll = out[:, OUTPUTS.index("roll")].mean(axis=0)  # it rests on the axles
+    motions = []
+    for axle, rows in enumerate(out):
+        named: dict[str, Any] = dict(zip(OUTPUTS, rows, strict=True))
+        if gear.bogie is None:
+            named["frame_yaw"] = None
+        motions.append(
+            WheelsetMotion(
+                t=STEP * np.arange(len(speed), dtype=np.float64),
+                distance=courses[axle],
+                speed=speed,
+                roll_acceleration=time_derivative(named["roll_rate"]),
+                mass_roll=mass_roll,
+                outside=prepared[axle].count_outside(named["lateral_displacement"] - named["alignment"]),
+                path_accelerations=None if sensed is None else sensed[axle],
+                **named,
+            )
         )
-        for axle, item in enumerate(named)
-    )
+    return tuple(motions)
 
 
 def course(track: TrackTruth, speed: FloatArray, start: float) -> FloatArray:
@@ -252,50 +217,54 @@ def gear_path(
 
     Curves are on the grid ``s`` (m,), m along the section; ``distance`` (n,), m, is that of the frame's middle.
     """
-    curvature: Any = partial(np.interp, xp=s, fp=curves.curvature)
-    if gear.bogie is not None:
-        curvature = CubicSpline(s, curves.curvature)
-        heading, line = curvature.antiderivative(1), curvature.antiderivative(2)
+    p, spline = gear.parameters, CubicSpline(s, curves.curvature)
+    curvature: Any = spline if gear.bogie is not None else partial(np.interp, xp=s, fp=curves.curvature)
+    heading, line = spline.antiderivative(1), spline.antiderivative(2)
     path = np.zeros((len(speed), FRAME_PATH + AXLE_PATH * gear.axles))
     sensed = np.empty((gear.axles, 4, len(speed)))
-
-    def felt(at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        kappa, tilt = curvature(at), np.interp(at, s, curves.cant) / (2.0 * gear.parameters.half_contact_distance)
-        return (
-            kappa,
-            speed**2 * kappa - GRAVITY * tilt,
-            np.gradient(speed * kappa, STEP),
-            np.gradient(tilt, STEP),
-        )
-
-    middle, uncompensated, turning, rolling = felt(distance)
-    path[:, 0], path[:, 1] = -uncompensated, -turning
+    middle = curvature(distance)
+    uncompensated, turning, _ = _felt(p, curves, s, distance, speed, middle)
+    path[:, 0] = -uncompensated
+    if gear.bogie is not None:
+        path[:, 1] = -turning
     sensed[:, 3] = uncompensated + np.outer(gear.places, turning)
     for axle, x in enumerate(gear.places):
-        p, at, first = gear.wheelset(axle), distance + x, FRAME_PATH + AXLE_PATH * axle
-        kappa = middle
-        if gear.bogie is not None:
-            kappa, uncompensated, turning, rolling = felt(at)
-            turned = heading(at) - heading(distance)
-            path[:, first + 3] = line(at) - line(distance) - x * heading(distance)
-            path[:, first + 4] = speed * (turned - x * middle)
-            path[:, first + 5], path[:, first + 6] = turned, speed * (kappa - middle)
+        at = distance + x
+        kappa, turned = curvature(at), heading(at) - heading(distance)
+        uncompensated, turning, rolling = _felt(p, curves, s, at, speed, kappa)
         gyroscopic = p.pitch_inertia * speed / p.nominal_radius * rolling / p.yaw_inertia
-        path[:, first] = -uncompensated
-        path[:, first + 1] = -turning + gyroscopic  # the right rail above: it rolls by -tilt
-        path[:, first + 2] = kappa
+        path[:, FRAME_PATH + AXLE_PATH * axle : FRAME_PATH + AXLE_PATH * (axle + 1)] = np.column_stack(
+            [
+                -uncompensated,
+                -turning + gyroscopic,  # the right rail above: it rolls by -tilt
+                kappa,
+                line(at) - line(distance) - x * heading(distance),
+                speed * (turned - x * middle),
+                turned,
+                speed * (kappa - middle),
+            ]
+        )
         sensed[axle, :3] = uncompensated, turning, -np.gradient(rolling, STEP)
     return path, sensed
 
 
-def _on_track(gear: RunningGear, tables: Sequence[ContactTable | PreparedTable], track: TrackTruth) -> GearOnTrack:
-    prepared = [table if isinstance(table, PreparedTable) else PreparedTable.of(table) for table in tables]
+def _felt(
+    p: VehicleParameters, curves: Curves, s: FloatArray, at: FloatArray, speed: FloatArray, kappa: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return lateral acceleration, yaw acceleration and roll rate of what follows the path with curvature ``kappa``."""
+    tilt = np.interp(at, s, curves.cant) / (2.0 * p.half_contact_distance)
+    return speed**2 * kappa - GRAVITY * tilt, np.gradient(speed * kappa, STEP), np.gradient(tilt, STEP)
+
+
+def _on_track(gear: RunningGear, tables: Sequence[PreparedTable], track: TrackTruth) -> GearOnTrack:
     return GearOnTrack(
         gear.constants(),
-        gear.creep.constants()._replace(free_rolling=gear.free_rolling),
-        (prepared[0].nodes, prepared[-1].nodes),
-        (prepared[0].grid(track), prepared[-1].grid(track)),
+        gear.creep.constants(),
+        (tables[0].nodes, tables[-1].nodes),
+        (tables[0].grid, tables[-1].grid),
         track.spline_coefficients(),
+        float(track.s[0]),
+        track.interval,
     )
 
 
@@ -318,9 +287,7 @@ def _start(gear: RunningGear, track: TrackTruth, start: float, speed: float) -> 
     at = [start - gear.places[0] + x for x in gear.places]
     offset, slope = track.line_at(np.array(at), gear.parameters.nominal_radius)
     state = [value for d, d_s in zip(offset, slope, strict=True) for value in (d, speed * d_s, d_s, 0.0, 0.0)]
-    above = [offset.mean(), speed * slope.mean()]
-    state += above
+    above, turned = [offset.mean(), speed * slope.mean()], [0.0, 0.0]
     if gear.bogie is not None:
         turned = [(offset[0] - offset[1]) / gear.bogie.wheelbase, speed * (slope[0] - slope[1]) / gear.bogie.wheelbase]
-        state += [*turned, *above]
-    return np.array(state)
+    return np.array([*state, *above, *turned, *above])

@@ -156,8 +156,7 @@ def _true_signals(
     if motion.path_accelerations is not None:
         signals = [signal + path for signal, path in zip(signals, motion.path_accelerations, strict=True)]
     if node.measures_gravity:
-        mass_roll = motion.roll if motion.mass_roll is None else motion.mass_roll
-        signals[0], signals[3] = signals[0] + GRAVITY * motion.roll, signals[3] + GRAVITY * mass_roll
+        signals[0], signals[3] = signals[0] + GRAVITY * motion.roll, signals[3] + GRAVITY * motion.mass_roll
     if errors is None:
         return signals
     longitudinal = np.gradient(motion.speed, STEP)

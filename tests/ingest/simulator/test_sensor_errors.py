@@ -14,9 +14,10 @@ from scipy.signal import welch
 from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.vehicle_class import GRAVITY, VehicleParameters
+from estimation.vehicle.vehicle_class import GRAVITY
 from ingest.simulator.campaign import odometer_scale, vehicle_run
-from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
+from ingest.simulator.motion import STEP, WheelsetMotion
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
 from ingest.simulator.sensor_errors import (
@@ -40,7 +41,7 @@ PERFECT = NodeErrors(np.ones(4), np.zeros(3), np.zeros(3), 0.0, NONE, NONE, None
 def motion() -> WheelsetMotion:
     track = make_track(TrackRecipe(length=300.0), np.random.SeedSequence(3))
     speed = np.linspace(18.0, 22.0, 10_000)  # 0.4 m/s2
-    return simulate_wheelset(VehicleParameters(), smooth_pair(), track, speed, 20.0)
+    return simulate_gear(RunningGear(), [smooth_pair()], track, speed, 20.0)[0]
 
 
 def measured(motion: WheelsetMotion, errors: NodeErrors, node: SensorNode | None = None) -> FloatArray:
