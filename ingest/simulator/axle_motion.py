@@ -210,7 +210,7 @@ def displacement_limit(scenario: Scenario, track: TrackTruth) -> float:
     recipe = scenario.section.recipe
     _, widest = track.gauge_range()
     more = LIMIT_STEP * math.ceil(0.5 * max(widest, 0.0) / LIMIT_STEP - 1e-9)
-    varied = track.surface is not None or bool(scenario.running.stretches)
+    varied = track.surface is not None or bool(scenario.creep.stretches)
     if recipe is None or not recipe.plain or scenario.files or varied:
         return ROUGH_LIMIT + more
     if recipe.gauge_std > 0.0:
@@ -269,9 +269,9 @@ def axle_motions(
         for axle, table in zip(axles, tables, strict=True)
     ]
     start = float(run.distance[0]) - run.vehicle.axle_offsets[axles[0]]
-    contacts = [averaged(table, scenario.running.contact_half_width) for table in found]
+    contacts = [averaged(table, scenario.wheels.contact_half_width) for table in found]
     gear = running_gear(scenario, run, axles)
-    track = with_stretches(track, scenario.running, run.campaign, gear.creep.friction)
+    track = with_stretches(track, scenario.creep, run.campaign, gear.creep.friction)
     motions = simulate_gear(gear, contacts, track, run.speed, start)
     for axle, table, motion in zip(axles, found, motions, strict=True):
         at = first_climb(table, motion)
@@ -291,20 +291,19 @@ def axle_motions(
 
 def running_gear(scenario: Scenario, run: VehicleRun, axles: Sequence[int]) -> RunningGear:
     """Return the true running gear of the wheelsets at ``axles`` (from 0), which move together, in one run."""
-    running = scenario.running
     parameters, bogie = true_suspension(scenario, run.vehicle, axles[0], run.campaign)
     radii = tuple(run.vehicle.wheelsets[axle].nominal_radius for axle in axles)
     if bogie is None:
         parameters = replace(parameters, nominal_radius=radii[0])
-    shares = running.shares_of_traction(len(run.vehicle.wheelsets))
-    factor = friction_factor(running, scenario.seed, run.campaign)
+    shares = None if scenario.traction is None else scenario.traction.shares(len(run.vehicle.wheelsets))
+    friction = min(friction_factor(scenario, run.campaign) * scenario.creep.friction, 1.0)
     return RunningGear(
         parameters=parameters,
         bogie=bogie,
-        creep=replace(running.creep, friction=min(factor * running.creep.friction, 1.0)),
-        wheels=tuple(_wheels(scenario, run, axle) if running.out_of_round else ROUND for axle in axles),
-        traction=tuple(shares[axle] for axle in axles) if running.traction else None,
-        braking=(1.0,) * len(axles) if running.traction else None,
+        creep=replace(scenario.creep, friction=friction),
+        wheels=tuple(_wheels(scenario, run, axle) if scenario.wheels.out_of_round else ROUND for axle in axles),
+        traction=None if shares is None else tuple(shares[axle] for axle in axles),
+        braking=None if shares is None else (1.0,) * len(axles),
         nominal_radii=radii,
     )
 
@@ -325,7 +324,7 @@ def true_suspension(
 def _wheels(scenario: Scenario, run: VehicleRun, axle: int) -> Wheels:
     rng = generator(scenario.seed, Stream.OUT_OF_ROUND, scenario.vehicles.index(run.vehicle), axle, run.campaign)
     left, right = rng.uniform(0.0, 2.0 * np.pi, 2).tolist()
-    return Wheels((scenario.running.out_of_round,) * 2, (left, right))
+    return Wheels((scenario.wheels.out_of_round,) * 2, (left, right))
 
 
 def averaged(table: ContactTable, half_width: float) -> ContactTable:
@@ -347,7 +346,7 @@ def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odomet
     """Return the contact geometry of a wheelset at one mileage of its vehicle."""
     gauges, limit = gauge_grid(track), displacement_limit(scenario, track)
     with _named(scenario, plan):
-        section, step = section_at(scenario, odometer), scenario.running.contact_step
+        section, step = section_at(scenario, odometer), scenario.wheels.contact_step
         return worn_contact(plan, wear_at(plan, odometer), section, gauges, limit, step)
 
 

@@ -24,7 +24,7 @@ from ingest.simulator.axle_motion import DAYS_PER_YEAR, rail_in, wheel_in
 from ingest.simulator.campaign import MARGIN
 from ingest.simulator.drawn_fleet import DynamicsTable, VehicleTable, drawn_serial, impossible_bogies, with_seed
 from ingest.simulator.drawn_plan import DrawnFleet
-from ingest.simulator.running import Creep, CreepTable, RunningPlan, TractionTable, WheelsTable
+from ingest.simulator.running import CreepPlan, TractionPlan, WheelsPlan
 from ingest.simulator.scenario import (
     BusPlan,
     ClassOnFile,
@@ -92,9 +92,9 @@ class ScenarioTable:
     drawn_fleet: DrawnFleet | None = None
     vehicle_errors: VehicleErrors | None = None
     class_on_file: ClassOnFileTable | None = None
-    creep: CreepTable = field(default_factory=CreepTable)
-    wheels: WheelsTable = field(default_factory=WheelsTable)
-    traction: TractionTable | None = None
+    creep: CreepPlan = field(default_factory=CreepPlan)
+    wheels: WheelsPlan = field(default_factory=WheelsPlan)
+    traction: TractionPlan | None = None
 
     def of_file(self, given: Collection[str]) -> Self:
         """Refuse what tables contradict each other in."""
@@ -208,23 +208,8 @@ class ScenarioTable:
             drawn=self.drawn_fleet,
             bogie=bogie,
             class_on_file=None if self.class_on_file is None else self.class_on_file.plan(),
-            running=self._running(),
         )
         return with_seed(scenario, self.seed)
-
-    def _running(self) -> RunningPlan:
-        return taken(
-            RunningPlan,
-            self.wheels,
-            creep=taken(Creep, self.creep),
-            friction=self.creep.friction_plan(),
-            cross_level=self.section.cross_level,
-            load_variation=self.section.load_variation,
-            traction=self.traction is not None,
-            driven_axles=() if self.traction is None else self.traction.driven_axles,
-            stretches=self.creep.stretches,
-            track_blows=self.section.blows,
-        )
 
 
 def builtin_scenarios() -> tuple[str, ...]:

@@ -159,6 +159,9 @@ class SectionPlan(RailFiles):
     rail_growth: Annotated[float, Key(None)] = 0.0
     """m of depth by 100 million gross tonnes, from the first campaign on; not on file."""
     tonnage: Annotated[Positive, Key("tonnage_mgt_per_year")] | None = None  # million gross tonnes a year, on file
+    cross_level: Annotated[Waves, As(CrossLevel)] | None = None
+    load_variation: Annotated[Waves, As(LoadVariation)] | None = None  # std over the mean load
+    blows: TrackBlows | None = None
 
     @property
     def file_inclination(self) -> float:
@@ -168,11 +171,8 @@ class SectionPlan(RailFiles):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SectionTable(SectionPlan):
-    """``[section]``: with what the scenario has elsewhere."""
+    """``[section]``."""
 
-    cross_level: Annotated[Waves, As(CrossLevel)] | None = None
-    load_variation: Annotated[Waves, As(LoadVariation)] | None = None
-    blows: TrackBlows | None = None
     rail_wear_of_file: Annotated[RailWearTable | None, Key("rail_wear")] = None
 
     def of_file(self, given: Collection[str]) -> Self:
