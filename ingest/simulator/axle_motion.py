@@ -303,7 +303,6 @@ def running_gear(scenario: Scenario, run: VehicleRun, axles: Sequence[int]) -> R
         creep=replace(scenario.creep, friction=friction),
         wheels=tuple(_wheels(scenario, run, axle) if scenario.wheels.out_of_round else ROUND for axle in axles),
         traction=None if shares is None else tuple(shares[axle] for axle in axles),
-        braking=None if shares is None else (1.0,) * len(axles),
         nominal_radii=radii,
     )
 

@@ -40,7 +40,6 @@ from ingest.simulator.running import CreepConstants, share_of_linear
 
 STANDSTILL = 0.05  # m/s: below it the wheels stick, and only what is above moves
 AXLE_STATES = 5  # y, y', psi, psi', u of each wheelset
-STATES_ABOVE = 6  # y, y', psi, psi' of the frame, y, y' of the body
 FRAME_PATH = 2  # of the frame and the body, see ``gear_path``
 AXLE_PATH = 7  # of each wheelset
 LEVEL = 8  # columns of the coefficients of a track without cross level, friction and load
@@ -55,7 +54,7 @@ SEEN = (
     "gauge_deviation",
 )
 
-# Inlined by numba: they have more arguments than registers, and are called once in the source.
+# inlined by numba: handing over a hundred parameters would take longer than the work, and each is called in one place
 stepped = compiled(nogil=True, error_model="numpy", inline="always")
 
 
@@ -304,6 +303,7 @@ def creep_forces(
     load = c.load * place.load
     f11, f22, f23, f33 = c.f11, c.f22, c.f23 * place.load, c.f33
     if place.load != 1.0:
+        # powers take a tenth of the time of a step
         share = place.load ** (2.0 / 3.0)
         f11, f22, f33 = share * f11, share * f22, share * share * f33
     bound = creep.friction * place.friction * 0.5 * load

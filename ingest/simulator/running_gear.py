@@ -73,8 +73,8 @@ class RunningGear:
     """One or two wheelsets with what is above them, and how their wheels roll.
 
     ``parameters`` are those of one wheelset. Without ``bogie`` its suspended mass is above it, which does not yaw.
-    The share of the traction (braking) force of the vehicle on each axle is over that of an even distribution; None:
-    the speed is forced, and uses no creep.
+    The share of the vehicle's traction force on each axle is over that of an even distribution, and all axles brake
+    alike; None: the speed is forced, and uses no creep.
     """
 
     parameters: VehicleParameters = field(default_factory=VehicleParameters)
@@ -83,7 +83,6 @@ class RunningGear:
     wheels: tuple[Wheels, ...] = (ROUND, ROUND)  # of each axle
     nominal_radii: tuple[float, ...] = ()  # m, of each axle; empty: those of ``parameters``
     traction: tuple[float, ...] | None = None
-    braking: tuple[float, ...] | None = None
 
     @property
     def axles(self) -> int:
@@ -130,7 +129,7 @@ class RunningGear:
             r0=self.nominal_radii[axle] if self.nominal_radii else p.nominal_radius,
             x=self.places[axle],
             traction=0.0 if self.traction is None else mass * self.traction[axle],
-            braking=0.0 if self.braking is None else mass * self.braking[axle],
+            braking=0.0 if self.traction is None else mass,
             wheels=self.wheels[axle],
         )
 
@@ -171,7 +170,7 @@ def simulate_gear(
         path, sensed = gear_path(gear, track.curves, track.s, middle, speed)
     out = np.empty((gear.axles, len(OUTPUTS), len(speed)))
     state = _start(gear, track, start, float(speed[0])) if initial is None else np.array(initial, np.float64)
-    integrate(_on_track(gear, prepared, track), speed, middle, path, STEP, _parts(gear, speed), state, out)
+    integrate(_on_track(gear, prepared, track), speed, middle, path, _parts(gear, speed), state, out)
     out.flags.writeable = False
     mass_roll = out[:, OUTPUTS.index("roll")].mean(axis=0)  # it rests on the axles
     motions = []

@@ -161,9 +161,9 @@ def _true_signals(
         return signals
     longitudinal = np.gradient(motion.speed, STEP)
     turned = in_sensor_axes(np.stack(signals), longitudinal, errors, gravity=node.measures_gravity)
-    late, n = sampled_late(turned, errors.skew, STEP), len(motion)
+    late, n = sampled_late(turned, errors.skew), len(motion)
     if errors.vibration is not None:
-        late += vibration_of(errors.vibration, n, STEP, rng)
+        late += vibration_of(errors.vibration, n, rng)
     drift = np.outer(errors.scale_drift, np.linspace(0.0, 1.0, n))
     return list(np.asarray(late * (errors.scale[:, None] + drift)))
 

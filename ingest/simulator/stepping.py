@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimation.values.arrays import FloatArray, IntArray
+from ingest.simulator.motion import STEP
 from ingest.simulator.rates import AXLE_STATES, SEEN, STANDSTILL, GearConstants, GearOnTrack, gear_rates, stepped
 
 OUTPUTS = (
@@ -29,7 +30,6 @@ def integrate(
     speed: FloatArray,
     distance: FloatArray,
     path: FloatArray,
-    step: float,
     parts: IntArray,
     state: FloatArray,
     out: FloatArray,
@@ -46,8 +46,8 @@ def integrate(
     trial, rates, total = np.zeros_like(state), np.zeros_like(state), np.zeros_like(state)
     forced, seen = path[0].copy(), np.zeros((gear.g.n_axles, len(SEEN)))
     for i in range(len(speed)):
-        following, h = min(i + 1, len(speed) - 1), step / parts[i]
-        slope = (speed[following] - speed[i]) / step
+        following, h = min(i + 1, len(speed) - 1), STEP / parts[i]
+        slope = (speed[following] - speed[i]) / STEP
         if speed[i] < STANDSTILL:
             stick(gear.g, state)
         for part in range(parts[i]):
@@ -56,7 +56,7 @@ def integrate(
                 t = (part + share) * h
                 if len(path) > 1:
                     for k in range(len(forced)):
-                        forced[k] = path[i, k] + t / step * (path[following, k] - path[i, k])
+                        forced[k] = path[i, k] + t / STEP * (path[following, k] - path[i, k])
                 add(state, share * h, rates, trial)
                 v, s = speed[i] + slope * t, distance[i] + (speed[i] + 0.5 * slope * t) * t
                 gear_rates(gear, v, slope, s, forced, trial, rates, seen)

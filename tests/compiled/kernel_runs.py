@@ -223,7 +223,7 @@ def _running_gears() -> Iterator[FloatArray]:
     bogie = BogieParameters(2.5, frame_mass=2e3, frame_yaw_inertia=2e3, body_mass=1e4)
     wheels = (Wheels((1e-4, 0.0), (1.0, 0.0)),) * 2
     for law in CreepLaw:
-        gear = RunningGear(VehicleParameters(), bogie, Creep(law), wheels, traction=(1.0, 1.0), braking=(1.0, 1.0))
+        gear = RunningGear(VehicleParameters(), bogie, Creep(law), wheels, traction=(1.0, 1.0))
         for motion in simulate_gear(gear, [cones, cones], track, speed, 5.0):
             yield from (motion.lateral_displacement, motion.yaw, motion.mass_lateral_acceleration, motion.roll_rate)
     (round_wheels,) = simulate_gear(RunningGear(), [cones], replace(track, surface=None), speed, 5.0)

@@ -69,7 +69,7 @@ def test_braking_uses_up_the_friction_that_steers() -> None:
     start = np.zeros(11)
     start[0] = 1e-3
     braked = np.maximum(20.0 - 2.0 * np.arange(3000) * 1e-3, 0.0)  # 2 m/s2 of a friction of 0.3
-    gear = RunningGear(P, creep=JOHNSON, traction=(1.0,), braking=(1.0,))
+    gear = RunningGear(P, creep=JOHNSON, traction=(1.0,))
     alone = RunningGear(P, creep=JOHNSON)
     rates = [simulate_gear(item, [cones(0.2)], level(), braked, 20.0, initial=start)[0].yaw for item in (gear, alone)]
     assert np.abs(rates[0][:1500]).max() < 0.95 * np.abs(rates[1][:1500]).max()
@@ -149,9 +149,7 @@ def test_a_stiff_bogie_runs_at_60_m_per_second_with_all_of_it() -> None:
     stiff = VehicleParameters(yaw_stiffness=62.8e6, lateral_stiffness=9e6, load=110e3)
     coach = replace(BOGIE, secondary_lateral_stiffness=0.3e6, secondary_lateral_damping=60e3, secondary_yaw_damping=1e6)
     wheels = (Wheels((1e-4, 1e-4), (1.0, 2.0)),) * 2
-    gear = RunningGear(
-        stiff, coach, replace(POLACH, adhesion=1.0, slip=0.4), wheels, traction=(2.0, 0.0), braking=(1.0, 1.0)
-    )
+    gear = RunningGear(stiff, coach, replace(POLACH, adhesion=1.0, slip=0.4), wheels, traction=(2.0, 0.0))
     speed = 60.0 + np.sin(np.arange(12_000) / 4000.0)
     for motion in simulate_gear(gear, [cones(0.05)] * 2, replace(track, surface=shaken), speed, 20.0):
         assert np.abs(motion.relative_displacement).max() < 12e-3

@@ -61,7 +61,7 @@ def test_every_key_gets_into_the_running_gear_and_the_track(tmp_path: Path) -> N
     assert gears[0].creep.friction != gears[1].creep.friction
     assert gears[0].wheels[0].amplitude == (1e-4, 1e-4)
     assert gears[0].wheels[0].phase[0] != gears[0].wheels[0].phase[1]
-    assert (gears[0].traction, gears[0].braking) == ((3.0,), (1.0,))
+    assert gears[0].traction == (3.0,)
     run = vehicle_run(scenario, track, vehicle, 0)
     motion = wheelset_motion(scenario, track, run, 0)
     line = replace(scenario, traction=None)

@@ -123,7 +123,7 @@ def test_a_late_node_sees_a_tone_later() -> None:
     t = STEP * np.arange(4000)
     tone = np.sin(2.0 * np.pi * 5.0 * t)[None, :]
     for skew in (2e-3, 1.3e-3, -2.4e-3):
-        seen = sampled_late(tone, skew, STEP)[0]
+        seen = sampled_late(tone, skew)[0]
         inner = slice(10, -10)
         np.testing.assert_allclose(seen[inner], np.sin(2.0 * np.pi * 5.0 * (t + skew))[inner], atol=2e-4)
 
@@ -144,7 +144,7 @@ def test_an_offset_grows_with_time(motion: WheelsetMotion) -> None:
 
 def test_vibration_has_its_root_mean_square_and_its_band() -> None:
     vibration = Vibration(10.0, 4.0, 0.1, 20.0, 400.0)
-    values = vibration_of(vibration, 300_000, STEP, np.random.default_rng(3))
+    values = vibration_of(vibration, 300_000, np.random.default_rng(3))
     np.testing.assert_allclose(values[:, 1000:].std(axis=1), [10.0, 4.0, 4.0, 1.0], rtol=0.02)
     frequency, power = welch(values[0], 1000.0, nperseg=2000)
     assert power[frequency < 8.0].max() < 1e-3 * power[(frequency > 40.0) & (frequency < 300.0)].mean()
