@@ -17,7 +17,7 @@ from estimation.contact.conicity import equivalent_conicity, nonlinearity_parame
 from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, refined_curve
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.wear import TreadWear, worn, worn_rail
+from estimation.contact.wear import RailWear, TreadWear, worn, worn_rail
 from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleParameters
@@ -29,21 +29,16 @@ from ingest.simulator.rates import ROUND, Wheels
 from ingest.simulator.running import CONTACT_STEP
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, WheelsetPlan, generator
-from ingest.simulator.section import MGT_OF_GROWTH, SectionPlan
+from ingest.simulator.section import SectionPlan
 from ingest.simulator.track import TrackTruth
-
-DAYS_PER_YEAR = 365.25
 
 
 def section_at(scenario: Scenario, odometer: float) -> SectionPlan:
     """Return the section as its rails are when the vehicles' odometer stands at ``odometer``, m."""
     section, sessions = scenario.section, scenario.sessions
     days = (odometer - sessions.first_odometer) / sessions.distance_per_day
-    gained = section.rail_growth * (section.tonnage or 0.0) / MGT_OF_GROWTH * days / DAYS_PER_YEAR
-    if gained == 0.0:
-        return section
-    left, right = (one and replace(one, depth=one.depth + gained) for one in section.rail_wear)
-    return replace(section, rail_wear=(left, right))
+    wear = section.rail_wear and section.rail_wear.after(section.tonnage or 0.0, days)
+    return replace(section, rail_wear=wear)
 
 
 @lru_cache(maxsize=256)
@@ -71,9 +66,13 @@ def rails_of(section: SectionPlan) -> tuple[Profile, Profile, float]:
             rail_profile(section.rail_profile) if path is None else rail_in(path, mirror)
             for path, mirror in zip(section.rail_files, section.rail_mirrors, strict=True)
         )
-    of_left, of_right = section.rail_wear
-    left = left if of_left is None else worn_rail(left, of_left)
-    return left, right if of_right is None else worn_rail(right, of_right), inclination
+    wear = section.rail_wear
+    if wear is not None:
+        left, right = (
+            worn_rail(rail, RailWear(depth, wear.centre, wear.half_width))
+            for rail, depth in zip((left, right), wear.depths, strict=True)
+        )
+    return left, right, inclination
 
 
 AMPLITUDES = tuple(float(a) for a in np.arange(2, 21) * 0.25e-3)  # m
