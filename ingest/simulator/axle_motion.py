@@ -257,22 +257,15 @@ def axle_motions(
     track: TrackTruth,
     run: VehicleRun,
     axles: Sequence[int],
-    tables: Sequence[ContactTable | None],
+    tables: Sequence[ContactTable],
 ) -> tuple[WheelsetMotion, ...]:
-    """Return the true motion of the wheelsets at ``axles`` (from 0), which move together, over ``run``.
-
-    Contact geometry that is None is computed here.
-    """
-    found = [
-        contact_of(scenario, track, run.vehicle.wheelsets[axle], run.odometer).table if table is None else table
-        for axle, table in zip(axles, tables, strict=True)
-    ]
+    """Return the true motion of the wheelsets at ``axles`` (from 0), which move together, over ``run``."""
     start = float(run.distance[0]) - run.vehicle.axle_offsets[axles[0]]
-    contacts = [averaged(table, scenario.wheels.contact_half_width) for table in found]
+    contacts = [averaged(table, scenario.wheels.contact_half_width) for table in tables]
     gear = running_gear(scenario, run, axles)
     track = with_stretches(track, scenario.creep, run.campaign, gear.creep.friction)
     motions = simulate_gear(gear, contacts, track, run.speed, start)
-    for axle, table, motion in zip(axles, found, motions, strict=True):
+    for axle, table, motion in zip(axles, tables, motions, strict=True):
         at = first_climb(table, motion)
         if at is None:
             continue

@@ -249,7 +249,8 @@ def _group(
             seen, vehicle = seen_from_ahead(scenario, plan)
             ahead = replace(run, vehicle=vehicle, distance=run.distance + length_ahead(plan))
             places = tuple(len(vehicle.wheelsets) - 1 - axle for axle in reversed(group))
-            motions = axle_motions(seen, track, ahead, places, [None] * len(places))[::-1]
+            turned = [contact_of(seen, track, vehicle.wheelsets[place], run.odometer).table for place in places]
+            motions = axle_motions(seen, track, ahead, places, turned)[::-1]
         else:
             motions = axle_motions(scenario, track, run, group, [contact.table for contact in contacts])
         for found, axle, motion, works in zip(records, group, motions, working, strict=True):
