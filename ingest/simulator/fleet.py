@@ -43,7 +43,7 @@ from ingest.simulator.campaign import (
     with_margins,
 )
 from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less_wear
-from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, generator, seed_of
+from ingest.simulator.scenario import SECOND_NS, Scenario, Stream, VehiclePlan, generator, seed_of
 from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, write_registry, write_truth
 from ingest.simulator.track import TrackTruth, from_zero, make_track, read_track
@@ -282,7 +282,7 @@ def _write(
     batch: FrameBatch,
     truths: tuple[WheelsetTruth, ...],
 ) -> Recording:
-    start = datetime.fromtimestamp(scenario.start_ns(vehicle, campaign) // 1_000_000_000, tz=UTC).strftime(STAMP)
+    start = datetime.fromtimestamp(scenario.start_ns(vehicle, campaign) // SECOND_NS, tz=UTC).strftime(STAMP)
     path = out / vehicle.code / f"{vehicle.code}__{start}.blf"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_blf(path, batch)

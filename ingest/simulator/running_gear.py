@@ -13,7 +13,6 @@ from scipy.interpolate import CubicSpline
 from estimation.contact.geometry import ContactTable
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, IntArray, frozen_array
-from estimation.vehicle.regressors import creep_rate
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, GRAVITY, BogieParameters, VehicleParameters
 from ingest.simulator.motion import STEP, WheelsetMotion, time_derivative, travelled
 from ingest.simulator.rates import (
@@ -267,10 +266,16 @@ def _on_track(gear: RunningGear, tables: Sequence[PreparedTable], track: TrackTr
     )
 
 
+def creep_rate(parameters: VehicleParameters) -> float:
+    """Return the fastest decay rate of the creep modes at 1 m/s, 1/s: it grows without limit as the speed falls."""
+    p = parameters
+    lateral = 2.0 * p.lateral_creep_coefficient / p.wheelset_mass
+    return max(lateral, 2.0 * p.half_contact_distance**2 * p.longitudinal_creep_coefficient / p.yaw_inertia)
+
+
 def _parts(gear: RunningGear, speed: FloatArray) -> IntArray:
     """Return into how many parts (n,) the step behind each sample is divided; one behind the last."""
-    p = gear.parameters
-    rate = creep_rate(p, 1.0)  # at 1 m/s: it falls with speed
+    p, rate = gear.parameters, creep_rate(gear.parameters)
     if gear.free_rolling:
         rolling = 2.0 * p.longitudinal_creep_coefficient * p.nominal_radius**2 / p.pitch_inertia
         rate = max(rate, rolling * RATE_LIMIT / ROLLING_LIMIT)
