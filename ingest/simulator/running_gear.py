@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from estimation.contact.geometry import ContactTable
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, IntArray, frozen_array
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, GRAVITY, BogieParameters, VehicleParameters
+from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, VehicleParameters
 from ingest.simulator.motion import STEP, WheelsetMotion, time_derivative, travelled
 from ingest.simulator.rates import (
     AXLE_PATH,
@@ -86,13 +86,12 @@ class RunningGear:
     @property
     def axles(self) -> int:
         """How many wheelsets there are."""
-        return 1 if self.bogie is None else AXLES_OF_A_BOGIE
+        return len(self.places)
 
     @property
     def places(self) -> tuple[float, ...]:
         """How far each axle is ahead of the middle, m."""
-        half = 0.0 if self.bogie is None else 0.5 * self.bogie.wheelbase
-        return (0.0,) if self.bogie is None else (half, -half)
+        return (0.0,) if self.bogie is None else (0.5 * self.bogie.wheelbase, -0.5 * self.bogie.wheelbase)
 
     @property
     def free_rolling(self) -> bool:
@@ -136,8 +135,7 @@ class RunningGear:
         """Return a bound of the natural angular frequencies and decay rates without creep, 1/s."""
         p, b = self.parameters, self.bogie
         above, inertia = (p.suspended_mass, np.inf) if b is None else (b.frame_mass, b.frame_yaw_inertia)
-        arm = 0.0 if b is None else 0.5 * b.wheelbase
-        inverse = [1.0 / p.wheelset_mass + self.axles * (1.0 / above + arm**2 / inertia)]
+        inverse = [1.0 / p.wheelset_mass + self.axles * (1.0 / above + self.places[0] ** 2 / inertia)]
         inverse.append(1.0 / p.yaw_inertia + self.axles / inertia)
         springs, dampers = (p.lateral_stiffness, p.yaw_stiffness), (p.lateral_damping, p.yaw_damping)
         pairs = zip(inverse, springs, dampers, strict=True)
