@@ -230,11 +230,12 @@ def contact_at(gear: GearOnTrack, axle: int, place: Place, s: float, speed: floa
         return Contact(left, right, angle_left, angle_right, roll, 0.0)
     rate = roll_x * (v - speed * place.alignment_slope) + speed * (roll_e * place.gauge_slope + place.roll_slope)
     if c.wheels != ROUND:
-        (more, other), angle = c.wheels.amplitude, s / c.r0
-        at_left, at_right = angle + c.wheels.phase[0], angle + c.wheels.phase[1]
-        more_left, more_right = more * math.sin(at_left), other * math.sin(at_right)
+        (size_left, size_right), (phase_left, phase_right) = c.wheels
+        turn_left, turn_right = s / c.r0 + phase_left, s / c.r0 + phase_right
+        more_left, more_right = size_left * math.sin(turn_left), size_right * math.sin(turn_right)
         left, right, roll = left + more_left, right + more_right, roll + (more_left - more_right) / (2.0 * c.half)
-        rate += speed / c.r0 * (more * math.cos(at_left) - other * math.cos(at_right)) / (2.0 * c.half)
+        swing = size_left * math.cos(turn_left) - size_right * math.cos(turn_right)
+        rate += speed / c.r0 * swing / (2.0 * c.half)
     return Contact(left, right, angle_left, angle_right, roll, rate)
 
 
