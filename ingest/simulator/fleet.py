@@ -43,7 +43,7 @@ from ingest.simulator.campaign import (
     with_margins,
 )
 from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less_wear
-from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, generator, seed_of
+from ingest.simulator.scenario import SECOND_NS, Scenario, Stream, VehiclePlan, generator, seed_of
 from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, write_registry, write_truth
 from ingest.simulator.track import TrackTruth, from_zero, make_track, read_track
@@ -249,7 +249,8 @@ def _group(
             seen, vehicle = seen_from_ahead(scenario, plan)
             ahead = replace(run, vehicle=vehicle, distance=run.distance + length_ahead(plan))
             places = tuple(len(vehicle.wheelsets) - 1 - axle for axle in reversed(group))
-            motions = axle_motions(seen, track, ahead, places, [None] * len(places))[::-1]
+            turned = [contact_of(seen, track, vehicle.wheelsets[place], run.odometer).table for place in places]
+            motions = axle_motions(seen, track, ahead, places, turned)[::-1]
         else:
             motions = axle_motions(scenario, track, run, group, [contact.table for contact in contacts])
         for found, axle, motion, works in zip(records, group, motions, working, strict=True):
@@ -281,7 +282,7 @@ def _write(
     batch: FrameBatch,
     truths: tuple[WheelsetTruth, ...],
 ) -> Recording:
-    start = datetime.fromtimestamp(scenario.start_ns(vehicle, campaign) // 1_000_000_000, tz=UTC).strftime(STAMP)
+    start = datetime.fromtimestamp(scenario.start_ns(vehicle, campaign) // SECOND_NS, tz=UTC).strftime(STAMP)
     path = out / vehicle.code / f"{vehicle.code}__{start}.blf"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_blf(path, batch)

@@ -20,7 +20,7 @@ from ingest.file_value import Counted, between, written
 from ingest.input_file import NotNegative, Positive, field_error
 from ingest.simulator.drawn_plan import DrawnFleet
 from ingest.simulator.motion import MINIMUM_SPEED
-from ingest.simulator.running import RunningPlan
+from ingest.simulator.running import CreepPlan, TractionPlan, WheelsPlan
 from ingest.simulator.section import SectionPlan, SideFiles
 from ingest.simulator.sensors import SensorNode
 
@@ -254,7 +254,9 @@ class Scenario:
     vehicle_errors: VehicleErrors | None = None  # None: vehicles have ``parameters`` exactly
     bogie: BogieParameters | None = None  # None: single wheelsets
     class_on_file: ClassOnFile | None = None  # None: that of ``parameters``
-    running: RunningPlan = field(default_factory=RunningPlan)
+    creep: CreepPlan = field(default_factory=CreepPlan)
+    wheels: WheelsPlan = field(default_factory=WheelsPlan)
+    traction: TractionPlan | None = None  # None: the speed is forced, and uses no creep
 
     @property
     def pair(self) -> str:
