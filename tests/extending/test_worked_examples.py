@@ -68,7 +68,8 @@ def test_the_example_works(extended: Path, tmp_path: Path, example: str) -> None
 FILES = {
     "An alert rule": 3,
     "A stage": 3,
-    "A REST resource": 2,
+    "A REST resource": 3,
+    "A number of every window": 8,
     "One more number of a geometry": 3,
     "An estimator": 2,
     "A log format": 2,
