@@ -27,6 +27,7 @@ from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.numerics_version import NUMERICS_VERSION
 from estimation.rails.cell import RailsParameters
 from estimation.storage import Clock
+from estimation.values.units import SECOND_NS
 from fleet_db.keeping.purge import purge_job
 from fleet_db.keeping.retention import Retention
 from fleet_db.migrate import check_head
@@ -40,7 +41,7 @@ from ingest.own_bus.loading import load_own_bus
 from ingest.reassembly import ASSEMBLY
 from ingest.receipts import Announce, ChunkStorage, to_nobody
 from ingest.receiver import Receiver
-from ingest.stored_settings import SECOND_NS, bus_choice, check_window_length, claim
+from ingest.stored_settings import bus_choice, check_window_length, claim
 from ingest.topic.client import Topic, load_properties
 from ingest.topic.references import Publisher
 from ingest.vehicle_class_schema import class_of_package

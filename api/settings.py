@@ -14,6 +14,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from estimation.errors import ParameterError
 from estimation.rails.cell import RailsParameters
+from estimation.values.units import SECOND_NS
 from fleet_db.keeping.retention import Kept, Retention
 from ingest.input_file import InputTable, read_toml
 
@@ -33,9 +34,6 @@ def names_endpoint(url: str) -> bool:
     parts = urlsplit(url)
     plain = "@" not in parts.netloc and not parts.path.strip("/") and not parts.query and not parts.fragment
     return parts.scheme in {"http", "https"} and bool(parts.hostname) and plain
-
-
-SECOND_NS = 1_000_000_000
 
 
 def known_sections(text: str) -> list[tuple[str, int]]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from sqlalchemy import Connection, Insert, Table, case, func, insert, literal, select
 
 from api.settings import Settings
-from bench.idle_opinions import DAY_NS, KEPT_BYTES, opinions_copied, put_friction
+from bench.idle_opinions import KEPT_BYTES, opinions_copied, put_friction
 from bench.wheelset_recording import recorded
 from bench.wheelset_year import SERIAL, At, WheelsetYear
 from estimation.jobs.catalogue import ALL_STAGES, job_named
@@ -26,6 +26,7 @@ from estimation.jobs.steps.epoch_inputs import FileLookup, given
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobTrigger, Mark
 from estimation.values.track import AlignmentSource, FoldState, TrackEpoch
+from estimation.values.units import DAY_NS
 from fleet_db.due import DUE
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork

@@ -16,6 +16,7 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.steps.signature_windows import ASSUMED
 from estimation.values.registry import Mounting
 from estimation.values.runs import Mark
+from estimation.values.units import DAY_NS
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables.windows import (
@@ -27,7 +28,6 @@ from fleet_db.tables.windows import (
 )
 
 KEPT_BYTES = 500
-DAY_NS = 86_400_000_000_000
 CREEP, DAMPERS = table_of(WindowAdhesionRow), table_of(WindowDamperRow)
 SIGNATURES, CELLS = table_of(WearSignatureRow), table_of(RailCellRow)
 OF_SECTIONS = ((table_of(SectionAdhesionRow), "track_section"),)

@@ -23,8 +23,9 @@ from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 from estimation.values.track import TrackAlignment
+from estimation.values.units import GRAVITY
 from estimation.values.windows import Window, WindowQuality
-from estimation.vehicle.vehicle_class import GRAVITY, VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass
 from ingest.simulator.axle_motion import axle_motions, contact_of, true_geometry
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
 from ingest.simulator.drawn_fleet import with_seed

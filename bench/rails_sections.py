@@ -18,9 +18,10 @@ from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import wheel_profile
 from estimation.contact.wear import RailWear
 from estimation.values.arrays import FloatArray
+from estimation.values.units import DAY_NS
 from ingest.simulator.axle_motion import rails_of
 from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.scenario import DAY_NS, Scenario, SectionPlan, VehicleErrors
+from ingest.simulator.scenario import Scenario, SectionPlan, VehicleErrors
 from ingest.simulator.scenario_file import load_scenario
 
 TEMPLATE = Path(__file__).parent / "rails_scenarios" / "sections.toml"

@@ -20,9 +20,10 @@ from estimation.jobs import refresh_rails
 from estimation.jobs.settings import KnownSection, RailsSettings
 from estimation.values.opinions import SECTION_RAILS
 from estimation.values.quantities import Estimate
+from estimation.values.units import DAY_NS
 from ingest.simulator.axle_motion import section_at
 from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.scenario import DAY_NS, Scenario, VehiclePlan
+from ingest.simulator.scenario import Scenario, VehiclePlan
 from ingest.simulator.scenario_file import load_scenario
 
 CAMPAIGNS = 5

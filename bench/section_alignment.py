@@ -11,8 +11,8 @@ import numpy as np
 from estimation.filters import high_pass, local_cubic_kernel
 from estimation.motion.window_motion import deconvolved
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.quantities import NORMAL_95
 from estimation.values.track import TrackAlignment
+from estimation.values.units import NORMAL_95
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.track import TrackTruth

@@ -17,6 +17,7 @@ from estimation.signatures.window_signatures import SignatureParameters, window_
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason
 from estimation.values.signatures import ConicitySource, LibraryEntry, Place, Signature
+from estimation.values.units import DAY_NS
 from estimation.values.windows import Window, WindowQuality
 from estimation.vehicle.vehicle_class import Arrangement, VehicleClass, VehicleParameters
 from ingest.simulator.motion import STEP, PreparedTable, WheelsetMotion, simulate_wheelset
@@ -45,7 +46,6 @@ PAIRS = {
     WearFamily.P8_ON_56E1: ("P8", "56E1", 1 / 20),
     WearFamily.S1002_ON_60E1: ("S1002", "60E1", 1 / 40),
 }
-DAY_NS = 86_400_000_000_000
 POSITION_STD = 10.0  # m, of a run
 SPEEDS_TRIED = 10  # until a wheelset stays within its contact table
 

@@ -9,21 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.signature_cases import (
-    DAY_NS,
-    LENGTH,
-    Pass,
-    Simulated,
-    SimulatedFleet,
-    Wheelset,
-    run,
-    run_within,
-    tracks,
-    wheelsets,
-)
+from bench.signature_cases import LENGTH, Pass, Simulated, SimulatedFleet, Wheelset, run, run_within, tracks, wheelsets
 from bench.signature_foreign import foreign
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.signatures import Place
+from estimation.values.units import DAY_NS
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 
 

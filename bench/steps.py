@@ -15,7 +15,7 @@ import numpy as np
 from bench.report import BenchRow, printed
 from bench.results_page import ended
 from bench.steps_ideal import MODEL, odds
-from bench.steps_lives import DAY_NS, HISTORIES, LIMIT, Case, Life, life
+from bench.steps_lives import HISTORIES, LIMIT, Case, Life, life
 from bench.steps_suspension import suspension_rows
 from bench.steps_turned import turned_rows
 from estimation.jobs.refresh_trends import trend_of
@@ -23,6 +23,7 @@ from estimation.trend.extrapolation import conicity_points
 from estimation.trend.trend import TrendParameters, newest_step
 from estimation.trend.wear_curve import fit_wear_curve
 from estimation.values.trend import TrendStep
+from estimation.values.units import DAY_NS
 
 TITLE = "Sudden changes of conicity, curve and suspension"
 SEED, LIVES, QUIET_LIVES, RIVAL_LIVES, TROUBLED_LIVES = 20_000, 24, 420, 24, 4

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from bench.report import BenchRow
-from bench.steps_lives import BEGIN_NS, DAY_NS
+from bench.steps_lives import BEGIN_NS
 from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspension_change_finding
 from estimation.trend.suspension import suspension_histories
 from estimation.values.trend import SuspensionFinding
+from estimation.values.units import DAY_NS
 
 VEHICLES, DAYS_APART = 5, 3.0
 HISTORIES = (6, 12, 30)  # findings before the change

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from bench.report import BenchRow
-from bench.steps_lives import BEGIN_NS, DAY_NS
+from bench.steps_lives import BEGIN_NS
 from estimation.alerts.identity import Mistake, Observation, identity_events, reversed_between
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
@@ -23,6 +23,7 @@ from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import DAY_NS
 
 EDGES: FloatArray = 0.25e-3 * np.arange(-14, 15, dtype=np.float64)
 AT = 0.5 * (EDGES[1:] + EDGES[:-1])

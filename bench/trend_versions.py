@@ -17,6 +17,7 @@ from bench.report import BenchRow
 from bench.wheelset_recording import recorded
 from bench.wheelset_year import SERIAL, WheelsetYear
 from estimation.values.trend import TREND
+from estimation.values.units import SECOND_NS
 from fleet_db.migrate import upgrade
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
@@ -24,7 +25,6 @@ from fleet_db.tables.operation import ResultRow
 from tests.postgres_server import SAFE, stoppable_server
 
 VERSIONS, AT_ONCE, ROUNDS, READS = 70_000, 5_000, 11, 40
-SECOND_NS = 1_000_000_000
 REACH_MS = 2.0
 RESULTS = table_of(ResultRow)
 

@@ -16,7 +16,8 @@ from api.comparison.study import TrueWheelset, conicity_errors
 from estimation.accuracy.fleet_accuracy import curve_origin
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
-from estimation.values.quantities import NORMAL_95, Estimate
+from estimation.values.quantities import Estimate
+from estimation.values.units import NORMAL_95
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 
 from estimation.errors import CatalogueError, ParameterError
+from estimation.values.units import SECOND_NS
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.estimated_again import decode_undecoded
 from ingest.catalogue import Catalogue
@@ -19,7 +20,6 @@ from ingest.own_bus.bus import OwnBus
 
 LENGTH, BUSES = "window_length_ns", "buses"
 OTHERS = ""  # stands for the classes without a bus of their own
-SECOND_NS = 1_000_000_000
 CHANGED = "the catalogue of its bus has changed"
 
 

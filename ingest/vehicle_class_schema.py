@@ -18,10 +18,9 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from estimation.errors import InputError, NotFoundError, ParameterError
 from estimation.values.fields import JsonValue
+from estimation.values.units import GRAVITY, STEEL_POISSON_RATIO, STEEL_SHEAR_MODULUS
 from estimation.vehicle.plausibility import (
     RAIL_CONDITION_STD,
-    STEEL_POISSON_RATIO,
-    STEEL_SHEAR_MODULUS,
     ContactRadii,
     ContactRadiiStd,
     check_plausible,
@@ -29,7 +28,6 @@ from estimation.vehicle.plausibility import (
     creep_coefficients,
 )
 from estimation.vehicle.vehicle_class import (
-    GRAVITY,
     Arrangement,
     BogieParameters,
     VehicleClass,

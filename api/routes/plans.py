@@ -17,6 +17,7 @@ from api.services import ServicesDep, require_known
 from api.times import Timestamp, to_rfc3339
 from estimation.values.alerts import Urgency, WorklistRow, WorklistState
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import DAY_NS, MILLIMETRE
 from estimation.worklist.turning_plan import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
 from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistFilter
@@ -113,8 +114,6 @@ def _turning_plan_line(line: PlanLine, row: WorklistRow) -> TurningPlanLine:
 
 
 router = APIRouter(prefix="/v1/plans", tags=["plans"])
-DAY_NS = 86_400_000_000_000
-_MM = 1e-3
 Horizon = Annotated[float, Query(ge=0.0, le=3650.0, description="How far ahead is planned.")]
 Together = Annotated[
     float, Query(ge=0.0, le=3650.0, description="What becomes due so soon after a visit is turned in it.")
@@ -156,7 +155,7 @@ def plan_reprofiling(
         if not documents:
             require_known(unit, fleet=fleet, vehicle=vehicle)
     given = (cut_mm, minimum_radius_mm, axle_difference_mm, bogie_difference_mm, vehicle_difference_mm)
-    limits = DiameterLimits(*(None if value is None else value * _MM for value in given))
+    limits = DiameterLimits(*(None if value is None else value * MILLIMETRE for value in given))
     rows = {row.wheelset.serial: row for row in map(from_document, documents)}
     candidates = [candidate(row, nominal_radii=nominal_radii) for row in rows.values()]
     now_ns = services.clock.now_ns()

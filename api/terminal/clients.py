@@ -22,10 +22,10 @@ from api.webhooks.cloud_events import in_state, make_webhook, place_of, trial_of
 from api.webhooks.sending import RefusedTargetError, sender_of
 from estimation.errors import ParameterError
 from estimation.values.alerts import Severity
+from estimation.values.units import DAY_NS
 from fleet_db.records import ApiKey, AuditEntry, Delivery, Webhook, WebhookState
 from fleet_db.storage import SqlUnitOfWork
 
-DAY_NS = 86_400_000_000_000
 MOST_DAYS = 36_500.0
 KEY_HEAD = ("prefix", "owner", "scopes", "fleets", "created", "expires", "last used", "state")
 

@@ -25,7 +25,6 @@ from estimation.alerts.rules.conicity_limit import SpeedBand
 from estimation.errors import InputError, NotFoundError
 from estimation.jobs.refresh_adhesion import KEPT_NS
 from estimation.jobs.rules_replay import (
-    DAY_NS,
     NOT_REPLAYED,
     Change,
     Difference,
@@ -35,6 +34,7 @@ from estimation.jobs.rules_replay import (
     section_replayed,
 )
 from estimation.values.alerts import Alert
+from estimation.values.units import DAY_NS
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 _Settings = dict[tuple[str, str], str]

@@ -24,13 +24,13 @@ from api.webhooks.sending import Outcome, Sender
 from estimation.errors import NotFoundError, TreadwatchError
 from estimation.storage import Clock
 from estimation.values.alerts import AlertEvent
+from estimation.values.units import SECOND_NS
 from fleet_db.locks import sending_alone
 from fleet_db.records import Delivery, DeliveryState, DisabledReason, Failure, Webhook, WebhookState
 from fleet_db.session import BUSY_TIMEOUT_MS
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.installation import FeedBranch
 
-SECOND_NS = 1_000_000_000
 LONGEST_DIGITS = 9
 
 

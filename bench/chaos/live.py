@@ -12,10 +12,11 @@ from contextlib import closing
 import numpy as np
 
 from api.factory import open_store
-from bench.chaos.live_round import SECOND_NS, LiveRound, acceleration_frames, stored_frames, transmitting
+from bench.chaos.live_round import LiveRound, acceleration_frames, stored_frames, transmitting
 from bench.chaos.part import ChaosSettings
 from bench.chaos.small_deployment import PASSWORD, Databases, databases, faults
 from bench.report import BenchRow
+from estimation.values.units import SECOND_NS
 from ingest.frames import OVERFLOW_ID, FrameBatch, count_dropped, take
 
 KINDS = ("sqlite", "postgresql")

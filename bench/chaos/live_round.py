@@ -17,6 +17,7 @@ import numpy as np
 from api.settings import Settings
 from bench.chaos.small_deployment import until
 from bench.service_environment import environment_of
+from estimation.values.units import SECOND_NS
 from fleet_db.raw import FileRawStore
 from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
@@ -27,7 +28,6 @@ from tests.ingest.vehicle_bus import VEHICLE, Run
 
 CHANNEL = "239.74.163.91"
 PATIENCE_S = 120.0
-SECOND_NS = 1_000_000_000
 OTHERS = 0x500
 """Identifiers from here on are those of other devices on a busy bus, which nobody decodes."""
 

@@ -18,10 +18,11 @@ from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, coni
 from estimation.values.arrays import FloatArray
 from estimation.values.fields import Served
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
-from estimation.values.quantities import NORMAL_95, Estimate, Status
+from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.trend import IdentityChange
+from estimation.values.units import NORMAL_95
 
 
 @dataclass(frozen=True, slots=True)

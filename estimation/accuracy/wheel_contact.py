@@ -20,9 +20,10 @@ from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays
-from estimation.values.fields import IN_MM, Served
-from estimation.values.quantities import NORMAL_95, Estimate, Status, with_interval
+from estimation.values.fields import Served
+from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import IN_MM, NORMAL_95
 
 AMPLITUDES: FloatArray = np.arange(1, 9, dtype=np.float64) * 1e-3  # m
 REACH = 12e-3  # m: an amplitude of 8 mm about a centre that is 4 mm off

@@ -26,11 +26,11 @@ from estimation.motion.checks import moving_samples
 from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, SignalParameters, integrate
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.vehicle_class import (
     AXLES_OF_A_BOGIE,
     CREEP_STD,
-    GRAVITY,
     LOAD_STD,
     STIFFNESS_STD,
     UNSTATED_SCALE_STD,

@@ -36,8 +36,9 @@ from estimation.adhesion.pass_sums import (
 from estimation.motion.checks import MARGIN
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
-from estimation.values.quantities import NORMAL_95, Estimate, Status
+from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import MEDIAN_SQUARE, NORMAL_95
 
 MOST_CREEP = 2.0  # stds of b that all vehicles have in common, from which the shape is asked
 LEAST_SUPPORT = 0.8  # of the squares that an error of linear creep would leave, to be taken for one
@@ -64,7 +65,6 @@ def _left(sums: PassSums, creep: FloatArray, slope: FloatArray) -> float:
 
 LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of a place
 TINY = np.finfo(float).tiny
-MEDIAN_SQUARE = 0.4549  # of a standard normal variable
 NO_BOUND = Reason(ReasonCode.CREEP_TOO_SMALL, "creep shows no upper bound, and axle boxes that vibrate no lower one")
 
 

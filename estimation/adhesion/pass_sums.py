@@ -39,6 +39,7 @@ from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.opinions import INVERSE, LeftOut, WindowAdhesion
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import MEDIAN_ERROR, NORMAL_90, STD_PER_MAD
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +270,6 @@ def _normal(values: FloatArray) -> FloatArray:
 
 BEST = 2.0  # 1/mu of the best rails: what places show below is error
 LOWEST = 0.1  # share of the places that may be below by their errors alone
-BELOW = 1.2816  # stds from the mean to that quantile
 LEAST_COMMON = 0.4  # std of what is common over all that is left: no section shows less
 PLACES_BEFORE = 20.0  # that are worth as much as the expectation that all of it is common
 
@@ -285,7 +285,7 @@ def common_std(sums: PassSums, inverse: FloatArray, creep: FloatArray, slope: Fl
     by_level = usual * level / (sums.by_place(gq) + TINY)
     # in parts of what one pass leaves, from where places seem to be
     beyond = (by_level - BEST) / (one_pass + TINY)
-    shown, places = max(-float(np.quantile(beyond, LOWEST)) / BELOW, LEAST_COMMON), len(beyond)
+    shown, places = max(-float(np.quantile(beyond, LOWEST)) / NORMAL_90, LEAST_COMMON), len(beyond)
     return np.asarray(float(np.sqrt((places * shown**2 + PLACES_BEFORE) / (places + PLACES_BEFORE))) * one_pass)
 
 
@@ -295,10 +295,6 @@ def _left(sums: PassSums, inverse: FloatArray, b: FloatArray, a: FloatArray) -> 
     ge, gg, gq, gx = sums.at(inverse)
     linear = b * (b * qq - 2.0 * eq + 2.0 * gq) + a * (a * xx - 2.0 * ex + 2.0 * gx) + 2.0 * a * b * qx
     return np.asarray(np.maximum(ee + gg - 2.0 * ge + linear, 0.0))
-
-
-MEDIAN_ERROR = 1.2533  # std of a median over that of a mean
-ROBUST = 1.4826  # std over median absolute deviation
 
 
 def creep_levels(
@@ -329,6 +325,6 @@ def creep_levels(
 def _shrunk(exceeds: FloatArray, by_rails: float, likely: float) -> float:
     """Return the median of what places (p,) exceed the usual by, as far as a b of std ``likely`` is its cause."""
     middle = float(np.median(exceeds))
-    spread = ROBUST * float(np.median(np.abs(exceeds - middle)))
+    spread = STD_PER_MAD * float(np.median(np.abs(exceeds - middle)))
     sampled = MEDIAN_ERROR * spread / np.sqrt(len(exceeds))
     return float(middle * likely**2 / (likely**2 + by_rails**2 + sampled**2))

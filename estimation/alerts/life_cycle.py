@@ -22,10 +22,10 @@ from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
 from estimation.values.fields import JsonValue, Served
+from estimation.values.units import DAY_NS
 
 DELAYS = "delays"
 RUN_FROM = "run_from_km"  # among them: mileage of the first of the findings on end that are counted
-DAY_NS = 86_400_000_000_000
 PROBABILITY_BANDS = (0.05, 0.5, 0.8, 0.95, 0.99)
 SEVERITY_RANK = {severity: rank for rank, severity in enumerate(Severity)}
 

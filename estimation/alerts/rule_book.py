@@ -18,7 +18,6 @@ from typing import Annotated, TypeVar
 from annotated_types import Interval
 
 from estimation.alerts.life_cycle import (
-    DAY_NS,
     DELAYS,
     SEVERITY_RANK,
     acknowledgement_ends_ns,
@@ -44,6 +43,7 @@ from estimation.values.fields import JsonValue, Served
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import BEFORE, UNREGISTERED_CHANGE
+from estimation.values.units import DAY_NS, HOUR_NS
 
 SHIPPED = "shipped"  # name of the rules where no file changes them
 DIGEST_LETTERS = 12
@@ -196,7 +196,6 @@ def next_change_ns(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> int | N
     return min((at for at in moments if at >= now_ns), default=None)
 
 
-HOUR_NS = 3_600_000_000_000
 MOST_NAMED = 5  # wheelsets in the evidence
 
 

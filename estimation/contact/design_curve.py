@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from estimation.contact.profiles import HEIGHTS, THICKNESSES, ProfileKind, rail_profile, wheel_profile
 from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, Segment
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
+from estimation.values.units import MILLIMETRE
 
 FARTHEST = 0.3  # mm, median distance of the points, beyond which no design is tried
 SIGNIFICANT = 5.0  # standard deviations of a mean distance that noise does not explain
@@ -33,7 +34,6 @@ POINTS = 300  # that place a design
 FINALISTS = 3
 THICKNESS_STEP = 0.5  # mm
 HEAD_DEPTH = 5.0  # mm below its top, where the middle of a head is taken
-_MILLIMETRE = 1e-3
 _TREADS = ("S1002", "1/40")
 
 _Movement = tuple[float, float, float]  # shift across and down (mm) after a turn about the origin (rad)
@@ -124,7 +124,7 @@ def _different(definitions: Mapping[str, tuple[Segment, ...]]) -> list[str]:
 @cache
 def _design(kind: ProfileKind, name: str) -> tuple[DesignCurve, cKDTree]:
     profile = wheel_profile(name) if kind == "wheel" else rail_profile(name)
-    points = np.column_stack([profile.y, profile.z]) / _MILLIMETRE
+    points = np.column_stack([profile.y, profile.z]) / MILLIMETRE
     tangent = np.column_stack([np.ones(len(profile.y)), profile.slope]) / np.hypot(1.0, profile.slope)[:, np.newaxis]
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     y, z = points.T

@@ -19,6 +19,7 @@ from scipy.optimize import nnls
 
 from estimation.contact.design_curve import DesignCurve
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
+from estimation.values.units import STD_PER_MAD
 
 DEGREE = 5
 ORDER = 3  # of the penalised derivative
@@ -164,7 +165,7 @@ def rough_noise(points: FloatArray, step: int = 1) -> float:
     height = (offset[:, 1] * chord[:, 0] - offset[:, 0] * chord[:, 1]) / length
     bend = np.where(np.abs(share - _MIDDLE) < _MIDDLE, height, 0.0)
     rest = bend[step:-step] - 0.5 * (bend[: -2 * step] + bend[2 * step :])
-    return float(1.4826 * np.median(np.abs(rest)) / np.sqrt(4.375))
+    return float(STD_PER_MAD * np.median(np.abs(rest)) / np.sqrt(4.375))
 
 
 def _first_arc(points: FloatArray) -> tuple[FloatArray, float]:

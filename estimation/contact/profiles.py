@@ -29,7 +29,8 @@ from estimation.contact.wheel_definitions import (
 )
 from estimation.errors import ContactError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array, runs
-from estimation.values.fields import IN_MM, Served
+from estimation.values.fields import Served
+from estimation.values.units import IN_MM, MILLIMETRE
 
 EN13715_NAMES = "EN13715-S1002/h28/e32.5, EN13715-1/40/h28/e32.5 (h 28 to 32, e 28.5 to 32.5, outer slope as /6.7%)"
 """How the designations are written, for messages."""
@@ -176,7 +177,6 @@ TREAD_DATUM = 0.070  # distance of a wheel's tread datum from its flange back, m
 SAMPLING_STEP_MM = 0.05  # distance between the points of an analytic profile, along its surface
 
 _FEWEST_POINTS = 4
-_MILLIMETRE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +260,7 @@ def _named(kind: ProfileKind, name: str, definitions: Mapping[str, tuple[Segment
 
 def _sampled(kind: ProfileKind, name: str, segments: tuple[Segment, ...]) -> Profile:
     y, z, slope = sample(segments, SAMPLING_STEP_MM)
-    return Profile(kind, name, y * _MILLIMETRE, z * _MILLIMETRE, slope)
+    return Profile(kind, name, y * MILLIMETRE, z * MILLIMETRE, slope)
 
 
 def _plain(name: str) -> str:

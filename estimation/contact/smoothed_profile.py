@@ -11,6 +11,7 @@ from estimation.contact.penalised_spline import DEGREE, PenalisedSpline, correla
 from estimation.contact.profiles import Profile, ProfileKind, profile_from_points
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.units import MILLIMETRE, STD_PER_MAD
 
 MOST_POINTS = 4000  # one in 0.05 mm of a wheel's arc: the spacing at which smoothed profiles are given
 
@@ -41,7 +42,6 @@ OUTLIER_ROUNDS = 5
 ALONE = 3  # points to either side, of which only the farthest is left out at a time
 NEIGHBOURHOOD = 40  # points to either side that show the local noise
 NEAR = 15  # points to either side, whose noise is that of the point between them
-_MILLIMETRE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ def smoothed_profile(
     level = correlated_noise(points)[0] if noise_std is None else noise_std
     if level < EXACT_BELOW:
         kept = advancing(points[:, 0], _peak(kind, points[:, 1]))
-        y, z = points[kept].T * _MILLIMETRE
+        y, z = points[kept].T * MILLIMETRE
         return SmoothedProfile(datum_at_zero(profile_from_points(kind, name, y, z)), 0.0)
     chosen = thinned(points)
     try:
@@ -106,7 +106,7 @@ def smoothed_profile(
         spline = fit_spline(points[chosen], weight, noise_std, design)
     profile = _profile(kind, name, spline, spline.coefficients)
     outliers = tuple(int(index) for index in chosen[weight == 0.0])
-    return SmoothedProfile(profile, spline.noise_std * _MILLIMETRE, outliers, spline)
+    return SmoothedProfile(profile, spline.noise_std * MILLIMETRE, outliers, spline)
 
 
 def _without_outliers(points: FloatArray, level: float, noise_std: float | None) -> tuple[PenalisedSpline, FloatArray]:
@@ -168,7 +168,7 @@ def _profile(kind: ProfileKind, name: str, spline: PenalisedSpline, coefficients
     (y, z), (across, down) = point.T, derivative.T
     kept = advancing(y, _peak(kind, z))
     kept = kept[across[kept] * STEEPEST > np.abs(down[kept])]
-    profile = Profile(kind, name, y[kept] * _MILLIMETRE, z[kept] * _MILLIMETRE, down[kept] / across[kept])
+    profile = Profile(kind, name, y[kept] * MILLIMETRE, z[kept] * MILLIMETRE, down[kept] / across[kept])
     return datum_at_zero(profile)
 
 
@@ -184,7 +184,7 @@ def without_spikes(points: FloatArray, level: float) -> FloatArray:
 
 def _limit(residual: FloatArray, weight: FloatArray) -> FloatArray:
     magnitude = np.where(weight > 0.0, np.abs(residual), np.nan)
-    local = 1.4826 * np.nanmedian(_windows(magnitude, NEIGHBOURHOOD), axis=1)
+    local = STD_PER_MAD * np.nanmedian(_windows(magnitude, NEIGHBOURHOOD), axis=1)
     return np.maximum(OUTLIER * local, LEAST_OUTLIER)
 
 

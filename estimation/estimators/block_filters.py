@@ -37,6 +37,7 @@ from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import MILLIMETRE
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import regression
 from estimation.vehicle.vehicle_class import VehicleParameters
@@ -205,7 +206,7 @@ class ExtendedKalman(BlockFilters):
 
     def basis(self, x: FloatArray) -> FloatArray:
         """Return the powers."""
-        return np.vander(x / kernels.MILLIMETRE, len(self.prior.mean), increasing=True)
+        return np.vander(x / MILLIMETRE, len(self.prior.mean), increasing=True)
 
     def filter_block(self, vehicle: VehicleParameters, inputs: Inputs, noise: float) -> Posterior:
         """Return what a block tells of the coefficients."""
@@ -233,8 +234,8 @@ class ParticleFilter(BlockFilters):
     """
 
     prior = Prior(
-        np.array([0.0, 0.5 * STEEPEST * kernels.MILLIMETRE]),
-        np.array([OFFSET_STD, STEEPEST / np.sqrt(12.0) * kernels.MILLIMETRE]),
+        np.array([0.0, 0.5 * STEEPEST * MILLIMETRE]),
+        np.array([OFFSET_STD, STEEPEST / np.sqrt(12.0) * MILLIMETRE]),
     )
     particles: int = 48
     name: str = "particles"
@@ -242,7 +243,7 @@ class ParticleFilter(BlockFilters):
 
     def basis(self, x: FloatArray) -> FloatArray:
         """Return the constant and the line."""
-        return np.column_stack([np.ones(len(x)), x / kernels.MILLIMETRE])
+        return np.column_stack([np.ones(len(x)), x / MILLIMETRE])
 
     def filter_block(self, vehicle: VehicleParameters, inputs: Inputs, noise: float) -> Posterior:
         """Return what a block tells of offset and slope."""
@@ -251,7 +252,7 @@ class ParticleFilter(BlockFilters):
         P = np.tile(np.diag([1.0, 1.0, OFFSET_STD**2]), (self.particles, 1, 1))
         lever = 2 * vehicle.half_contact_distance * vehicle.nominal_radius
         square = kernels.particles(*inputs, noise, lever, slope, mean, P, _draws(self.particles))
-        found = np.column_stack([mean[:, 2], slope * kernels.MILLIMETRE])
+        found = np.column_stack([mean[:, 2], slope * MILLIMETRE])
         covariance = np.cov(found.T, bias=True) + np.diag([P[:, 2, 2].mean(), SMALLEST * self.prior.std[1] ** 2])
         return Posterior(found.mean(axis=0), covariance, square)
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from estimation.compiled import compiled
 from estimation.values.arrays import FloatArray
+from estimation.values.units import MILLIMETRE
 
-MILLIMETRE = 1e-3
 ALIGNMENT = 1e-6  # m, intensity of d' per speed: slopes of 0.6 mm/m over 3 m
 YAW_RATE = 3e-8  # rad2/s, intensity of what psi' has besides: R is measured to 0.03 mm over some 0.05 s
 YAW = 1e-5  # rad, std of psi

@@ -30,6 +30,7 @@ from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import MILLIMETRE
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 from estimation.vehicle.vehicle_class import VehicleParameters
@@ -157,7 +158,6 @@ def _small(gram: FloatArray, ridge: float) -> FloatArray:
 
 
 UNKNOWNS = 3  # f11, f11 R0 and f11 2 lambda, in N, N mm and N
-MILLIMETRE = 1e-3
 LEAST_SHARE = 1e-9  # smallest to largest eigenvalue of scaled sums that still are solved
 LEAST_STIFF = 0.2  # of the creep coefficient on file: below, the moments beside creep say too little
 TARGETS = ("yaw_stiffness", "yaw_inertia", "spin_creep", "saturation")  # what is uncertain beside f11

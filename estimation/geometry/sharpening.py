@@ -48,7 +48,7 @@ from scipy.special import ndtr
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.motion.integration import HIDDEN_SHARE
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-from estimation.values.quantities import NORMAL_95
+from estimation.values.units import NORMAL_95
 from estimation.vehicle.vehicle_class import RAIL_HEAD_RADIUS, VehicleClass
 
 HELD_SLACK = 1e-12  # of the largest gradient: below, an unknown that is held at 0 stays there

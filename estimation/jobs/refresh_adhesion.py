@@ -23,7 +23,6 @@ from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.load_window import certain_stretches
 from estimation.jobs.steps.window_creep import (
-    HOUR_NS,
     CreepInputs,
     CreepOfWindow,
     creep_inputs,
@@ -46,6 +45,7 @@ from estimation.values.opinions import (
     part_of_gear,
 )
 from estimation.values.runs import Facet, SubjectKind
+from estimation.values.units import HOUR_NS
 from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of_text, text_of_key
 
 JOB_NAME = "refresh_adhesion"

@@ -23,7 +23,6 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.jobs.steps.epoch_inputs import Due, EpochSearch, FileLookup, Found, changed_from, otherwise_on_file
 from estimation.jobs.steps.epoch_passes import RunsOnFile, Solved, epoch_passes
-from estimation.jobs.steps.load_window import LATEST_NS
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
 from estimation.jobs.steps.store_alignment import (
     Computed,
@@ -42,6 +41,7 @@ from estimation.track.update import UpdateOutcome, update_alignment
 from estimation.values.runs import Due as Seen
 from estimation.values.runs import Facet, Mark, StageInputs, SubjectKind
 from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
+from estimation.values.units import LATEST_NS
 from estimation.values.windows import DueStage, WindowKey, WindowRecord
 from estimation.vehicle.vehicle_class import ClassOnFile
 

@@ -54,8 +54,8 @@ from estimation.values.registry import WheelsetRecord
 from estimation.values.runs import EVERYTHING, Facet, Result, SubjectKind
 from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import TREND, on_one_side
+from estimation.values.units import DAY_NS
 
-DAY_NS = 86_400_000_000_000
 SAME_GAUGE = 0.3e-3  # m, within which gauges count as alike
 GAUGE_DIGITS = 4  # of a gauge in m
 OTHER_RAILS = Reason(

@@ -33,9 +33,9 @@ from estimation.values.geometry import GeometryRecord, IntervalConicities, inter
 from estimation.values.opinions import SectionAdhesion
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import IDENTITY, IdentityChange, TrendRecord, WearTrend, since_change
+from estimation.values.units import DAY_NS
 from estimation.values.windows import WindowRecord, WindowState
 
-DAY_NS = 86_400_000_000_000
 NOT_REPLAYED = (IDENTITY, SuspensionChangeRule.kind, WeakDamperRule.kind)
 _Trends = Callable[[Sequence[IntervalConicities], float], WearTrend]
 

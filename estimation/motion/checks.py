@@ -21,8 +21,8 @@ from estimation.motion.integration import Gates, IntegratedWindow, SignalParamet
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, runs
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackLayout
+from estimation.values.units import GRAVITY
 from estimation.values.windows import Window, WindowQuality
-from estimation.vehicle.vehicle_class import GRAVITY
 
 GRID_STEP = 1.0  # m, to which a layout is refined before it is looked at
 

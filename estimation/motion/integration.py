@@ -31,8 +31,9 @@ from estimation.compiled import compiled
 from estimation.errors import ParameterError
 from estimation.filters import remove_wander
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS, Window
-from estimation.vehicle.vehicle_class import GRAVITY, RAIL_HEAD_RADIUS, VehicleClass, VehicleParameters, usable_cutoff
+from estimation.vehicle.vehicle_class import RAIL_HEAD_RADIUS, VehicleClass, VehicleParameters, usable_cutoff
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,13 +18,13 @@ import numpy as np
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
 from estimation.values.roll_up import Odometer
+from estimation.values.units import DAY_S, HOUR_S, SECOND_NS
 from estimation.values.windows import MileageReading, WindowRecord
 
-NANOSECONDS = 1_000_000_000
 MOST_KM = 1e8  # of a wheelset; the registry takes no more either
 SLACK_KM = 50.0  # of readings and times that people enter
 FASTER = 1.25  # times the greatest speed on file that a vehicle may run
-PAUSE_NS = 1800 * NANOSECONDS  # between windows that begins a new journey
+PAUSE_NS = 1800 * SECOND_NS  # between windows that begins a new journey
 ALIKE = 2  # journeys that agree with each other are no garbled recording, but an odometer
 
 
@@ -32,7 +32,7 @@ def implausible_mileages(
     readings: Sequence[MileageReading], mounting: Mounting, max_speed_m_s: float
 ) -> Mapping[int, Reason]:
     """Return by start of window why its mileage is not believed; those that are not in it are."""
-    km_per_ns = FASTER * max_speed_m_s / 1000.0 / NANOSECONDS
+    km_per_ns = FASTER * max_speed_m_s / 1000.0 / SECOND_NS
     found: dict[int, Reason] = {}
     left = []
     for reading in sorted(readings, key=lambda one: one.start_ns):
@@ -53,7 +53,7 @@ def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_sp
     """Whether nothing speaks against any reading."""
     # Where that holds of all readings of a mounting it also holds of any of them. So it holds of all and new ones as
     # soon as it holds of the new ones with those beside them.
-    km_per_ns = FASTER * max_speed_m_s / 1000.0 / NANOSECONDS
+    km_per_ns = FASTER * max_speed_m_s / 1000.0 / SECOND_NS
     ordered = sorted(readings, key=lambda one: one.start_ns)
     return all(_follows(*pair, km_per_ns) for pair in pairwise(ordered)) and all(
         _alone(one, mounting, km_per_ns) is None for one in ordered
@@ -147,9 +147,7 @@ def _journeys(readings: Sequence[MileageReading]) -> int:
 
 
 FASTEST_KM_S = 0.15  # that a vehicle runs for an hour
-HOUR_S = 3600.0
 MOST_KM_DAY = 3000.0  # that a vehicle runs on every day
-DAY_S = 86_400.0
 
 
 def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
@@ -181,7 +179,7 @@ def read(at: Odometer, window: WindowRecord) -> Odometer:
     stored = known_mileage(window.mileage_km)
     if math.isnan(stored):
         return at
-    step, most = stored - at.last, most_km((window.start_ns - at.last_ns) / NANOSECONDS)
+    step, most = stored - at.last, most_km((window.start_ns - at.last_ns) / SECOND_NS)
     if 0.0 <= step <= most:
         # rounded twice where the odometer was exchanged once; it never goes back
         return Odometer(stored, max(at.last_km, stored + (at.last_km - at.last)), window.start_ns)

@@ -27,9 +27,10 @@ from estimation.motion.checks import moving_samples, runs_backwards
 from estimation.motion.integration import SignalParameters, bridged, segments
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.roll_up import RollingSums
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.linear_model import ComplexArray
-from estimation.vehicle.vehicle_class import GRAVITY, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
 
 ROWS = 5  # spectra: y'', V psi', phi'', ym'' and psi_f'' of the bogie frame
 TERMS = 7  # the lateral acceleration, then the unknowns

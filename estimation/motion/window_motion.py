@@ -41,6 +41,7 @@ from estimation.motion.rolling_radius_difference import CROSSOVER, STEP, fuse, m
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array, runs
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
+from estimation.values.units import SECOND_NS
 from estimation.values.windows import OF_FRAME, Motion, Window
 from estimation.vehicle.vehicle_class import VehicleParameters, displacement_noise
 
@@ -209,9 +210,6 @@ def gauge_shift(
     return shift
 
 
-NANOSECONDS = 1_000_000_000
-
-
 def motion(
     window: Window,
     track: TrackAlignment,
@@ -246,7 +244,7 @@ def motion(
     refusal = _too_little(valid, integrated, usable, parameters)
     if refusal is not None:
         return refusal
-    seconds = window.start_ns / NANOSECONDS + np.arange(len(valid)) * dt
+    seconds = window.start_ns / SECOND_NS + np.arange(len(valid)) * dt
     block = np.floor(seconds / parameters.block_s).astype(np.int64)
     signals["speed"] = np.where(window.speed > 0, window.speed, np.nan)
     ratio = 1.0 if track.findings is None else track.findings.stiffness_ratio.get(window.vehicle, 1.0)

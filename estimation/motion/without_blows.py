@@ -29,6 +29,7 @@ from scipy.ndimage import binary_closing, binary_dilation, median_filter, unifor
 from scipy.special import betainc
 
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, runs
+from estimation.values.units import MAD_PER_STD
 from estimation.values.windows import ACCELERATIONS, NO_BLOWS, Hunting, TurnBlows, Window
 
 SLOW_S = 0.05  # running mean over this is motion
@@ -40,7 +41,6 @@ TAIL = 0.12  # of the largest nearby: what still rings
 TAIL_STDS = 3.0
 REACH_S = 0.04  # on both sides of a blow, in which it may ring
 GUARD_S = 0.004  # on both sides of what rings
-SAID_BY_MEDIAN = 0.6745  # median of the magnitude of a normal signal over its std
 
 
 def sharp(signals: FloatArray, interval_s: float) -> FloatArray:
@@ -58,7 +58,7 @@ def vibration(sharp_signals: FloatArray, interval_s: float) -> FloatArray:
     size = min(max(round(SCALE_S / interval_s), 1), sharp_signals.shape[1])
     count = max(sharp_signals.shape[1] // size, 1)
     blocks = np.abs(sharp_signals[:, : count * size]).reshape(len(sharp_signals), count, size)
-    stds = np.median(blocks, axis=2) / SAID_BY_MEDIAN
+    stds = np.median(blocks, axis=2) / MAD_PER_STD
     block = np.minimum(np.arange(sharp_signals.shape[1]) // size, count - 1)
     return np.asarray(stds[:, block])
 
@@ -346,7 +346,7 @@ def _fitted(
     a, b, c = summed(mean**2), summed(mean * slope), summed(slope**2)
     p, q = summed(mean * rest), summed(slope * rest)
     determinant = np.maximum(a * c - b * b, 1e-9 * np.maximum(a * c, 1e-12))
-    noise = float(np.median(rest**2)) / SAID_BY_MEDIAN**2
+    noise = float(np.median(rest**2)) / MAD_PER_STD**2
     sizes = np.clip(sizes + (c * p - b * q) / determinant, *SIZES)
     late = np.clip(late + (a * q - b * p) / determinant, -MOST_LATE_S, MOST_LATE_S)
     sizes, late = _shrunk(sizes, noise * c / determinant), _shrunk(late, noise * a / determinant)
@@ -356,5 +356,5 @@ def _fitted(
 def _shrunk(values: FloatArray, variance: FloatArray) -> FloatArray:
     usual = uniform_filter1d(values, AROUND, mode="nearest")
     apart = values - usual
-    true = max(float(np.median(apart**2)) / SAID_BY_MEDIAN**2 - float(np.median(variance)), 0.0)
+    true = max(float(np.median(apart**2)) / MAD_PER_STD**2 - float(np.median(variance)), 0.0)
     return np.asarray(usual + apart * true / np.maximum(true + variance, 1e-30))

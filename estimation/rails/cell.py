@@ -29,6 +29,7 @@ from estimation.values.opinions import (
 )
 from estimation.values.quantities import Estimate, Status, normal_equivalent, parts_of
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import YEAR_NS
 
 
 def section_conicity(
@@ -126,9 +127,6 @@ def _reason(own: Sequence[StoredCell]) -> Reason:
     return max(reasons, key=lambda one: count[one.code])
 
 
-NS_PER_YEAR = 365.25 * 86_400e9
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CellTable:
     """Cells, and what they are of."""
@@ -175,7 +173,7 @@ def cell_table(cells: Sequence[SectionConicity], amplitude: FloatArray) -> CellT
         serial=np.array([of_serial[key.wheelset] for key in wheels], np.int64),
         scale=np.array([cell.scale_std for cell in cells]),
         windows=np.array([cell.windows for cell in cells], np.int64),
-        years=np.array([0.5 * (cell.from_ns + cell.to_ns) for cell in cells]) / NS_PER_YEAR,
+        years=np.array([0.5 * (cell.from_ns + cell.to_ns) for cell in cells]) / YEAR_NS,
         **columns,
     )
 

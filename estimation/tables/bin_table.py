@@ -30,6 +30,7 @@ from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArr
 from estimation.values.geometry import BinTable, FilledCells
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
+from estimation.values.units import STD_PER_MAD
 from estimation.values.windows import Motion, Window
 from estimation.vehicle.regressors import (
     LATERAL_TARGETS,
@@ -337,11 +338,10 @@ def fast_noise(difference: FloatArray, valid: BoolArray) -> float:
         return 0.0
     filled = np.where(known, difference, 0.0)
     fast = filled - uniform_filter1d(filled, FAST_SAMPLES)
-    return (float(np.median(np.abs(fast[known]))) * MEDIAN_TO_STD) ** 2
+    return (float(np.median(np.abs(fast[known]))) * STD_PER_MAD) ** 2
 
 
 FAST_SAMPLES = 17  # at 250 Hz: faster than some 10 Hz
-MEDIAN_TO_STD = 1.4826  # of the absolute value of a normal variable
 
 
 def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameters) -> BinTable:

@@ -31,7 +31,7 @@ from estimation.motion.rolling_radius_difference import fuse, motion_signals
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.registry import WheelsetRecord
-from estimation.values.track import OPEN_NS
+from estimation.values.units import LATEST_NS, SECOND_NS
 from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality, WindowRecord
 from estimation.vehicle.vehicle_class import VehicleParameters
 
@@ -122,9 +122,6 @@ def passes(
     return found
 
 
-NANOSECONDS = 1_000_000_000
-
-
 @dataclass(frozen=True, slots=True)
 class PositionParameters:
     """How far positions may be off."""
@@ -145,7 +142,7 @@ def journeys(passes: Sequence[Pass], parameters: PositionParameters) -> dict[Jou
     for item in sorted(passes, key=lambda p: (p.vehicle, p.start_ns, p.life)):
         end = item.start_ns
         known = last.get(item.vehicle)
-        if known is None or end - known[1] > parameters.pause_s * NANOSECONDS:
+        if known is None or end - known[1] > parameters.pause_s * SECOND_NS:
             journey = (item.vehicle, item.start_ns)
             found[journey] = []
         else:
@@ -293,9 +290,9 @@ class _Journey:
 
 def first_epoch(entries: Sequence[Entry], most_windows: int, most_wheelsets: int, p: PartitionParameters) -> Group:
     """Return the windows of the first epoch of entries by start and wheelset; one journey may be more than the most."""
-    pause_ns, journey_ns = round(p.pause_h * 3600 * NANOSECONDS), round(p.journey_pause_s * NANOSECONDS)
+    pause_ns, journey_ns = round(p.pause_h * 3600 * SECOND_NS), round(p.journey_pause_s * SECOND_NS)
     chosen: list[_Journey] = []
-    count, end_ns, horizon_ns = 0, 0, OPEN_NS
+    count, end_ns, horizon_ns = 0, 0, LATEST_NS
     lives: set[ProfileLife] = set()
     for journey in _journeys(entries, journey_ns, most_windows):
         paused = count >= p.least_windows and journey.first_ns - end_ns > pause_ns

@@ -21,8 +21,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.units import DAY_NS, STD_PER_MAD
 
-DAY_NS = 86_400e9
 BEFORE, BEHIND = 16, 12  # points about a place that decide whether there is a step
 AROUND = 2  # places before and behind the likeliest that share its probability
 BESIDE = 5  # points of which a median shows where a step may be
@@ -33,7 +33,6 @@ NOISE_SHARES = np.geomspace(0.02, 3.0, 9)  # of the stated standard deviations
 USUAL_SHARE, SHARE_SPREAD = 0.15, 0.8  # of the prior, as a median and a standard deviation of the logarithm
 LEVEL_STD = 10.0  # of the level, in standard deviations of a step: as good as flat
 SURELY_OUT = 5.0  # median deviations from a running median with which a point begins as an outlier
-MAD_STD = 1.4826
 MOST_FLIPS = 12
 LEAST_GAIN = 1e-9  # of log evidence: rounding never flips an outlier to and fro
 FAR_FROM = 7.0  # log odds of a step at a place, below which its neighbours are not looked at
@@ -247,7 +246,7 @@ class _Points:
 
     def _begin(self, at: int) -> BoolArray:
         apart = np.concatenate([side - _running_median(side) for side in (self.value[:at], self.value[at:])])
-        scale = MAD_STD * np.median(np.abs(apart)) + self.model.noise_floor
+        scale = STD_PER_MAD * np.median(np.abs(apart)) + self.model.noise_floor
         return np.asarray(np.abs(apart) > SURELY_OUT * scale)
 
     def _variance(self, out: BoolArray) -> FloatArray:

@@ -17,6 +17,7 @@ from estimation.values.geometry import IntervalConicities, KnownConicity
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.trend import TrendPoint, TrendRecord, TrendStep, WearTrend
+from estimation.values.units import STD_PER_MAD, YEAR_NS
 
 TOGETHER = (3, 6, 12)  # last points that are judged together
 JUDGED_SHARE = 3  # at most one in so many of the points
@@ -24,7 +25,6 @@ FEWEST = 6  # points that are left
 DISAGREES = 2.5  # standard deviations of the mean of the last points off the curve
 MOST_OFF = 3.0  # scatters that one point counts for
 LEAST_SCATTER = 0.1  # of the stated standard deviation
-NORMAL_MAD = 1.4826
 
 
 def fit_recent(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCurve:
@@ -52,11 +52,10 @@ def _scatter(value: FloatArray, std: FloatArray) -> FloatArray:
     if len(value) < FEWEST:
         return std
     steps = np.diff(value) / np.hypot(std[1:], std[:-1])
-    share = NORMAL_MAD * float(np.median(np.abs(steps - np.median(steps))))
+    share = STD_PER_MAD * float(np.median(np.abs(steps - np.median(steps))))
     return std * min(1.0, max(LEAST_SCATTER, share))
 
 
-YEAR_NS = 365.25 * 86_400e9
 ONE_DATE = Reason(ReasonCode.SINGLE_DATE, "all points have one date")
 NO_FORECAST = Forecast(None, None, None)
 

@@ -23,6 +23,7 @@ from scipy.special import ndtr
 
 from estimation.values.arrays import FloatArray
 from estimation.values.mixture import NormalMixture
+from estimation.values.units import STD_PER_MAD
 
 MOST_KNOTS = 8
 PAIRS_LIMIT = 500  # points up to which all pairs enter the pilot slope
@@ -123,7 +124,7 @@ def fit_wear_curve(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCur
         raise ValueError("a wear curve needs two points, a span between them and positive standard deviations")
     points = _scale(x, value, std)
     pilot_slope, pilot_std, residual = _pilot(points)
-    inflation = max(1.0, _weighted_median(np.abs(residual) / np.sqrt(points.variance), np.ones(len(x))) * 1.4826)
+    inflation = max(1.0, _weighted_median(np.abs(residual) / np.sqrt(points.variance), np.ones(len(x))) * STD_PER_MAD)
     share = _shares(residual, points.variance * inflation**2)
     scatter, scatter_prior = _scatter_grid(residual)
     bend = BEND_NODES * float(np.hypot(pilot_slope, pilot_std))

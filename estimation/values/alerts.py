@@ -16,6 +16,7 @@ from estimation.values.fields import JsonValue, Served
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import MeaningEnum, Reason, code_of, text_of
 from estimation.values.registry import WheelsetRecord
+from estimation.values.units import SECOND_NS
 
 
 class AlertScope(StrEnum):
@@ -250,7 +251,6 @@ class WorklistRow:
     state: WorklistState
 
 
-SECOND_NS = 1_000_000_000
 MOST_NS = 2.0**63 - SECOND_NS  # so that the rounded time is within 64 bits
 
 

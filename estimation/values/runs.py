@@ -18,6 +18,7 @@ from estimation.errors import (
 from estimation.values.fields import JsonValue, Served
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import SECOND_NS
 
 
 class JobTrigger(StrEnum):
@@ -64,7 +65,6 @@ class Claimed:
     begun_ns: Mapping[str, int] = field(default_factory=dict)  # of ``keys``, by the clock of the claims
 
 
-SECOND_NS = 1_000_000_000
 FIRST_DELAY_S = 60.0
 PASSING_FACTOR, PASSING_LONGEST_S = 2.0, 3_600.0
 FAILED_FACTOR, FAILED_LONGEST_S = 4.0, 86_400.0

@@ -27,6 +27,7 @@ import numpy.typing as npt
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
+from estimation.values.units import GRAVITY
 from estimation.vehicle.regressors import (
     ContactState,
     WheelsetState,
@@ -36,7 +37,7 @@ from estimation.vehicle.regressors import (
     yaw_acceleration,
     yaw_suspension_moment,
 )
-from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, SensorLayout, VehicleClass, VehicleParameters
+from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass, VehicleParameters
 
 ComplexArray = npt.NDArray[np.complex128]
 ANGLE_PER_DIFFERENCE = 67.0  # c, rad/m: touching at 1:20 on a tread of 300 mm

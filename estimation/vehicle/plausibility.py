@@ -16,7 +16,8 @@ import numpy as np
 from scipy import optimize, special
 
 from estimation.errors import ParameterError
-from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, VehicleClass, VehicleParameters
+from estimation.values.units import GRAVITY, STEEL_POISSON_RATIO, STEEL_SHEAR_MODULUS
+from estimation.vehicle.vehicle_class import BogieParameters, VehicleClass, VehicleParameters
 
 UNIT_FACTOR = 1000.0  # mm for m, N/mm for N/m, t for kg, kN for N
 UNIT_FACTORS = UNIT_FACTOR, UNIT_FACTOR**2  # kN/mm for N/m, MN for N
@@ -180,8 +181,6 @@ def _gyration(body: str, value: float, ends: tuple[float, float], *names: str) -
     return PlausibleRange(f"the radius of gyration of the {body} in yaw", "m", value, *ends, names)
 
 
-STEEL_SHEAR_MODULUS = 8.2e10  # G, Pa
-STEEL_POISSON_RATIO = 0.28
 FLATTEST = 1e-3  # semi-axis ratio of an ellipse that is looked for; the table ends at 0.1
 RAIL_CONDITION_STD = 0.10  # relative std of the coefficients on rails as they are, beside the table's
 _ROWS = np.array(  # semi-axis ratio a/b, C11, C22, C23, C33; Poisson's ratio 1/4

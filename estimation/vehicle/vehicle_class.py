@@ -19,6 +19,7 @@ from annotated_types import Ge, Gt, Interval
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
+from estimation.values.units import GRAVITY
 
 AXLES_OF_A_BOGIE = 2
 
@@ -264,7 +265,6 @@ def _integrated(times: int, slowest: FloatArray) -> FloatArray:
     return np.asarray(1.0 / ((order - 1) * (2.0 * math.pi) ** order * slowest ** (order - 1)))
 
 
-GRAVITY = 9.81  # m/s2
 RAIL_HEAD_RADIUS = 0.08  # m, of the arc beside the crown of all usual rail heads, where most wheels touch
 
 

@@ -22,8 +22,9 @@ from sqlalchemy import (
 from sqlalchemy.exc import OperationalError
 
 from estimation.errors import StorageError
+from estimation.values.units import DAY_NS
 from fleet_db.keeping.kept_files import SAMPLES
-from fleet_db.keeping.retention import DAY_NS, Kept, Retention
+from fleet_db.keeping.retention import Kept, Retention
 from fleet_db.raw import RawStore, RawTotal, total_of
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage

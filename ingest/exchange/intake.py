@@ -15,8 +15,8 @@ from estimation.motion.checks import BACKWARDS, LOOK_S, high_pass_running_mean, 
 from estimation.motion.integration import SignalParameters, integrate
 from estimation.values.registry import VehicleRecord
 from estimation.values.track import TrackSectionRecord
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
-from estimation.vehicle.vehicle_class import GRAVITY
 from fleet_db.storage import SqlUnitOfWork
 from ingest.exchange.description import AxesTable, ExchangeFile, read_description
 from ingest.exchange.run import COUNT, INTERVAL_NS, SUFFIX, ExchangeRun, RegistryFacts, read_run

@@ -13,6 +13,7 @@ import numpy as np
 from estimation.contact.profiles import TREAD_DATUM, Profile, ProfileKind
 from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ProfileError
+from estimation.values.units import MILLIMETRE
 from ingest.input_file import PROFILE_BYTES, InputTable, Text, read_json, read_text_within
 from ingest.profiles.formats import FORMATS
 from ingest.profiles.orientation import oriented
@@ -42,7 +43,6 @@ def parse_columns(text: str, file: str) -> FilePoints:
 
 
 _SLICES = (".slcs", ".slcw")  # CONTACT's lists of cross sections
-_MILLIMETRE = 1e-3
 
 
 class ProfileOptions(TypedDict, total=False):
@@ -82,7 +82,7 @@ def measured_profile_of(text: str, file: Path, kind: ProfileKind, **options: Unp
         raise ProfileError("is not a text file; export the profile as text", file=file)
     suffix = file.suffix.lower()
     parse = next((item.parse for item in FORMATS if suffix in item.suffixes), parse_columns)
-    noise = None if noise_std is None else noise_std / _MILLIMETRE
+    noise = None if noise_std is None else noise_std / MILLIMETRE
     origin = options.get("origin", Origin.AUTO)
     points = parse(text, str(file))
     try:

@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimation.values.arrays import FloatArray, IntArray
-from estimation.vehicle.vehicle_class import GRAVITY
+from estimation.values.units import GRAVITY
 from ingest.simulator.rates import (
     OUTPUTS,
     STANDSTILL,

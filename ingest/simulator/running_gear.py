@@ -10,8 +10,9 @@ from scipy.interpolate import CubicSpline
 
 from estimation.contact.geometry import ContactTable
 from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.units import GRAVITY
 from estimation.vehicle.regressors import creep_rate
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, GRAVITY, BogieParameters, VehicleParameters
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleParameters
 from ingest.simulator.gear_rates import (
     AXLE_PATH,
     AXLE_STATES,

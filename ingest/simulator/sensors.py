@@ -20,8 +20,8 @@ from pydantic import AfterValidator
 
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.fields import MS, PERCENT, FileUnit, Key
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.vehicle_class import GRAVITY
 from ingest.file_value import between
 from ingest.input_file import NotNegative, Positive, Text, field_error, refusing
 from ingest.simulator.motion import STEP, WheelsetMotion

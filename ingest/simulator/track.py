@@ -14,7 +14,8 @@ from scipy.interpolate import CubicSpline
 from estimation.errors import InputError, ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.fields import MM, Key, M
-from estimation.vehicle.vehicle_class import GRAVITY, VehicleParameters
+from estimation.values.units import GRAVITY
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.file_value import As, Inline, between
 from ingest.input_file import NotNegative, Positive, field_error, refusing
 from ingest.simulator.irregularity import (

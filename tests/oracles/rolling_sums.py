@@ -20,9 +20,10 @@ from estimation.motion.rolling_sums import (
 )
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.roll_up import RollingSums
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.linear_model import ComplexArray
-from estimation.vehicle.vehicle_class import GRAVITY, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
 
 
 def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalParameters) -> tuple[RollingSums, ...]:

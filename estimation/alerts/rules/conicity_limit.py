@@ -37,6 +37,7 @@ from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.registry import VehicleRecord
+from estimation.values.units import KM_H_IN_M_S
 
 LAST_POINTS = 2  # of a trend: one alone may be an outlier
 NOT_BELOW = 0.6  # least probability at 3 mm with which a conicity over the limit at a smaller amplitude is over it
@@ -187,7 +188,7 @@ class ConicityLimitRule(IntervalsRule):
 
     def limit_for(self, vehicle: VehicleRecord) -> float | None:
         """Return the limit of a vehicle; None where no band applies."""
-        speed_km_h = round(3.6 * vehicle.max_speed_m_s, SPEED_DIGITS)
+        speed_km_h = round(KM_H_IN_M_S * vehicle.max_speed_m_s, SPEED_DIGITS)
         return self.limit_at(vehicle.vehicle_class, speed_km_h)
 
     def limit_at(self, vehicle_class: str, speed_km_h: float) -> float | None:

@@ -36,9 +36,9 @@ from estimation.values.fields import JsonValue, Served
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
 from estimation.values.trend import IDENTITY
+from estimation.values.units import DAY_NS
 from estimation.values.windows import WindowRecord
 
-DAY_NS = 86_400_000_000_000
 LATEST = 20  # windows whose reasons are told by a wheelset without usable ones
 
 

@@ -23,8 +23,8 @@ from estimation.values.trend import (
     TrendStep,
     WearTrend,
 )
+from estimation.values.units import DAY_NS
 
-DAY_NS = 86_400 * 10**9
 _WORDS = {
     StepCause.TURNED: "turned",
     StepCause.EXCHANGED: "exchanged",

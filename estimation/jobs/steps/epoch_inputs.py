@@ -13,9 +13,10 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.track.passes import NANOSECONDS, Entry, Group, ProfileLife, first_epoch, profile_life
+from estimation.track.passes import Entry, Group, ProfileLife, first_epoch, profile_life
 from estimation.values.registry import Mounting, WheelsetRecord
-from estimation.values.track import OPEN_NS, EpochMember, FoldState, ListedWindow, TrackEpoch, TrackSectionRecord
+from estimation.values.track import EpochMember, FoldState, ListedWindow, TrackEpoch, TrackSectionRecord
+from estimation.values.units import LATEST_NS, SECOND_NS
 from estimation.values.windows import WindowKey, WindowRecord
 
 
@@ -188,7 +189,7 @@ class Found:
     def last(self) -> bool:
         """Whether the epoch that is due holds all windows that are left, and none is stored behind it."""
         due = self.due
-        return due is not None and due.number >= len(self.stored) and due.horizon_ns == OPEN_NS
+        return due is not None and due.number >= len(self.stored) and due.horizon_ns == LATEST_NS
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,9 +266,9 @@ class EpochSearch:
         old, context = due.old, self.context
         assert old is not None
         ages_ns = [context.clock.now_ns() - record.recorded_ns for record, _ in group.entries]
-        coming = any(0 <= age_ns < context.quiet_s * NANOSECONDS for age_ns in ages_ns)
+        coming = any(0 <= age_ns < context.quiet_s * SECOND_NS for age_ns in ages_ns)
         grows = old.windows < len(group.entries) < GROWN * old.windows
-        return coming and grows and group.horizon_ns == OPEN_NS and old.before == due.before.key(due.basis)
+        return coming and grows and group.horizon_ns == LATEST_NS and old.before == due.before.key(due.basis)
 
 
 def changed_from(unit: UnitOfWork, lookup: FileLookup, section: str) -> int | None:

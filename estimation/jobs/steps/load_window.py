@@ -31,6 +31,7 @@ from estimation.values.registry import Mounting, mounting_of
 from estimation.values.roll_up import MOST_CHOSEN
 from estimation.values.runs import FAILED, Facet, SubjectKind
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
+from estimation.values.units import LATEST_NS
 from estimation.values.windows import (
     Window,
     WindowKey,
@@ -45,7 +46,6 @@ from estimation.vehicle.vehicle_class import VehicleClass
 FACETS = (Facet.REGISTRY, Facet.PLACES, Facet.WINDOWS, FRICTION)
 """Of wheelsets, vehicles and sections: one is raised with whatever a window is estimated with."""
 Stretches = tuple[tuple[float, float], ...]  # from and to, m
-LATEST_NS = 2**63 - 1
 KEPT = 4  # windows, of a megabyte each: both of a bogie need both
 
 

@@ -21,8 +21,8 @@ from estimation.values.geometry import BinTable
 from estimation.values.opinions import RailKey, StoredCell, WheelKey
 from estimation.values.reasons import Reason
 from estimation.values.roll_up import Member
+from estimation.values.units import DAY_NS
 
-DAY_NS = 86_400_000_000_000
 CellKey = tuple[WheelKey, RailKey]
 CELL_VERSION = 2
 LOST = "damaged, and its windows are purged"  # in the place of a digest

@@ -18,6 +18,7 @@ from estimation.storage import UnitOfWork
 from estimation.values.opinions import WindowAdhesion, WindowDamper
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout, TrackSectionRecord
+from estimation.values.units import HOUR_NS
 from estimation.values.windows import Window, WindowKey, WindowRecord
 
 
@@ -193,9 +194,6 @@ class _Batch:
         record = self.inputs.records.get((first.wheelset, first.start_ns))
         says = record is not None and record.implausible is None and looked_at(first)
         return Gear(tuple(loaded), assumed, record.content_digest if says and record is not None else None)
-
-
-HOUR_NS = 3_600_000_000_000
 
 
 def pooled_ns(rule: LowAdhesionRule) -> int:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from test_friction import a_pass
 
-from estimation.adhesion.pass_sums import BELOW, BEST, LEAST_COMMON, LOWEST, PLACES_BEFORE, common_std, pass_sums
+from estimation.adhesion.pass_sums import BEST, LEAST_COMMON, LOWEST, PLACES_BEFORE, common_std, pass_sums
 from estimation.values.arrays import FloatArray
+from estimation.values.units import NORMAL_90
 
 USUAL, PLACES = 0.3, 60
 
@@ -41,4 +42,4 @@ def test_few_places_are_taken_for_wrong_by_all_that_is_left() -> None:
 
 
 def test_what_decides_is_pinned() -> None:
-    assert (BEST, LOWEST, BELOW, LEAST_COMMON, PLACES_BEFORE) == (2.0, 0.1, 1.2816, 0.4, 20.0)
+    assert (BEST, LOWEST, NORMAL_90, LEAST_COMMON, PLACES_BEFORE) == (2.0, 0.1, 1.2816, 0.4, 20.0)

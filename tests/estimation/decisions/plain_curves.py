@@ -14,7 +14,8 @@ from estimation.geometry.conicity import (
 )
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import FloatArray
-from estimation.values.quantities import NORMAL_95, Estimate
+from estimation.values.quantities import Estimate
+from estimation.values.units import NORMAL_95
 
 WIDTH = 0.25e-3
 EDGES = (np.arange(-28, 30) - 0.5) * WIDTH

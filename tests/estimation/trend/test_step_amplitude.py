@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation.trend.change_point import DAY_NS
 from estimation.trend.trend import newest_step
 from estimation.values.geometry import IntervalConicities, KnownConicity
+from estimation.values.units import DAY_NS
 
 KM = 33_000.0
 

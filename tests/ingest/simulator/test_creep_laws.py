@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from analytic_contact import HALF, RADIUS, cones, smooth_pair
 
-from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, VehicleParameters
+from estimation.values.units import GRAVITY
+from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
 from ingest.simulator.gear_rates import Wheels
 from ingest.simulator.motion import simulate_wheelset
 from ingest.simulator.running import Creep, CreepLaw, share_of_linear

@@ -13,8 +13,9 @@ from scipy.signal import welch
 
 from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.vehicle_class import GRAVITY, VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.campaign import odometer_scale, vehicle_run
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
 from ingest.simulator.scenario import Scenario
