@@ -11,7 +11,7 @@ from bench.report import BenchRow
 from bench.signature_cost import EACH, WHEELSETS
 from bench.signature_foreign import KINDS as KINDS_FOREIGN
 from bench.signature_pipeline import KINDS
-from estimation.signatures.library import LARGEST
+from estimation.signatures.window_signatures import SignatureParameters
 
 CHOSEN = (0, 1, 2, 3, 4, 5, 6, 7, 9, 10)  # seeds that the limits on roughness and tamping were chosen on
 ON_FILE = {"measured": "measured profiles (std 0.003)", "estimated": "estimates (std 0.01, half of it in common)"}
@@ -162,7 +162,8 @@ def _retired_row(cases: Sequence[Mapping[str, Any]], name: str) -> BenchRow:
     least, most = min(case["retired"]["least"] for case in cases), max(case["retired"]["most"] for case in cases)
     text = (
         f"{total['found']} of {total['worked_on']} tamped stretches found, distances from {least:.1f};"
-        f" {total['false']} of {total['others']} others retired, distances to {most:.1f}; limit {LARGEST}"
+        f" {total['false']} of {total['others']} others retired, distances to {most:.1f};"
+        f" limit {SignatureParameters().largest}"
     )
     met = total["found"] >= 0.95 * total["worked_on"] and total["false"] <= 0.01 * total["others"]
     what = f"library entries of stretches tamped since, {name}"

@@ -195,7 +195,7 @@ def _rival(made: SimulatedFleet, *, linear: bool) -> dict[str, list[tuple[float,
 def _retired(passes: Simulated, seed: int) -> dict[str, float]:
     """Return how many stretches of a section that was worked on are found, and of others; half of it was tamped."""
     tamped = passes.tamped
-    found = current(entries(passes.retracked, np.random.default_rng([seed, 9]), MEASURED_STD))
+    found = current(entries(passes.retracked, np.random.default_rng([seed, 9]), MEASURED_STD), SignatureParameters())
     places = {item.place for one in passes.retracked for item in one.signatures}
     changed = {change.place for change in found.changes}
     return {

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.report import BenchRow
 from bench.wear_histories import History, histories
-from estimation.trend.trend import fit_recent
+from estimation.trend.trend import TrendParameters, fit_recent
 from estimation.values.quantities import Estimate
 
 HISTORIES = 400
@@ -58,7 +58,7 @@ def rates(shapes: tuple[float, float, float], scatter: float = 1.0) -> Rates:
     """
     level, slope, reached = [], [], []
     for history in histories(SEED, HISTORIES, shapes=shapes, scatter=scatter):
-        curve = fit_recent(history.x, history.value, history.std)
+        curve = fit_recent(history.x, history.value, history.std, TrendParameters())
         level.append(_contains(curve.level_now().estimate(1), history.true_level))
         slope.append(_contains(curve.slope_now().estimate(1), history.true_slope))
         reached.append([_reached(history, curve.reaches(history.level_ahead, p, HORIZON_KM)) for p in PROBABILITIES])

@@ -366,3 +366,17 @@ class FrictionParameters:
     fresh: float = 0.05  # share of places whose friction has nothing to do with that of the place before
     least_upper: float = 0.6  # an interval that reaches beyond says no more than a lower bound
     rounds: int = 12
+    # std of the logarithm of a wheelset's scale beside the noise: its curve and its profiles
+    wheelset_scatter: float = 0.1
+    fewest_with_scale: int = 3  # of two that contradict each other nobody knows which is wrong
+    most_deviation: float = 3.0  # stds
+    wrong_share: float = 0.05  # of places, whose error is so many times that of the others
+    wrong_by: float = 3.0
+    least_likelihood: float = 1e-12  # of the largest: no place makes another one impossible
+    best: float = 2.0  # 1/mu of the best rails: what places show below is error
+    lowest: float = 0.1  # share of the places that may be below by their errors alone
+    least_common: float = 0.4  # std of what is common over all that is left: no section shows less
+    places_before: float = 20.0  # that are worth as much as the expectation that all of it is common
+    most_creep: float = 2.0  # stds of b that all vehicles have in common, from which the shape is asked
+    least_support: float = 0.8  # of the squares that an error of linear creep would leave, to be taken for one
+    learnt: float = 0.7  # of the std beforehand: with more, the passes say nothing of a place

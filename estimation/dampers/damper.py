@@ -172,19 +172,6 @@ def _least(products: FloatArray, count: int) -> float:
     return float(signal @ products @ signal) / count
 
 
-BETWEEN = 16  # shares at which the posterior is, from one particle to the next
-GROUPS = 12  # of windows that are left out together
-FEWEST = 4  # windows
-LARGEST_SHARE = 1.9  # the particles end at 2
-APART = 3.0  # standard deviations between two halves of the windows that do not belong together
-CHANGED = 0.1  # of the share, which halves differ by at least then
-MODEL_STD = 0.05  # of a share, that cross level, clocks and scales of nodes make; docs/results/dampers.md
-LEAST_STD = 0.01  # of any share, for the same
-ROUNDS = 5  # of Gauss and Newton
-FARTHEST = 6.0  # standard deviations that they look at
-LEAST_CURVATURE = 0.2  # of the other parameters' information with their priors: below it noise makes all of it
-
-
 @dataclass(frozen=True, slots=True)
 class DamperParameters:
     """How far back windows count, and what is published."""
@@ -195,6 +182,18 @@ class DamperParameters:
     widest_std: float = 0.2  # of a share that is published
     most_diverged: float = 0.2  # share of the windows
     surest: float = 0.99  # probability at which errors of the other parameters exceed those of any vehicle
+    shares_between: int = 16  # shares at which the posterior is, from one particle to the next
+    groups: int = 12  # of windows that are left out together
+    fewest_windows: int = 4  # windows
+    largest_share: float = 1.9  # the particles end at 2
+    apart: float = 3.0  # standard deviations between two halves of the windows that do not belong together
+    changed: float = 0.1  # of the share, which halves differ by at least then
+    model_std: float = 0.05  # of a share, that cross level, clocks and scales of nodes make; docs/results/dampers.md
+    least_std: float = 0.01  # of any share, for the same
+    rounds: int = 5  # of Gauss and Newton
+    farthest: float = 6.0  # standard deviations that they look at
+    # of the other parameters' information with their priors: below it noise makes all of it
+    least_curvature: float = 0.2
 
 
 def gear_damper(windows: Sequence[WindowDamper], parameters: DamperParameters) -> GearDamper:
@@ -206,7 +205,7 @@ def gear_damper(windows: Sequence[WindowDamper], parameters: DamperParameters) -
         for one in ordered
         if one.class_digest == newest.class_digest and newest.odometer_km - one.odometer_km <= parameters.span_km
     ]
-    shown = _newest_alike([one for one in chosen if one.sums is not None])
+    shown = _newest_alike([one for one in chosen if one.sums is not None], parameters)
     since = [one for one in chosen if not shown or one.start_ns >= shown[0].start_ns]
     diverged = sum(one.reason is not None and one.reason.code is ReasonCode.DIVERGED for one in since)
     share = _share(shown, diverged, newest, parameters)
@@ -239,40 +238,40 @@ def _share(
     if diverged > parameters.most_diverged * (len(shown) + diverged):
         text = f"the filters of the suspension have diverged in {diverged} of {len(shown) + diverged} windows"
         return Estimate.unknown(Reason(ReasonCode.DIVERGED, text), count, mismatch)
-    if len(shown) < FEWEST:
-        text = f"{len(shown)} windows show the suspension, {FEWEST} are needed"
+    if len(shown) < parameters.fewest_windows:
+        text = f"{len(shown)} windows show the suspension, {parameters.fewest_windows} are needed"
         few = Reason(ReasonCode.TOO_FEW_WINDOWS, text)
         return Estimate.unknown(few if shown or newest.reason is None else newest.reason, count)
-    found, sampled = _replicated(shown)
+    found, sampled = _replicated(shown, parameters)
     if found is None or not np.isfinite(sampled):
         return Estimate.unknown(_not_excited("their noise alone makes up what accelerations show"), count)
     size = found.parameters
-    if found.share > LARGEST_SHARE or found.errors * size > float(chdtri(size, 1.0 - parameters.surest)):
+    if found.share > parameters.largest_share or found.errors * size > float(chdtri(size, 1.0 - parameters.surest)):
         text = (
             f"a share of {found.share:.2f} with other parameters {np.sqrt(found.errors):.1f} of their standard"
             " deviations off is none of this class; check class and sensors"
         )
         return Estimate.unknown(Reason(ReasonCode.DIVERGED, text), count, mismatch)
-    of_share = np.hypot(newest.mass_std, MODEL_STD) * found.share
-    systematic = float(np.linalg.norm([found.std, of_share, LEAST_STD]))
+    of_share = np.hypot(newest.mass_std, parameters.model_std) * found.share
+    systematic = float(np.linalg.norm([found.std, of_share, parameters.least_std]))
     std = float(np.hypot(sampled, systematic))
     if std > parameters.widest_std:
         return Estimate.unknown(_not_excited(f"the standard deviation of its share would be {std:.2f}"), count)
-    return with_interval(found.share, sampled, systematic, min(len(shown), GROUPS), count)
+    return with_interval(found.share, sampled, systematic, min(len(shown), parameters.groups), count)
 
 
 def _not_excited(why: str) -> Reason:
     return Reason(ReasonCode.DAMPER_NOT_EXCITED, f"what is above the wheelsets does not show the damper: {why}")
 
 
-def _newest_alike(shown: Sequence[WindowDamper]) -> Sequence[WindowDamper]:
-    while len(shown) >= 4 * FEWEST:
+def _newest_alike(shown: Sequence[WindowDamper], parameters: DamperParameters) -> Sequence[WindowDamper]:
+    while len(shown) >= 4 * parameters.fewest_windows:
         halves = shown[: len(shown) // 2], shown[len(shown) // 2 :]
-        (old, old_std), (new, new_std) = (_replicated(half) for half in halves)
+        (old, old_std), (new, new_std) = (_replicated(half, parameters) for half in halves)
         if old is None or new is None:
             return shown
         apart = abs(new.share - old.share)
-        if not apart > max(APART * float(np.hypot(old_std, new_std)), CHANGED):
+        if not apart > max(parameters.apart * float(np.hypot(old_std, new_std)), parameters.changed):
             return shown
         shown = halves[1]
     return shown
@@ -282,13 +281,13 @@ def _sums(shown: Sequence[WindowDamper]) -> FloatArray:
     return np.array([one.sums.products for one in shown if one.sums is not None])
 
 
-def _replicated(shown: Sequence[WindowDamper]) -> tuple[Posterior | None, float]:
+def _replicated(shown: Sequence[WindowDamper], parameters: DamperParameters) -> tuple[Posterior | None, float]:
     sums = _sums(shown)
-    groups = np.array([part.sum(axis=0) for part in np.array_split(sums, min(len(sums), GROUPS))])
+    groups = np.array([part.sum(axis=0) for part in np.array_split(sums, min(len(sums), parameters.groups))])
     total = groups.sum(axis=0)
     curved = next(one.sums.curved for one in shown if one.sums is not None)
-    found = posterior(total, curved)
-    left_out = [posterior(total - group, curved) for group in groups]
+    found = posterior(total, curved, parameters)
+    left_out = [posterior(total - group, curved, parameters) for group in groups]
     shares = [one.share for one in left_out if one is not None]
     if found is None or len(shares) < len(groups):
         return None, float("nan")
@@ -305,43 +304,48 @@ class Posterior:
     parameters: int  # beside the share
 
 
-def posterior(sums: FloatArray, curved: int) -> Posterior | None:
+def posterior(sums: FloatArray, curved: int, parameters: DamperParameters) -> Posterior | None:
     """Return what sums say; None where the noise of the sensors would make up all of it."""
-    t = (np.arange(BETWEEN) + 0.5) / BETWEEN
+    t = (np.arange(parameters.shares_between) + 0.5) / parameters.shares_between
     low, apart = np.array(SHARES[:-1]), np.diff(SHARES)
     share = (low[:, None] + apart[:, None] * t).ravel()
-    products, between = np.repeat(sums, BETWEEN, axis=0), np.tile(t, len(low))
-    found = _conditional(products, between, curved)
+    products, between = np.repeat(sums, parameters.shares_between, axis=0), np.tile(t, len(low))
+    found = _conditional(products, between, curved, parameters)
     if found is None:
         return None
     errors, square, precision = found
     likelihood = -0.5 * (square + np.linalg.slogdet(precision)[1])
-    weight = np.exp(likelihood - likelihood.max()) * np.repeat(apart, BETWEEN)
+    weight = np.exp(likelihood - likelihood.max()) * np.repeat(apart, parameters.shares_between)
     weight /= weight.sum()
     mean = float(weight @ share)
-    spread = float(weight @ (share - mean) ** 2) + float(weight @ np.repeat(apart, BETWEEN) / BETWEEN) ** 2 / 12.0
+    spread = (
+        float(weight @ (share - mean) ** 2)
+        + float(weight @ np.repeat(apart, parameters.shares_between) / parameters.shares_between) ** 2 / 12.0
+    )
     return Posterior(mean, float(np.sqrt(spread)), float(weight @ (errors**2).mean(axis=1)), errors.shape[1])
 
 
 def _conditional(
-    products: FloatArray, between: FloatArray, curved: int
+    products: FloatArray, between: FloatArray, curved: int, parameters: DamperParameters
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return the errors (n, k) of the other parameters that are likeliest given a share, their square and precision."""
     # By Gauss and Newton: their effect has a first and, for the first of them, a second order
     n, m, _ = products.shape
     k = m - 2 - curved
     errors, rows = np.zeros((n, k)), np.arange(curved)
-    for _ in range(ROUNDS):
+    for _ in range(parameters.rounds):
         signals = np.concatenate([np.ones((n, 1)), errors, errors[:, :curved] ** 2, between[:, None]], axis=1)
         changes = np.zeros((n, m, k))
         changes[:, 1 : 1 + k] = np.eye(k)
         changes[:, 1 + k + rows, rows] = 2.0 * errors[:, :curved]
         left = np.einsum("nab,nb->na", products, signals)
         precision = changes.transpose(0, 2, 1) @ products @ changes + np.eye(k)
-        if np.linalg.eigvalsh(precision)[:, 0].min() < LEAST_CURVATURE:
+        if np.linalg.eigvalsh(precision)[:, 0].min() < parameters.least_curvature:
             return None
         gradient = np.einsum("nak,na->nk", changes, left) + errors
-        errors = np.clip(errors - np.linalg.solve(precision, gradient[..., None])[..., 0], -FARTHEST, FARTHEST)
+        errors = np.clip(
+            errors - np.linalg.solve(precision, gradient[..., None])[..., 0], -parameters.farthest, parameters.farthest
+        )
     signals = np.concatenate([np.ones((n, 1)), errors, errors[:, :curved] ** 2, between[:, None]], axis=1)
     square = np.einsum("na,nab,nb->n", signals, products, signals) + (errors**2).sum(axis=1)
     return errors, square, precision

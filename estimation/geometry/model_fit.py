@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.geometry.uncertainty import MOUNTING_STD
+from estimation.geometry.uncertainty import MOUNTING_STD, ParameterUncertainty
 from estimation.motion.rolling_sums import BANDS, UNKNOWNS
 from estimation.tables.bin_table import BinParameters, Solution, inverses, unpack
 from estimation.values.arrays import BoolArray, FloatArray
@@ -97,23 +97,8 @@ def solve_with_shared_scales(
     return solution, np.asarray(moved)
 
 
-SENSOR_SCALE = 0.02  # std of the spring error by the scales of the sensors
-SENSORS_IN_BOGIE = 0.06  # the same in a bogie: scales, angles and clocks of three sensors, and creep near saturation
-SHARE_IN_BOGIE = 0.5  # of an error of stiffness or creep that shows as spring error; the curve takes up the rest
-SEEN_IN_BOGIE = 0.4  # of an error of the conicity by a class that is wrong: the curve takes up more the larger it is
-UNSEEN_SHARE = 0.06  # of the power of noise over that of a yaw that no curve explains: std of the spring error by it
-DOUBTED_STDS = 1.8  # of the spring error, beyond which the class is in doubt: right ones have 0.5 rms, at most 1.6
-CERTAIN_STDS = 2.2  # beyond which it is another: four times the rms of right ones
-DOUBTED_MISFIT = 0.55  # right classes on measured wheels and on gauge that varies unknown have up to 0.51
-CERTAIN_MISFIT = 0.65
-MISFIT_SHARE = 0.5  # of the square of the misfit: by how much it may spoil the conicity
-NOISE_DOUBT = 0.5  # of the variance that sensor noise makes: sensors may be as much worse than on file
 MOST_DISPLACEMENT_ERROR = 0.2  # of the power of y - d: what the interval of a curve allows for
 MOST_WIDENED = 2.0  # std of a conicity over itself by it
-LEAST_SAMPLES = 200.0  # of a bin
-FEWEST_BINS = 5
-FREE = 1e6  # std of what nothing is known of beforehand
-STRAIGHT = 1e-8  # rad, std of the angle for the spring error: it is that of sensors that are not turned
 _NOISE = YAW_TARGETS.index("noise")
 
 
@@ -127,23 +112,27 @@ class ModelFit:
     displacement_error: float = 0.0  # share of the power of y - d that sensors and track make: so much is no misfit
 
 
-def model_fit(table: BinTable, bins: BinParameters, expected_noise: float = 0.0) -> ModelFit | None:
+def model_fit(
+    table: BinTable, bins: BinParameters, expected_noise: float = 0.0, *, uncertainty: ParameterUncertainty
+) -> ModelFit | None:
     """Return how well a table follows the yaw equation, y - d off by the expected noise, m; None with few samples."""
     p = bins.vehicle
     present = table.weight.sum(axis=1) > 0
     weight, sums = leave_one_out(table.weight, present), leave_one_out(table.yaw, present)
-    used = weight[0] >= LEAST_SAMPLES
-    if used.sum() < FEWEST_BINS or present.sum() < FEWEST_BINS:
+    used = weight[0] >= uncertainty.least_samples
+    if used.sum() < uncertainty.fewest_bins or present.sum() < uncertainty.fewest_bins:
         return None
     in_bogie = bins.wheelbase is not None
-    priors = (SENSOR_SCALE, SENSOR_SCALE, MOUNTING_STD) if in_bogie else (FREE,)
+    priors = (uncertainty.sensor_scale, uncertainty.sensor_scale, MOUNTING_STD) if in_bogie else (uncertainty.free,)
     shared = len(priors)
     regressors = shared + REGRESSORS - 1
     moments = sums[:, used], weight[:, used], regressors, len(YAW_TARGETS)
     solved, _ = solve_with_shared_scales(*moments, priors)
     theta = solved.theta.reshape(len(weight), int(used.sum()), regressors, len(YAW_TARGETS))
     unit = 1.0 if in_bogie else 0.5 * p.half_contact_distance * p.load / p.yaw_stiffness
-    of_spring = solve_with_shared_scales(*moments, (*priors[:2], STRAIGHT))[0].theta if in_bogie else solved.theta
+    of_spring = (
+        solve_with_shared_scales(*moments, (*priors[:2], uncertainty.straight))[0].theta if in_bogie else solved.theta
+    )
     errors = unit * np.nanmedian(of_spring.reshape(theta.shape)[:, :, 0, 0], axis=1)
     per_metre = p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius
     counts = weight[0, used]
@@ -154,8 +143,8 @@ def model_fit(table: BinTable, bins: BinParameters, expected_noise: float = 0.0)
         return None
     error = _displacement_error(table, used, expected_noise)
     alone = _alone(sums[0, used], regressors, shared) / counts.sum() / (unit * per_metre) ** 2
-    unseen = UNSEEN_SHARE * (max(of_noise, 0.0) + error * whole) / max(alone, np.finfo(np.float64).tiny)
-    unexplained = max(left - (1.0 + NOISE_DOUBT) * of_noise, 0.0)
+    unseen = uncertainty.unseen_share * (max(of_noise, 0.0) + error * whole) / max(alone, np.finfo(np.float64).tiny)
+    unexplained = max(left - (1.0 + uncertainty.noise_doubt) * of_noise, 0.0)
     std = math.hypot(float(jackknife_std(errors)), unseen)
     return ModelFit(float(errors[0]), std, math.sqrt(unexplained / whole), error)
 
@@ -174,9 +163,13 @@ def _alone(packed: FloatArray, regressors: int, shared: int) -> float:
     return float(np.maximum(gram[:, 0, 0] - explained, 0.0).sum())
 
 
-def mismatch(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool) -> Contradiction | None:
+def mismatch(
+    fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool, uncertainty: ParameterUncertainty
+) -> Contradiction | None:
     """Return what of the class does not fit, and how sure that is; None where it fits."""
-    return _spring_differs(fit, stiffness_std, creep_std, in_bogie=in_bogie) or _unexplained(fit)
+    return _spring_differs(fit, stiffness_std, creep_std, in_bogie=in_bogie, uncertainty=uncertainty) or _unexplained(
+        fit, uncertainty
+    )
 
 
 def displaced(fit: ModelFit) -> Contradiction | None:
@@ -192,24 +185,30 @@ def displaced(fit: ModelFit) -> Contradiction | None:
     return Contradiction(Reason(ReasonCode.CONICITY_OPEN, text), certain=False, relative=relative)
 
 
-def _spring_differs(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool) -> Contradiction | None:
-    share, of_sensors = (SHARE_IN_BOGIE, SENSORS_IN_BOGIE) if in_bogie else (1.0, SENSOR_SCALE)
-    seen = SEEN_IN_BOGIE if in_bogie else 1.0
+def _spring_differs(
+    fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool, uncertainty: ParameterUncertainty
+) -> Contradiction | None:
+    share, of_sensors = (
+        (uncertainty.share_in_bogie, uncertainty.sensors_in_bogie) if in_bogie else (1.0, uncertainty.sensor_scale)
+    )
+    seen = uncertainty.seen_in_bogie if in_bogie else 1.0
     of_class = share * math.hypot(stiffness_std, creep_std)
     std = float(np.linalg.norm([fit.spring_error_std, of_sensors, of_class]))
-    if abs(fit.spring_error) <= DOUBTED_STDS * std:
+    if abs(fit.spring_error) <= uncertainty.doubted_stds * std:
         return None
-    certain = abs(fit.spring_error) > CERTAIN_STDS * std
+    certain = abs(fit.spring_error) > uncertainty.certain_stds * std
     text = (
         f"a moment of {fit.spring_error:+.0%} of the yaw spring's is not in the equations of the vehicle's class,"
-        f" {DOUBTED_STDS * std:.0%} may be, {CERTAIN_STDS * std:.0%} cannot be by chance;"
+        f" {uncertainty.doubted_stds * std:.0%} may be, {uncertainty.certain_stds * std:.0%} cannot be by chance;"
         " check class, wheelbase, order and scale of the nodes"
     )
     return Contradiction(Reason(ReasonCode.YAW_SPRING_DIFFERS, text), certain, min(abs(fit.spring_error) / seen, 1.0))
 
 
-def _unexplained(fit: ModelFit) -> Contradiction | None:
-    doubted, certain = (math.sqrt(most**2 + fit.displacement_error) for most in (DOUBTED_MISFIT, CERTAIN_MISFIT))
+def _unexplained(fit: ModelFit, uncertainty: ParameterUncertainty) -> Contradiction | None:
+    doubted, certain = (
+        math.sqrt(most**2 + fit.displacement_error) for most in (uncertainty.doubted_misfit, uncertainty.certain_misfit)
+    )
     if fit.misfit <= doubted:
         return None
     text = (
@@ -217,7 +216,7 @@ def _unexplained(fit: ModelFit) -> Contradiction | None:
         f" of the sensors, {doubted:.0%} may; check class, track and sensors"
     )
     reason = Reason(ReasonCode.MOTION_UNEXPLAINED, text)
-    return Contradiction(reason, fit.misfit > certain, MISFIT_SHARE * fit.misfit**2)
+    return Contradiction(reason, fit.misfit > certain, uncertainty.misfit_share * fit.misfit**2)
 
 
 EXPECTED = np.array([1.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of the unknowns; nothing is expected of the radius

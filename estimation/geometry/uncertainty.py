@@ -18,14 +18,7 @@ from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
 from estimation.vehicle.vehicle_class import VehicleClass
 
-USUAL_CUTOFF = 40.0  # m, of the high-pass of the motion
 UNKNOWN_FACTOR = 0.4  # relative std of a factor from which on nothing is known of the quotient
-JUMP_SHARE_UNCORRECTED = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
-JUMP_SHARE_CORRECTED = 0.22  # the same where what the gauge does to the wheelset is taken off: it is known so well
-JUMP_SHARE_GAUGE_ESTIMATED = 0.32  # the same where the gauge had to be found too
-JUMP_MEAN_SHARE = 0.25  # of a gauge that is not on file: by how much contact jumps are off on average
-SCALE_PER_GAUGE_SQUARE = 0.015e6  # 1/m2, of y - d per variance of the gauge: far out a wheelset runs in wide gauge
-SCALE_PER_MEAN_GAUGE = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm, by contact tables
 LEAST_SCALE_STD = 0.002  # relative, of any sensor: its digits and its drift
 MOUNTING_STD = math.radians(2.0)  # of the angle of a yaw sensor about the lateral axis
 
@@ -62,6 +55,36 @@ class ParameterUncertainty:
     of_bogie: tuple[float, float, float] = (0.02, 0.02, MOUNTING_STD)  # yaw sensor against the frame's, those, angle
     held_shares: tuple[float, ...] = FREE  # of a difference of diameters, by ``sharpening.SLOPES``
     contact_roll: ContactRoll | None = None  # in y - d; None where y - d needs nothing more
+    usual_cutoff: float = 40.0  # m, of the high-pass of the motion
+    jump_share_uncorrected: float = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
+    # the same where what the gauge does to the wheelset is taken off: it is known so well
+    jump_share_corrected: float = 0.22
+    jump_share_gauge_estimated: float = 0.32  # the same where the gauge had to be found too
+    jump_mean_share: float = 0.25  # of a gauge that is not on file: by how much contact jumps are off on average
+    # 1/m2, of y - d per variance of the gauge: far out a wheelset runs in wide gauge
+    scale_per_gauge_square: float = 0.015e6
+    # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm, by contact tables
+    scale_per_mean_gauge: float = 0.15e3
+    sensor_scale: float = 0.02  # std of the spring error by the scales of the sensors
+    # the same in a bogie: scales, angles and clocks of three sensors, and creep near saturation
+    sensors_in_bogie: float = 0.06
+    # of an error of stiffness or creep that shows as spring error; the curve takes up the rest
+    share_in_bogie: float = 0.5
+    # of an error of the conicity by a class that is wrong: the curve takes up more the larger it is
+    seen_in_bogie: float = 0.4
+    # of the power of noise over that of a yaw that no curve explains: std of the spring error by it
+    unseen_share: float = 0.06
+    # of the spring error, beyond which the class is in doubt: right ones have 0.5 rms, at most 1.6
+    doubted_stds: float = 1.8
+    certain_stds: float = 2.2  # beyond which it is another: four times the rms of right ones
+    doubted_misfit: float = 0.55  # right classes on measured wheels and on gauge that varies unknown have up to 0.51
+    certain_misfit: float = 0.65
+    misfit_share: float = 0.5  # of the square of the misfit: by how much it may spoil the conicity
+    noise_doubt: float = 0.5  # of the variance that sensor noise makes: sensors may be as much worse than on file
+    least_samples: float = 200.0  # of a bin
+    fewest_bins: int = 5
+    free: float = 1e6  # std of what nothing is known of beforehand
+    straight: float = 1e-8  # rad, std of the angle for the spring error: it is that of sensors that are not turned
 
     @classmethod
     def of(cls, vehicle_class: VehicleClass) -> Self:
@@ -90,12 +113,14 @@ class ParameterUncertainty:
         return replace(
             self,
             ratio=max(ratio_stds) if ratio_stds and len(ratio_stds) == len(used) else self.ratio,
-            alignment_noise=max((alignment_std(one) for one in used), default=self.alignment_noise),
-            displacement=math.hypot(self.displacement, max((_scale_std(one, wheelset) for one in used), default=0.0)),
-            jump_position_std=max(
-                (_jump_position_std(track, wheelset) for track in used), default=self.jump_position_std
+            alignment_noise=max((alignment_std(one, self) for one in used), default=self.alignment_noise),
+            displacement=math.hypot(
+                self.displacement, max((_scale_std(one, wheelset, self) for one in used), default=0.0)
             ),
-            jump_mean_std=max((_jump_mean_std(track) for track in used), default=self.jump_mean_std),
+            jump_position_std=max(
+                (_jump_position_std(track, wheelset, self) for track in used), default=self.jump_position_std
+            ),
+            jump_mean_std=max((_jump_mean_std(track, self) for track in used), default=self.jump_mean_std),
         )
 
     def lateral(self) -> FloatArray:
@@ -125,23 +150,23 @@ def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings 
     return track.findings if wheelset in track.findings.gauge_shifts else None
 
 
-def alignment_std(track: TrackAlignment) -> float:
+def alignment_std(track: TrackAlignment, uncertainty: ParameterUncertainty) -> float:
     """Return the median std, m, of an alignment where it is known, at the usual cut-off of the motion."""
     # that of a fleet is of all waves up to its own cut-off, and nearly all of it of the longest, for accelerations are
     # integrated twice: its variance grows as the cube of the cut-off
     known = np.isfinite(track.alignment_std)
     std = float(np.median(track.alignment_std[known])) if known.any() else 0.0
-    share = USUAL_CUTOFF / track.cutoff_wavelength if track.source == AlignmentSource.FLEET else 1.0
+    share = uncertainty.usual_cutoff / track.cutoff_wavelength if track.source == AlignmentSource.FLEET else 1.0
     return float(std * min(share, 1.0) ** 1.5)
 
 
-def _scale_std(track: TrackAlignment, wheelset: str | None) -> float:
+def _scale_std(track: TrackAlignment, wheelset: str | None, uncertainty: ParameterUncertainty) -> float:
     """Return the relative std of y - d on ``track``: what its alignment leaves open, and what its gauge does."""
     # A surveyed gauge that is wide as a whole changes the conicity as a whole. What is found of a wheelset on a gauge
     # that varies covers that only as far as it varies.
     mean, std = abs(float(np.mean(track.gauge_deviation))), float(np.std(track.gauge_deviation))
     beyond = max(mean - std, 0.0) if _gauge_taken_off(track, wheelset) else mean
-    of_gauge = (SCALE_PER_GAUGE_SQUARE * std**2, SCALE_PER_MEAN_GAUGE * beyond)
+    of_gauge = (uncertainty.scale_per_gauge_square * std**2, uncertainty.scale_per_mean_gauge * beyond)
     return float(np.linalg.norm([track.scale_std, *of_gauge]))
 
 
@@ -150,20 +175,20 @@ def _gauge_taken_off(track: TrackAlignment, wheelset: str | None) -> bool:
     return bool(shifts) if wheelset is None else wheelset in shifts
 
 
-def _jump_position_std(track: TrackAlignment, wheelset: str | None) -> float:
+def _jump_position_std(track: TrackAlignment, wheelset: str | None, uncertainty: ParameterUncertainty) -> float:
     share = (
-        JUMP_SHARE_UNCORRECTED
+        uncertainty.jump_share_uncorrected
         if not _gauge_taken_off(track, wheelset)
-        else JUMP_SHARE_CORRECTED
+        else uncertainty.jump_share_corrected
         if track.gauge_known
-        else JUMP_SHARE_GAUGE_ESTIMATED
+        else uncertainty.jump_share_gauge_estimated
     )
     spread = float(np.std(track.gauge_deviation))
     return share * (spread if track.gauge_known else max(spread, float(np.median(track.gauge_deviation_std))))
 
 
-def _jump_mean_std(track: TrackAlignment) -> float:
-    return 0.0 if track.gauge_known else JUMP_MEAN_SHARE * float(np.median(track.gauge_deviation_std))
+def _jump_mean_std(track: TrackAlignment, uncertainty: ParameterUncertainty) -> float:
+    return 0.0 if track.gauge_known else uncertainty.jump_mean_share * float(np.median(track.gauge_deviation_std))
 
 
 JUMP_PLACE = 0.03e-3  # m, std of where a contact jump is found without any gauge

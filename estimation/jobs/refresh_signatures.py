@@ -149,7 +149,7 @@ def _shelved(made: Entries, without: Mapping[ReasonCode, int], parameters: Signa
         by_kind[entry.signature.vehicle_class, entry.signature.position].append(entry)
     entries, changes, retired = {}, {}, 0
     for kind, members in by_kind.items():
-        found = current(members)
+        found = current(members, parameters)
         entries[kind] = found.entries
         changes.update({(kind, change.place): change for change in found.changes})
         retired += len(found.retired)

@@ -87,7 +87,7 @@ def trend_of(records: Sequence[IntervalConicities], limit: float, parameters: Tr
     Args:
         limit: Of the conicity at 3 mm.
     """
-    step = newest_step(records)
+    step = newest_step(records, parameters)
     chosen = conicity_points(behind_step(records, step))
     trend = refresh(
         chosen.points,

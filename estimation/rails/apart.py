@@ -39,8 +39,6 @@ from estimation.values.opinions import (
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
 
-TWO = 2
-TRIED = 3  # wheelsets, furthest from the others, besides all sections: without which the rest agree best
 HELD = (RailsReference.KNOWN_RAILS, RailsReference.MEASURED_WHEELS)
 
 
@@ -58,8 +56,8 @@ def confirmed(table: CellTable, anchors: Anchors, parameters: RailsParameters) -
             return held
         order = sorted(beyond, key=lambda one: (-beyond[one].ratio, one))
         together = _connected(order[0], sorted(found), table, held)
-        may_be = [one for place, one in enumerate(order) if place < TRIED or not one.is_wheelset]
-        tried = [together] if len(together) == TWO else [[one] for one in may_be]
+        may_be = [one for place, one in enumerate(order) if place < parameters.tried or not one.is_wheelset]
+        tried = [together] if len(together) == parameters.two else [[one] for one in may_be]
         without = [held.without(*_reasons(some, together, beyond)) for some in tried]
         left = [_all_apart(table, one, parameters) for one in without]
         best = min(range(len(tried)), key=lambda at: max((one.ratio for one in left[at].values()), default=0.0))
@@ -148,7 +146,7 @@ def rails_apart(
     table = cell_table(cells, amplitude)
     held = confirmed(table, anchors, parameters)
     levels = [at_amplitude(table, k, held, parameters) for k in range(len(amplitude))]
-    _refuse_rises(levels, amplitude, parameters.steepest)
+    _refuse_rises(levels, amplitude, parameters.steepest, parameters)
     of_rails, of_wheels = grouped((cell.rail, cell) for cell in cells), grouped((cell.wheel, cell) for cell in cells)
     trends, no_trends = _trends(levels, amplitude, parameters.limit_amplitude, anchors)
     return RailsApart(
@@ -163,13 +161,15 @@ def rails_apart(
     )
 
 
-def _refuse_rises(levels: Sequence[AtAmplitude], amplitude: FloatArray, steepest: float) -> None:
+def _refuse_rises(
+    levels: Sequence[AtAmplitude], amplitude: FloatArray, steepest: float, parameters: RailsParameters
+) -> None:
     """Take back what is said of the wheel as designed where its conicity, as found on some rails, is on a rise."""
     # the trend of the section goes with it
     keys = sorted({key for level in levels for key in level.rails})
     for key in keys:
         curve = np.array([level.rails[key].solved for level in levels])
-        rising = on_rise(curve, amplitude, steepest)
+        rising = on_rise(curve, amplitude, steepest, parameters)
         for level in (one for one, rises in zip(levels, rising, strict=True) if rises):
             at = level.rails[key]
             if at.reference_wheel.value is not None:

@@ -66,24 +66,20 @@ def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
 AS_ON_FILE = Reason(ReasonCode.RAILS_ARE_REFERENCE, "the section is named as known: nothing is measured of its rails")
 
 
-WITHIN = 0.25e-3  # m of amplitude
-SAME_AMPLITUDE = 1e-9  # m
-
-
-def next_to_jump(curve: FloatArray, amplitude: FloatArray, most: float) -> BoolArray:
+def next_to_jump(curve: FloatArray, amplitude: FloatArray, most: float, parameters: RailsParameters) -> BoolArray:
     """Return where (k,) a conicity changes by more than ``most`` within 0.25 mm of amplitude, to either side."""
-    return np.asarray((np.abs(_changes(curve, amplitude)) > most).any(axis=1))
+    return np.asarray((np.abs(_changes(curve, amplitude, parameters)) > most).any(axis=1))
 
 
-def on_rise(curve: FloatArray, amplitude: FloatArray, most: float) -> BoolArray:
+def on_rise(curve: FloatArray, amplitude: FloatArray, most: float, parameters: RailsParameters) -> BoolArray:
     """Return where (k,) a conicity rises by more than ``most`` within 0.25 mm of amplitude, before or behind."""
-    return np.asarray((_changes(curve, amplitude) > most).any(axis=1))
+    return np.asarray((_changes(curve, amplitude, parameters) > most).any(axis=1))
 
 
-def _changes(curve: FloatArray, amplitude: FloatArray) -> FloatArray:
+def _changes(curve: FloatArray, amplitude: FloatArray, parameters: RailsParameters) -> FloatArray:
     """Return by how much (k, k) the conicity grows from the smaller to the larger of two amplitudes that are near."""
     apart = amplitude[:, None] - amplitude[None, :]
-    near = np.abs(apart) <= WITHIN + SAME_AMPLITUDE
+    near = np.abs(apart) <= parameters.within + parameters.same_amplitude
     grown = np.sign(apart) * (curve[:, None] - curve[None, :])
     return np.where(near & np.isfinite(grown), grown, 0.0)
 
@@ -316,7 +312,7 @@ def _scale_of_reference(component: Component, scale: FloatArray) -> float:
 
 
 def _is_steep(component: Component, curve: FloatArray, parameters: RailsParameters) -> bool:
-    return bool(next_to_jump(curve, component.table.amplitude, parameters.steepest)[component.k])
+    return bool(next_to_jump(curve, component.table.amplitude, parameters.steepest, parameters)[component.k])
 
 
 def _exactly(value: float, windows: float) -> Estimate:

@@ -37,9 +37,6 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
 
 SHARES: FloatArray = np.asarray(np.linspace(0.0, 1.0, 21))  # of the variances of geometries, that are tried
-ANSWER_STD = 0.006  # of an answer about one wheelset on one section, before any is seen
-ANSWER_SPREAD = 0.3  # std of its logarithm
-RELUCTANCE = 3  # power of what is in common, by which shares are less likely beforehand
 NEAR = 0.03  # of conicity, within which what is on file counts for an answer
 _NONE = np.eye(len(SHARES))[0]  # no share of anything
 
@@ -85,7 +82,7 @@ class Differences:
     claimed: FloatArray  # (w,)
 
 
-def judged_by(before: OnFile, seen: Differences) -> OnFile:
+def judged_by(before: OnFile, seen: Differences, parameters: SignatureParameters) -> OnFile:
     """Return what entries may be off by, given how far each wheelset is judged from what is on file."""
     share = 1.0
     if before.own.any():
@@ -97,20 +94,20 @@ def judged_by(before: OnFile, seen: Differences) -> OnFile:
         own=np.sqrt(share) * before.own,
         shared=np.sqrt(1.0 - share) * before.own,
         claimed=before.claimed,
-        shares=_posterior(seen) if before.claimed.any() else _NONE,
+        shares=_posterior(seen, parameters) if before.claimed.any() else _NONE,
     )
 
 
-def _posterior(seen: Differences) -> FloatArray:
+def _posterior(seen: Differences, parameters: SignatureParameters) -> FloatArray:
     """Return the probabilities (k,) of the shares; large ones are not likely beforehand."""
     # a wheelset's answers on several sections have errors of their own, so that their mean is as much better
     of = seen.claimed > 0.0
     squared, claimed, answers = seen.difference[of] ** 2, seen.claimed[of], seen.answers[of]
     about = np.linspace(-3.0, 3.0, 31)
-    scale = (ANSWER_STD * np.exp(ANSWER_SPREAD * about)) ** 2
+    scale = (parameters.answer_std * np.exp(parameters.answer_spread * about)) ** 2
     variance = scale[:, None, None] / answers + SHARES[:, None] * claimed
     weighed = -0.5 * np.sum(squared / variance + np.log(variance), axis=-1) - 0.5 * about[:, None] ** 2
-    posterior = (1.0 - SHARES) ** RELUCTANCE * np.exp(weighed - weighed.max()).sum(axis=0)
+    posterior = (1.0 - SHARES) ** parameters.reluctance * np.exp(weighed - weighed.max()).sum(axis=0)
     return np.asarray(posterior / posterior.sum())
 
 
@@ -118,7 +115,6 @@ COVERAGE = 0.95
 NORMAL = float(special.ndtri(0.5 + 0.5 * COVERAGE))
 MOST_ANSWERS = 240  # that a factor is made from: more would cost more, and say little more
 GRID = 0.002  # of conicity
-FACTOR_STD = 0.3  # of the logarithm of the factor on standard deviations, before any answer is seen
 FACTORS = np.exp(np.linspace(-1.2, 1.2, 97))  # that are tried
 RARE = 0.02  # most probability outside what a library covers
 NOVEL = 0.99  # quantile of the distances, by their logarithms, from which on a signature is novel
@@ -182,7 +178,9 @@ def calibrated(
     apart = _folds(rows, groups)
     judged = partial(_judged, rows, known, apart, margin=parameters.margin)
     shares = known.shares
-    found: dict[Basis, Calibration | Reason] = {Basis.SAME_PLACES: _of(judged(basis=Basis.SAME_PLACES), shares)}
+    found: dict[Basis, Calibration | Reason] = {
+        Basis.SAME_PLACES: _of(judged(basis=Basis.SAME_PLACES), shares, parameters)
+    }
     sections = len(np.unique(rows.section))
     if sections < parameters.least_sections:
         found[Basis.OTHER_PLACES] = Reason(
@@ -191,7 +189,7 @@ def calibrated(
             f" how sections differ; {parameters.least_sections} are needed",
         )
     else:
-        found[Basis.OTHER_PLACES] = _of(judged(basis=Basis.OTHER_PLACES), shares)
+        found[Basis.OTHER_PLACES] = _of(judged(basis=Basis.OTHER_PLACES), shares, parameters)
     return found
 
 
@@ -277,13 +275,13 @@ def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[Bool
         yield ~left_out & ~here, left_out & here
 
 
-def _of(judged: Iterator[_Judged], shares: FloatArray) -> Calibration | Reason:
+def _of(judged: Iterator[_Judged], shares: FloatArray, parameters: SignatureParameters) -> Calibration | Reason:
     found = list(judged)
     wheelsets = len({one.wheelset for one in found})
     if wheelsets < 3:  # noqa: PLR2004 - a spread needs some
         return Reason(ReasonCode.LIBRARY_TOO_SMALL, "too few wheelsets of the library can be judged by the others")
     return Calibration(
-        weights=_weights([one for one in found if one.like] or found, shares),
+        weights=_weights([one for one in found if one.like] or found, shares, parameters),
         whole=_reach([one.whole for one in found], wheelsets),
         roll=_reach([one.roll for one in found], wheelsets),
     )
@@ -294,7 +292,7 @@ def _reach(distances: Sequence[float], wheelsets: int) -> Reach:
     return Reach(float(logarithms.mean()), float(logarithms.std(ddof=1)), wheelsets)
 
 
-def _weights(found: Sequence[_Judged], shares: FloatArray) -> FloatArray:
+def _weights(found: Sequence[_Judged], shares: FloatArray, parameters: SignatureParameters) -> FloatArray:
     """Return the probabilities (k, m) of shares and of factors on standard deviations, by those of the shares (k,)."""
     wheelset = np.unique([one.wheelset for one in found], return_inverse=True)[1]
     weight = 1.0 / np.bincount(wheelset)[wheelset]
@@ -304,7 +302,10 @@ def _weights(found: Sequence[_Judged], shares: FloatArray) -> FloatArray:
     weights = np.zeros((len(shares), len(FACTORS)))
     for number in np.flatnonzero(shares):
         variance = (FACTORS[:, None] * std) ** 2 + own + SHARES[number] * claimed
-        weighed = -0.5 * (error**2 / variance + np.log(variance)) @ weight - 0.5 * (np.log(FACTORS) / FACTOR_STD) ** 2
+        weighed = (
+            -0.5 * (error**2 / variance + np.log(variance)) @ weight
+            - 0.5 * (np.log(FACTORS) / parameters.factor_std) ** 2
+        )
         posterior = np.exp(weighed - weighed.max())
         weights[number] = shares[number] * posterior / posterior.sum()
     return weights

@@ -240,7 +240,7 @@ def _rounds(
 ) -> IterationResult:
     p, empty = setting.parameters, init(panel)
     placed = place(setting.grouped, corrections, ratio_values(ratios), panel.grid)
-    nothing = result(empty, std=False)
+    nothing = result(empty, std=False, parameters=panel.parameters)
     found = IterationResult(panel, empty, nothing, placed, ratios, 0, float("inf"), float("inf"), p.pass_std)
     while not (found.at_rest(p) or found.rounds >= p.rounds - 1):
         found = _repositioned(setting, _solved(setting, found, panel))
@@ -320,7 +320,7 @@ def _with_wheels(found: IterationResult, *, sized: bool = False) -> Panel:
 
 def _solved(setting: Setting, found: IterationResult, panel: Panel, *, std: bool = False) -> IterationResult:
     state = update(init(panel), found.passes)
-    solution = result(_state_with_prior(state, setting, found.noise), std=std)
+    solution = result(_state_with_prior(state, setting, found.noise), std=std, parameters=panel.parameters)
     noise = max(residual_of_passes(state, solution), 0.1 * setting.parameters.pass_std)
     return replace(found, panel=panel, state=state, solution=solution, noise=noise, rounds=found.rounds + 1)
 

@@ -130,6 +130,13 @@ class PositionParameters:
     pause_s: float = 300.0  # a longer pause between windows of a vehicle begins a new journey
     piece: float = 800.0  # m of a pass that is compared at a time
     least_correlation: float = 0.4
+    partners: int = 16  # journeys that each is compared with
+    network_reweightings: int = 20
+    least_spread: float = 0.1  # m, of the shifts about the adjustment
+    shift_std: float = 0.5  # m, of a shift, against:
+    offset_std: float = 20.0  # m, of a reported position
+    scale_std: float = 3e-3  # of an odometer
+    reweightings: int = 10  # of the line through the lags
 
 
 Journey = tuple[str, int]  # vehicle, start of its first window, ns

@@ -143,12 +143,6 @@ def long_wave_alignment(
     return LongWaveAlignment(mean, float(np.sqrt(max(spread, 0.0))), count, curves / shared)
 
 
-SENSOR_RESIDUAL = 0.07e-3  # m, rms of y - d - h(R) that sensors and small terms of the equations make
-GAUGE_EFFECT = 0.1  # m by which a metre of gauge moves wheelsets of widely different wear apart
-OPEN_SLOPE = 10.0  # relative std of the curves: nothing is known of them, and numbers stay finite
-WIDELY_DIFFERENT = 0.5  # std of R between the passes of a place over the std of R
-
-
 def merged_alignment(
     section: str, iterated: IterationResult, prior: TrackAlignment | None, p: SectionParameters
 ) -> TrackAlignment:
@@ -167,9 +161,9 @@ def merged_alignment(
     certain = (found.passes >= p.panel.least_passes) | np.isfinite(known.std)
     shown, shown_gauge = findings(iterated, gauge_estimated=not known.gauge_known)
     gauge = known.gauge if shown_gauge is None else shown_gauge
-    gauge_std = _gauge_std(iterated, known, shown_gauge)
+    gauge_std = _gauge_std(iterated, known, shown_gauge, p)
     profile_std, profile_scale_std = _profile_uncertainty(iterated)
-    slope_std = 0.0 if iterated.slope is None else min(iterated.slope.std, OPEN_SLOPE)
+    slope_std = 0.0 if iterated.slope is None else min(iterated.slope.std, p.open_slope)
     of_gauge = p.systematic_per_gauge[shown_gauge is not None] * float(np.std(gauge))
     systematic = p.systematic**2 + of_gauge**2 + profile_std**2 + (slope_std * found.curves) ** 2
     std = _std(found, shared, iterated.solution.common_std, systematic)
@@ -199,7 +193,9 @@ def _std(found: LongWaveAlignment, shared: FloatArray, of_curves: FloatArray, sy
     return np.asarray(np.sqrt(std**2 + found.passes / shared * systematic))
 
 
-def _gauge_std(iterated: IterationResult, known: PriorAlignment, shown: FloatArray | None) -> FloatArray:
+def _gauge_std(
+    iterated: IterationResult, known: PriorAlignment, shown: FloatArray | None, parameters: SectionParameters
+) -> FloatArray:
     """Return the std (n,), m, of the gauge deviation: as surveyed, or by what it does to passes that know none of it.
 
     Passes disagree by more than sensors make them where a gauge that is not modelled moves their wheelsets apart;
@@ -207,9 +203,9 @@ def _gauge_std(iterated: IterationResult, known: PriorAlignment, shown: FloatArr
     """
     if known.gauge_known:
         return known.gauge_std
-    unexplained = float(np.sqrt(max(iterated.noise_without_gauge**2 - SENSOR_RESIDUAL**2, 0.0)))
-    differing = min(between_pass_std_ratio(iterated.state) / WIDELY_DIFFERENT, 1.0)
-    inferred = unexplained / (GAUGE_EFFECT * differing) if differing > 0.0 else 0.0
+    unexplained = float(np.sqrt(max(iterated.noise_without_gauge**2 - parameters.sensor_residual**2, 0.0)))
+    differing = min(between_pass_std_ratio(iterated.state) / parameters.widely_different, 1.0)
+    inferred = unexplained / (parameters.gauge_effect * differing) if differing > 0.0 else 0.0
     found = 0.0 if shown is None else float(np.std(shown))
     return np.full_like(known.gauge_std, max(inferred, found))
 

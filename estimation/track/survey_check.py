@@ -18,7 +18,7 @@ from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gauge.wheel_functions import LEAST_GAUGE, contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
 from estimation.track.positions import peak_position
-from estimation.track.results import GAUGE_EFFECT
+from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import log10_chance
 from estimation.values.reasons import Reason, ReasonCode, combined
@@ -38,7 +38,6 @@ UNITS = {
     1 / 0.3048: "feet were taken for metres",
     0.3048: "metres were taken for feet",
 }
-SAME_UNIT = 1.12  # a factor this near to that of a unit is that unit
 MEMORY = 60.0  # m: correlation length of a high-passed alignment
 WORTH_SHARE = 0.5  # of what is wrong with a survey that a fleet's alignment may be off by to replace it
 WORTH_STD = 0.3e-3  # m, that it may be off by at most
@@ -54,6 +53,7 @@ class SurveyCheckParameters:
     least_samples: float = 20.0  # independent ones, below which the survey is not assessed
     most_factor: float = 1.25  # and its inverse the least, besides what the fleet leaves open
     largest_shift: float = 3.0  # m, besides the uncertainty of the fleet's place
+    same_unit: float = 1.12  # a factor this near to that of a unit is that unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: Sur
     """Return what is wrong with unit, sides and place, beyond a factor and a shift, m, that the fleet leaves open."""
     reasons = []
     if not 1.0 / (p.most_factor * open_scale) <= found.scale <= p.most_factor * open_scale:
-        reasons.append(Reason(ReasonCode.SURVEY_UNIT, _unit(found.scale)))
+        reasons.append(Reason(ReasonCode.SURVEY_UNIT, _unit(found.scale, p)))
     if found.sign < 0:
         text = "left and right are exchanged: it is the mirror image of what the fleet has measured"
         reasons.append(Reason(ReasonCode.SURVEY_MIRRORED, text))
@@ -132,10 +132,10 @@ def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: Sur
     return reasons
 
 
-def _unit(scale: float) -> str:
+def _unit(scale: float, limits: SurveyCheckParameters) -> str:
     near = min(UNITS, key=lambda factor: abs(np.log(scale / factor)))
     text = f"it is {scale:.3g} times what the fleet has measured"
-    return f"{text}: {UNITS[near]}" if abs(np.log(scale / near)) < np.log(SAME_UNIT) else text
+    return f"{text}: {UNITS[near]}" if abs(np.log(scale / near)) < np.log(limits.same_unit) else text
 
 
 def _on_one_grid(
@@ -196,7 +196,9 @@ class GaugeLimits:
     stds: float = 3.0  # that count as beyond doubt
 
 
-def judge_gauge(iterated: IterationResult | None, survey: TrackAlignment, *, converged: bool) -> Reason | None:
+def judge_gauge(
+    iterated: IterationResult | None, survey: TrackAlignment, *, converged: bool, parameters: SectionParameters
+) -> Reason | None:
     """Return what is wrong with a surveyed gauge; None where nothing is, or what passes show is not certain yet."""
     p = GaugeLimits()
     size = float(np.std(survey.gauge_deviation))
@@ -205,7 +207,7 @@ def judge_gauge(iterated: IterationResult | None, survey: TrackAlignment, *, con
     before, after = iterated.noise_without_gauge, iterated.noise
     if size < LEAST_GAUGE or before < p.visible:
         return None
-    expected = min((GAUGE_EFFECT * size / before) ** 2, 1.0)
+    expected = min((parameters.gauge_effect * size / before) ** 2, 1.0)
     if expected < p.least_expected:
         return None
     if 1.0 - (after / before) ** 2 < p.least_explained * expected:

@@ -45,7 +45,6 @@ from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectio
 NOT_USED = "not used: "
 GAUGE_NOT_USED = "its gauge is not used: "
 SHARPER = 0.8  # of the std of a file, below which the mean of it and its first passes is used in its place
-SAME_STD = 1.5  # factor by which the std of a survey may be off without the passes being solved again
 
 
 class UpdateOutcome(StrEnum):
@@ -138,7 +137,7 @@ class _Epoch:
         """Return what the passes and a survey give, the survey with the std that the passes show of it."""
         found = self._weighed(survey, survey)
         factor = 1.0 if found.posterior is None else found.posterior.std_factor
-        if not 1.0 / SAME_STD <= factor <= SAME_STD:
+        if not 1.0 / self.settings.same_survey_std <= factor <= self.settings.same_survey_std:
             again = self._weighed(replace(survey, alignment_std=factor * survey.alignment_std), survey)
             # held less by the survey, the journeys of a wheelset alone may come to rest at another wave of the track
             before, after = (one.estimate.iterated for one in (found, again))
@@ -177,7 +176,9 @@ class _Epoch:
 
     def judge_gauge(self, estimate: SectionEstimate, survey: TrackAlignment) -> Reason | None:
         """Return what is wrong with a surveyed gauge; None where nothing is, or nothing has been decided yet."""
-        found = judge_gauge(estimate.iterated, survey, converged=estimate.report.converged)
+        found = judge_gauge(
+            estimate.iterated, survey, converged=estimate.report.converged, parameters=self.settings.section
+        )
         return None if found is None else prefixed(GAUGE_NOT_USED, found)
 
     def update(

@@ -22,10 +22,8 @@ from estimation.values.registry import WheelsetRecord
 from estimation.values.signatures import ConicitySource, DesignPair, KnownSignatures, LibraryEntry, Place
 from estimation.values.track import TrackSectionRecord
 
-LEAST_STD = 0.003  # of a conicity from measured profiles
 WEAR_PER_KM = 1e-6  # std of what wear changes a conicity by, between a signature and what is known of the wheelset
 AT_LIMIT = int(abs(AMPLITUDES - LIMIT_AMPLITUDE).argmin())
-SPEED_BAND = 5.0  # m/s: of each wheelset, place and band the newest signature is an entry
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +88,9 @@ class EntryReader:
             for entry in found:
                 place = entry.signature.place
                 if place is not None:
-                    newest[wheelset, entry.baseline, place, int(entry.signature.speed // SPEED_BAND)] = entry
+                    newest[
+                        wheelset, entry.baseline, place, int(entry.signature.speed // self.parameters.speed_band)
+                    ] = entry
         return Entries(tuple(newest.values()), left_out, dict(self._damaged))
 
     def _taught(self, one: KnownSignatures) -> list[LibraryEntry] | ReasonCode:
@@ -185,7 +185,7 @@ class EntryReader:
             conicity = None if isinstance(contact, Reason) else contact.conicity[AT_LIMIT]
             known = None
             if conicity is not None and conicity.value is not None and conicity.std is not None:
-                std = max(conicity.std, LEAST_STD)
+                std = max(conicity.std, self.parameters.least_std)
                 known = (conicity.value, std) if std <= self.parameters.most_std else None
             self._contacts[key] = known
         return self._contacts[key]

@@ -268,7 +268,7 @@ def _best_candidate(
         for item in passes
         if (cut := _cut(item.source, begin, begin + length)) is not None
     ]
-    start = result(update(init(small), part), std=False)
+    start = result(update(init(small), part), std=False, parameters=panel.parameters)
     zero = small.with_gauge(np.zeros(small.grid.points))
     kept = [lives.index(life) for life in start.lives]
     residuals: list[float] = []
@@ -277,7 +277,7 @@ def _best_candidate(
         if not residuals and gauge.std() < LEAST_GAUGE:
             return None
         state = update(init(small.with_gauge(gauge)), part)
-        residuals.append(residual_of_passes(state, result(state, std=False)))
+        residuals.append(residual_of_passes(state, result(state, std=False, parameters=panel.parameters)))
     return candidates[int(np.argmin(residuals))]
 
 

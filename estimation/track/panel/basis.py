@@ -97,6 +97,23 @@ class PanelParameters:
     block: float = 250.0  # m
     roughness: float = 1e-3  # of h, relative to the data
     least_passes: int = 3  # at a grid point
+    least_diversity: float = 0.05
+    least_wheelsets: int = 2
+    gauge_ridge: float = 1e-4  # of h1 and h2 per knot, relative to the data of a knot of h0
+    stiffness_term_prior: float = 2e-7  # m2: variance of a pass over that of the coefficient of the stiffness term
+    pass_std: float = 0.12e-3  # m of y - d - h(R) of a pass, as measured profiles are weighed against it
+    correlated_samples: float = 20.0  # samples of a pass whose errors are one
+    independent_parts: float = 4.0  # of a measured curve, whose errors are their own
+    fixed_curve_weight: float = 100.0  # times the data of a knot: a curve that only the measurement determines
+    slope_reach: float = 20.0  # m, of the filter to both sides
+    ridge: float = 1e-4  # of its coefficients, relative to the data
+    least_correlation: float = 0.3  # of h(z) and h(R) between the passes of a place: below, the instrument is weak
+    systematic_share: float = 0.15  # of 1 / r2 - 1: std of the factor that blocks of data cannot show
+    # of the ratio, relative: a model of small terms is left, blocks of data cannot show it
+    ratio_systematic_std: float = 0.02
+    least_explained: float = 0.67  # a smaller share says that something else is wrong
+    # of a step: position and ratio are refined at once, and each would make up for the other's error
+    damping: float = 0.6
 
     @property
     def knots(self) -> FloatArray:

@@ -102,11 +102,6 @@ def _parts(ordered: Sequence[int], offset: FloatArray, middle: FloatArray, toler
     return parts
 
 
-OVERLAP_RESOLUTION = 20  # grid points: overlaps that differ less count as equal
-MIN_CHAIN_OVERLAP = 10  # of these, of overlap with a pass that continues along the section
-CHAIN_NEIGHBOURS = 2  # passes that continue along the section
-
-
 @dataclass(frozen=True, slots=True)
 class Comparison(Link):
     """Two passes; they agree where there is no reason against it."""
@@ -121,17 +116,19 @@ def compare_pairs(
 
     The cost is linear in the number of passes. Those of one journey (``journey_of`` (n,)) share their errors.
     """
-    pairs = {(min(i, j), max(i, j)) for i in filtered for j in _peers(i, filtered, journey_of, p.peers)}
+    pairs = {(min(i, j), max(i, j)) for i in filtered for j in _peers(i, filtered, journey_of, p.peers, p)}
     comparisons = []
     for i, j in sorted(pairs):
-        found = agreement(filtered[i], filtered[j], p.positions.largest_offset, p.cutoff_wavelength)
+        found = agreement(filtered[i], filtered[j], p.positions.largest_offset, p.cutoff_wavelength, p)
         if found.samples >= p.least_samples or found.log10_chance <= p.log10_chance:
             reason = disagreement(found, 1.0, p, "other passes of the place")
             comparisons.append(Comparison(i, j, found.shift, reason))
     return comparisons
 
 
-def _peers(i: int, filtered: Mapping[int, FilteredPass], journey_of: IntArray, wanted: int) -> list[int]:
+def _peers(
+    i: int, filtered: Mapping[int, FilteredPass], journey_of: IntArray, wanted: int, parameters: ScreeningParameters
+) -> list[int]:
     """Return the passes to compare ``i`` with: of each other journey the one that overlaps it most, those that do best.
 
     Wheelsets of one vehicle overlap alike; ``i`` decides among them, so that not all are compared with the same one.
@@ -140,15 +137,21 @@ def _peers(i: int, filtered: Mapping[int, FilteredPass], journey_of: IntArray, w
     others = np.array(list(filtered), dtype=np.int64)
     first = np.array([one.first for one in filtered.values()])
     last = np.array([one.last for one in filtered.values()])
-    shared = (np.minimum(last, filtered[i].last) - np.maximum(first, filtered[i].first)) // OVERLAP_RESOLUTION
+    shared = (
+        np.minimum(last, filtered[i].last) - np.maximum(first, filtered[i].first)
+    ) // parameters.overlap_resolution
     order = np.lexsort(((others - i) % len(journey_of), -shared))
     chosen: dict[int, int] = {}  # by journey
     for k in order[shared[order] > 0]:
         chosen.setdefault(int(journey_of[others[k]]), int(others[k]))
     chosen.pop(int(journey_of[i]), None)
     best = list(chosen.values())[:wanted]
-    beyond = np.where((journey_of[others] != journey_of[i]) & (shared >= MIN_CHAIN_OVERLAP), last - filtered[i].last, 0)
-    following = [int(others[k]) for k in np.argsort(-beyond, kind="stable")[:CHAIN_NEIGHBOURS] if beyond[k] > 0]
+    beyond = np.where(
+        (journey_of[others] != journey_of[i]) & (shared >= parameters.min_chain_overlap), last - filtered[i].last, 0
+    )
+    following = [
+        int(others[k]) for k in np.argsort(-beyond, kind="stable")[: parameters.chain_neighbours] if beyond[k] > 0
+    ]
     return list(dict.fromkeys([*best, *following]))
 
 
@@ -253,7 +256,7 @@ def _against_known(
     for i, one in filtered.items():
         track = alignment_segment(known, one.first - reach, one.last + reach, p.cutoff_wavelength, p.step)
         if track is not None:
-            found[i] = agreement(one, track, p.positions.largest_offset, p.cutoff_wavelength)
+            found[i] = agreement(one, track, p.positions.largest_offset, p.cutoff_wavelength, p)
     assessed = {i: one for i, one in found.items() if one.samples >= p.least_samples}
     if not assessed:
         return frozenset(), {}

@@ -10,7 +10,7 @@ from sinusoids import DENSITY, SENSORS, SINGLE, SOFT, judged, windows_of
 
 from estimation.adhesion.creep_forces import gear_segments
 from estimation.dampers import damper
-from estimation.dampers.damper import EVERY, looked_at, not_judged, posterior
+from estimation.dampers.damper import EVERY, DamperParameters, looked_at, not_judged, posterior
 from estimation.dampers.damper_filters import LATE_STD_S, add_products, damper_filters, gain_std, of_signals
 from estimation.motion.integration import SignalParameters
 from estimation.values.opinions import SHARES
@@ -34,7 +34,7 @@ def test_the_filter_of_the_true_share_predicts_all_that_is_measured(vehicle_clas
 def test_the_share_is_within_a_few_of_its_stds(vehicle_class: VehicleClass, share: float) -> None:
     found = judged(windows_of(vehicle_class, share), vehicle_class)
     assert found.sums is not None
-    said = posterior(found.sums.products, found.sums.curved)
+    said = posterior(found.sums.products, found.sums.curved, DamperParameters())
     assert said is not None
     assert abs(said.share - share) < 3.0 * said.std
     assert said.std < 0.05
@@ -47,7 +47,7 @@ def test_sensors_of_another_scale_at_one_axle_are_not_taken_for_damping() -> Non
     scaled = [replace(front, mass_lateral_acceleration=1.02 * front.mass_lateral_acceleration), rear]
     sums = judged(scaled, SOFT).sums
     assert sums is not None
-    said = posterior(sums.products, sums.curved)
+    said = posterior(sums.products, sums.curved, DamperParameters())
     assert said is not None
     assert abs(said.share - 0.3) < 0.03
 
@@ -86,7 +86,7 @@ def test_what_stiff_bodies_do_not_explain_bounds_the_weight_of_a_window(monkeypa
         monkeypatch.setattr(damper, "MODEL_ERROR", error)
         sums = judged(windows, SOFT).sums
         assert sums is not None
-        said = posterior(sums.products, sums.curved)
+        said = posterior(sums.products, sums.curved, DamperParameters())
         assert said is not None
         stds.append(said.std)
     assert stds[1] > 1.2 * stds[0]
@@ -116,7 +116,7 @@ def test_a_few_lost_samples_hardly_change_what_is_said() -> None:
     whole, gapped = (judged(w, SOFT) for w in (windows, [replace(one, valid=~lost) for one in windows]))
     assert whole.sums is not None
     assert gapped.sums is not None
-    one, other = (posterior(sums.products, sums.curved) for sums in (whole.sums, gapped.sums))
+    one, other = (posterior(sums.products, sums.curved, DamperParameters()) for sums in (whole.sums, gapped.sums))
     assert one is not None
     assert other is not None
     assert abs(one.share - other.share) < 0.01

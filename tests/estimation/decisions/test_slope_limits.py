@@ -9,7 +9,7 @@ import pytest
 from test_section_limits import P, a_pass
 
 from estimation.track.gridded_pass import GriddedPass, grid_pass
-from estimation.track.panel.basis import Panel, PanelState, init, pass_rows, update
+from estimation.track.panel.basis import Panel, PanelParameters, PanelState, init, pass_rows, update
 from estimation.track.panel.instrumental_slope import (
     EXCESS_SHARE,
     EXCESS_STD,
@@ -38,7 +38,7 @@ def gridded(noise: float, count: int = 6) -> list[GriddedPass]:
 
 def solved(passes: list[GriddedPass]) -> tuple[PanelState, PanelSolution]:
     state = update(init(PANEL), passes)
-    return state, result(state, std=False)
+    return state, result(state, std=False, parameters=PanelParameters())
 
 
 def within(passes: list[GriddedPass], solution: PanelSolution) -> tuple[FloatArray, FloatArray]:
