@@ -11,7 +11,7 @@ from rich.table import Table
 
 from bench.results_page import markdown_table
 from bench.world_table import terminal_table
-from estimation.geometry.model_fit import DOUBTED, MISTAKE
+from estimation.geometry.model_fit import ROLLING_FIT
 from estimation.values.reasons import ReasonCode
 
 RIGHT = "right"
@@ -214,7 +214,7 @@ def _radius(name: str, of_row: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
         f"{np.median(error):+.1f} / {np.percentile(np.abs(error), 68):.1f}",
         f"{np.median(std):.1f}",
         f"{np.median(bound):.1f}",
-        str(int(np.sum(np.abs(error) + DOUBTED * std > 100.0 * MISTAKE))),
+        str(int(np.sum(np.abs(error) + ROLLING_FIT.doubted * std > 100.0 * ROLLING_FIT.mistake))),
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from estimation.vehicle.linear_model import (
-    HIGHEST_SPEED,
+    LINEAR,
     LinearContact,
     critical_speed,
     klingel_wavelength,
@@ -70,7 +70,9 @@ def _critical_speeds(vehicle_class: VehicleClass) -> Iterator[str]:
     yield "Critical speed"
     for conicity in CONICITIES:
         speed = critical_speed(vehicle_class, LinearContact(conicity))
-        found = f"above {HIGHEST_SPEED:g} m/s" if math.isinf(speed) else f"{speed:.0f} m/s, {3.6 * speed:.0f} km/h"
+        found = (
+            f"above {LINEAR.highest_speed:g} m/s" if math.isinf(speed) else f"{speed:.0f} m/s, {3.6 * speed:.0f} km/h"
+        )
         yield f"  conicity {conicity:g}: {found}"
 
 

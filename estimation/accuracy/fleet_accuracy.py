@@ -174,7 +174,17 @@ def _key(amplitude: float) -> int:
     return round(amplitude / SAME_AMPLITUDE)
 
 
-_TAIL = 0.025  # on either side of a 95 % interval
+@dataclass(frozen=True, slots=True)
+class AccuracyParameters:
+    """How curves are compared with measured ones."""
+
+    tail: float = 0.025  # on either side of a 95 % interval
+    searched: float = 0.6e-3  # m
+    search_step: float = 5e-6  # m
+    most_deviation: float = 3.0  # standard deviations that one bin counts at most
+
+
+ACCURACY = AccuracyParameters()
 
 
 def covers(estimated: Estimate, measured: Estimate) -> bool | None:
@@ -217,8 +227,8 @@ class CoverageCount:
         n, k = self.compared, self.covered
         if n == 0:
             return None
-        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, _TAIL))
-        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1.0 - _TAIL))
+        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, ACCURACY.tail))
+        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1.0 - ACCURACY.tail))
         return low, high
 
 
@@ -297,11 +307,6 @@ def _grouped(
     return {key: _count(members) for key, members in sorted(groups.items())}
 
 
-SEARCHED = 0.6e-3  # m
-SEARCH_STEP = 5e-6  # m
-MOST_DEVIATION = 3.0  # standard deviations that one bin counts at most
-
-
 @dataclass(frozen=True, slots=True)
 class CurveOrigin:
     """The point of a known curve from which the estimated one is counted."""
@@ -322,11 +327,11 @@ def curve_origin(
     if not known.any():
         return CurveOrigin(crossing, 0.0)
     best = (np.inf, crossing, 0.0)
-    low, high = min(crossing, 0.0) - SEARCHED, max(crossing, 0.0) + SEARCHED
-    for shift in np.linspace(low, high, round((high - low) / SEARCH_STEP) + 1):
+    low, high = min(crossing, 0.0) - ACCURACY.searched, max(crossing, 0.0) + ACCURACY.searched
+    for shift in np.linspace(low, high, round((high - low) / ACCURACY.search_step) + 1):
         curve = np.interp(centre + shift, displacement, difference)
         mean = float(found.samples @ curve / found.samples.sum())
         deviation = (R.value - curve + mean)[known] / R.std[known]
-        misfit = float(np.minimum(deviation**2, MOST_DEVIATION**2).sum())
+        misfit = float(np.minimum(deviation**2, ACCURACY.most_deviation**2).sum())
         best = min(best, (misfit, float(shift), mean))
     return CurveOrigin(best[1], best[2])

@@ -26,8 +26,17 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.units import IN_MM, NORMAL_95
 
 AMPLITUDES: FloatArray = np.arange(1, 9, dtype=np.float64) * 1e-3  # m
-REACH = 12e-3  # m: an amplitude of 8 mm about a centre that is 4 mm off
-STEP = 0.1e-3  # m
+
+
+@dataclass(frozen=True, slots=True)
+class WheelContactParameters:
+    """Where contact of measured wheels is computed."""
+
+    reach: float = 12e-3  # m: an amplitude of 8 mm about a centre that is 4 mm off
+    step: float = 0.1e-3  # m
+
+
+CONTACTS = WheelContactParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +145,7 @@ def _on_rails(wheels: WheelPair, one: RailShare) -> tuple[ContactTable, RadiusDi
     wheelset = WheelsetOnTrack(
         wheels.left, wheels.right, rail, rail, one.inclination, one.gauge, wheels.nominal_radius, wheels.nominal_radius
     )
-    x = STEP * np.arange(-round(REACH / STEP), round(REACH / STEP) + 1)
+    x = CONTACTS.step * np.arange(-round(CONTACTS.reach / CONTACTS.step), round(CONTACTS.reach / CONTACTS.step) + 1)
     table = contact_table(wheelset, x, method=ContactMethod.EN15302, outside="hold")
     return table, refined_curve(wheelset, table, 0)
 

@@ -23,7 +23,7 @@ from estimation.adhesion.stationary_filter import AXLE, StationaryFilter, statio
 from estimation.compiled import compiled
 from estimation.filters import remove_wander
 from estimation.motion.checks import moving_samples
-from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, SignalParameters, integrate
+from estimation.motion.integration import ROLL_USE, IntegratedSegment, SignalParameters, integrate
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.units import GRAVITY
@@ -81,7 +81,9 @@ def gear_segments(
         return Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of {signals.shortest_segment_s:g} s")
     segments = []
     for parts in zip(*found, strict=True):
-        rolls = tuple(remove_wander(one.displacements[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts)
+        rolls = tuple(
+            remove_wander(one.displacements[[ROLL]], one.run, one.known, ROLL_USE.cutoff_wavelength)[0] for one in parts
+        )
         segments.append(GearSegment(parts, rolls, _accelerations(windows, parts, rolls)))
     return GearSegments(tuple(segments), usable, windows[0].sample_interval_s, axles)
 
@@ -167,9 +169,22 @@ def smooth_back(back: FloatArray, predicted: FloatArray, filtered: FloatArray) -
         add_product(back, gained, filtered[i])
 
 
-BAND_HZ = 12.0  # end of the band that is kept
-VIBRATING = 0.25  # rms of what a lateral acceleration has above the band, m/s2: more than contact jumps make
-HALF_LENGTH_S = 0.12  # of the low-pass, on each side
+@dataclass(frozen=True, slots=True)
+class CreepParameters:
+    """Band, vibration and outliers of creep forces."""
+
+    band_hz: float = 12.0  # end of the band that is kept
+    vibrating: float = 0.25  # rms of what a lateral acceleration has above the band, m/s2: more than contact jumps make
+    half_length_s: float = 0.12  # of the low-pass, on each side
+    # mean square of a channel's innovations over what the filter expects; see docs/adhesion.md
+    most_innovation: float = 10.0
+    # creep coefficient, yaw spring and load on file scale 1/mu; the scale of a sensor looks like creep that grows with
+    # the force, at every friction alike: in parts of b, as measured with sensors that are 5 % off (`bench adhesion`)
+    yaw_as_creep: float = 0.55  # b that a scale of the yaw sensors leaves, over its error
+    lateral_as_creep: float = 0.35  # the same of the lateral sensors
+
+
+CREEP_FILTER = CreepParameters()
 
 
 def without_vibration(
@@ -179,15 +194,12 @@ def without_vibration(
     from scipy import signal  # noqa: PLC0415 - slow to import, and few need it
 
     rate = 1.0 / sample_interval_s
-    weights = signal.firwin(2 * round(HALF_LENGTH_S * rate) + 1, BAND_HZ, fs=rate)
+    weights = signal.firwin(2 * round(CREEP_FILTER.half_length_s * rate) + 1, CREEP_FILTER.band_hz, fs=rate)
     smooth = signal.fftconvolve(accelerations, weights[None], mode="same", axes=1)
     rest = (accelerations - smooth)[lateral][:, known]
-    if float(np.sqrt(np.mean(rest**2, axis=1)).max()) <= VIBRATING:
+    if float(np.sqrt(np.mean(rest**2, axis=1)).max()) <= CREEP_FILTER.vibrating:
         return accelerations, False
     return np.where(known, smooth, 0.0), True
-
-
-MOST_INNOVATION = 10.0  # mean square of a channel's innovations over what the filter expects; see docs/adhesion.md
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,11 +224,11 @@ def forces_on(gear: GearSegments, vehicle_class: VehicleClass) -> tuple[ContactF
         named, innovation, vibrates = _smoothed(gear, segment, vehicle_class)
         values[:, :, segment.axles[0].part] = named
         worst, vibrating = max(worst, innovation), vibrating or vibrates
-    if not (np.isfinite(worst) and worst <= MOST_INNOVATION):
+    if not (np.isfinite(worst) and worst <= CREEP_FILTER.most_innovation):
         return Reason(
             ReasonCode.DIVERGED,
             f"the innovations of the filter are {np.sqrt(worst):.1f} times what the vehicle's class lets expect, at"
-            f" most {np.sqrt(MOST_INNOVATION):.1f} times are believed; check class and sensors",
+            f" most {np.sqrt(CREEP_FILTER.most_innovation):.1f} times are believed; check class and sensors",
         )
     return tuple(
         ContactForces(contact, moment, yaw_rate, roll, usable, worst, vibrating)
@@ -231,7 +243,7 @@ def _smoothed(gear: GearSegments, segment: GearSegment, vehicle_class: VehicleCl
     first = parts[0]
     speed = float(first.speed.mean())
     made = stationary_filter(vehicle_class, gear.sample_interval_s, speed)
-    roll_rates = [remove_wander(one.rates[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts]
+    roll_rates = [remove_wander(one.rates[[ROLL]], one.run, one.known, ROLL_USE.cutoff_wavelength)[0] for one in parts]
     measurements = np.zeros((len(first.speed), len(made.measured)))
     lateral = slice(0, 2 * made.axles, 2)
     steady, vibrating = without_vibration(segment.accelerations, first.known, gear.sample_interval_s, lateral)
@@ -286,12 +298,6 @@ def _named(
     return np.stack([states[:, force], states[:, force + 1] + gyroscopic, states[:, AXLE * axle + 3], roll])
 
 
-# creep coefficient, yaw spring and load on file scale 1/mu; the scale of a sensor looks like creep that grows with the
-# force, at every friction alike: in parts of b, as measured with sensors that are 5 % off (`bench adhesion`)
-YAW_AS_CREEP = 0.55  # b that a scale of the yaw sensors leaves, over its error
-LATERAL_AS_CREEP = 0.35  # the same of the lateral sensors
-
-
 @dataclass(frozen=True, slots=True)
 class FileErrors:
     """Relative stds of what all vehicles of a class have in common."""
@@ -323,7 +329,9 @@ class FileErrors:
     @property
     def creep_std(self) -> float:
         """Std of what the scales of the sensors leave, as a b of all vehicles."""
-        return math.hypot(YAW_AS_CREEP * self.yaw_scale, LATERAL_AS_CREEP * self.lateral_scale)
+        return math.hypot(
+            CREEP_FILTER.yaw_as_creep * self.yaw_scale, CREEP_FILTER.lateral_as_creep * self.lateral_scale
+        )
 
 
 def lateral_scale_std(sensors: SensorLayout) -> float:

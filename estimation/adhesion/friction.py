@@ -33,7 +33,7 @@ from estimation.adhesion.pass_sums import (
     creep_levels,
     pass_sums,
 )
-from estimation.motion.checks import MARGIN
+from estimation.motion.checks import CHECKS
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
@@ -280,4 +280,6 @@ def touched(one: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tu
     if one.sums is None or not len(one.sums.cells):
         return ()
     first, behind = CELL_LENGTH * one.sums.cells[0], CELL_LENGTH * (one.sums.cells[-1] + 1)
-    return tuple((begin, end) for begin, end in stretches if begin < behind + MARGIN and end > first - MARGIN)
+    return tuple(
+        (begin, end) for begin, end in stretches if begin < behind + CHECKS.margin and end > first - CHECKS.margin
+    )

@@ -109,8 +109,18 @@ def pass_sums(passes: Sequence[WindowAdhesion]) -> PassSums | None:
 SCALES = frozen_array(np.linspace(-1.8, 1.8, 73), (73,), name="SCALES")
 """(s,) logarithms of scales that are tried: a sixth to six times."""
 
-MOST_STD = 0.25  # of the logarithm of a scale that is compared
-FAR = 0.5  # of the logarithm: over which that std is measured
+
+@dataclass(frozen=True, slots=True)
+class ScaleParameters:
+    """When the scale of a vehicle is known."""
+
+    most_std: float = 0.25  # of the logarithm of a scale that is compared
+    far: float = 0.5  # of the logarithm: over which that std is measured
+
+
+SCALE = ScaleParameters()
+
+
 TINY = np.finfo(float).tiny
 
 
@@ -132,8 +142,10 @@ class Scales(FrozenArrays):
     @property
     def known(self) -> BoolArray:
         """(g,) those that a scale well below, or above the least of the grid, does not fit."""
-        below = self.logarithm - FAR
-        return np.asarray(self.std_from(np.where(below >= SCALES[0], below, self.logarithm + FAR)) < MOST_STD)
+        below = self.logarithm - SCALE.far
+        return np.asarray(
+            self.std_from(np.where(below >= SCALES[0], below, self.logarithm + SCALE.far)) < SCALE.most_std
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -119,16 +119,27 @@ def _carried(bogie: BogieParameters, rates: FloatArray, force: FloatArray, momen
     rates[above + 3] = -(moment + turned) / bogie.frame_yaw_inertia
 
 
-SPEED_STEP = 0.5  # m/s, to which the mean speed of a window is rounded
-LEAST_DENSITY = 1e-5  # m/s2 or rad/s2 per root hertz: of sensors that have no noise on file
+@dataclass(frozen=True, slots=True)
+class GearFilterParameters:
+    """Random forces and creepages of the filter that finds creep forces."""
+
+    speed_step: float = 0.5  # m/s, to which the mean speed of a window is rounded
+    least_density: float = 1e-5  # m/s2 or rad/s2 per root hertz: of sensors that have no noise on file
+    # known beforehand: stds of forces in parts of the load on a wheelset, 1 m stands for the arm of the moment
+    force_share: float = 0.02
+    moment_share: float = 0.075
+    change_s: float = 0.02  # of a force
+    creepage_std: float = 1e-4
+    creepage_change_s: float = 0.15
+    kinematic_std: float = 2e-5  # white, of the angle of rolling
+    corner_wavelength: float = 130.0  # m
+
+
+GEAR_FILTER = GearFilterParameters()
+
+
 ROUNDING = 1e-13  # of the scaled states, which keeps the covariance positive
 KEPT = 32  # filters
-# known beforehand: stds of forces in parts of the load on a wheelset, 1 m stands for the arm of the moment
-FORCE_SHARE, MOMENT_SHARE = 0.02, 0.075
-CHANGE_S = 0.02  # of a force
-CREEPAGE_STD, CREEPAGE_CHANGE_S = 1e-4, 0.15
-KINEMATIC_STD = 2e-5  # white, of the angle of rolling
-CORNER_WAVELENGTH = 130.0  # m
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +163,7 @@ class StationaryFilter(FrozenArrays):
 
 def stationary_filter(vehicle_class: VehicleClass, sample_interval_s: float, speed: float) -> StationaryFilter:
     """Return the filter of a class at a speed; a LinAlgError where it has no stationary one."""
-    rounded = max(SPEED_STEP, SPEED_STEP * round(speed / SPEED_STEP))
+    rounded = max(GEAR_FILTER.speed_step, GEAR_FILTER.speed_step * round(speed / GEAR_FILTER.speed_step))
     gear = (vehicle_class.parameters, vehicle_class.bogie, vehicle_class.sensors)
     return _filter(*gear, sample_interval_s, rounded)
 
@@ -169,7 +180,7 @@ def _filter(
     process += ROUNDING * np.eye(n)
     rows = _measured(gear, n, speed) * scale
     wheelbase = None if bogie is None else bogie.wheelbase
-    variance = _variances(gear, sensors, wheelbase, dt, 2.0 * math.pi * speed / CORNER_WAVELENGTH)
+    variance = _variances(gear, sensors, wheelbase, dt, 2.0 * math.pi * speed / GEAR_FILTER.corner_wavelength)
     predicted = scipy.linalg.solve_discrete_are(transition.T, rows.T, process, np.diag(variance))
     innovation = rows @ predicted @ rows.T + np.diag(variance)
     gain = np.linalg.solve(innovation, rows @ predicted).T
@@ -201,16 +212,16 @@ def _with_inputs(gear: GearEquations, load: float) -> tuple[FloatArray, FloatArr
     n = own + 2 * forces + gear.axles
     rates, noise, scale = np.zeros((n, n)), np.zeros((n, n)), np.full(n, 1e-3)
     rates[:own, :own], rates[:own, own : own + forces] = gear.rates, gear.inputs
-    corner = 1.0 / CHANGE_S
-    stds = load * np.array([FORCE_SHARE, MOMENT_SHARE] * gear.axles)
+    corner = 1.0 / GEAR_FILTER.change_s
+    stds = load * np.array([GEAR_FILTER.force_share, GEAR_FILTER.moment_share] * gear.axles)
     for force, std in enumerate(stds):
         value, slope = own + force, own + forces + force
         rates[value, slope], rates[slope, value], rates[slope, slope] = 1.0, -(corner**2), -2.0 * corner
         noise[slope, slope] = 4.0 * corner**3 * std**2
         scale[value], scale[slope] = 1e3, 1e3 * corner
     for creepage in range(n - gear.axles, n):
-        rates[creepage, creepage] = -1.0 / CREEPAGE_CHANGE_S
-        noise[creepage, creepage] = 2.0 * CREEPAGE_STD**2 / CREEPAGE_CHANGE_S
+        rates[creepage, creepage] = -1.0 / GEAR_FILTER.creepage_change_s
+        noise[creepage, creepage] = 2.0 * GEAR_FILTER.creepage_std**2 / GEAR_FILTER.creepage_change_s
         scale[creepage] = 1e-4
     return rates, noise, scale
 
@@ -239,7 +250,7 @@ def _variances(
             drift.append(on_wheelset[int(turned)])
         else:
             drift.append(above[0] * (math.sqrt(2.0) / wheelbase if turned and wheelbase else 1.0))
-    density = np.maximum([*on_wheelset, *above], LEAST_DENSITY)
-    anchors = np.maximum(drift, LEAST_DENSITY) / corner**2
-    rolling = np.full(gear.axles, KINEMATIC_STD**2)
+    density = np.maximum([*on_wheelset, *above], GEAR_FILTER.least_density)
+    anchors = np.maximum(drift, GEAR_FILTER.least_density) / corner**2
+    rolling = np.full(gear.axles, GEAR_FILTER.kinematic_std**2)
     return np.concatenate([density**2 / (2.0 * dt), anchors**2 / (2.0 * dt), rolling])

@@ -40,9 +40,35 @@ from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
 
 DISPLACEMENT = np.arange(-140, 141) * 0.05e-3  # m
 DEPTHS = np.arange(9) * 0.25e-3  # m, of wear
-USUAL_HOLLOW = (3e-3, 40e-3)  # m, centre and half width, of wheels that are in no family
-MOST_MISFIT = 0.15e-3  # m, rms of rL - rR between estimate and the best profile
-FEWEST_NODES = 5
+
+
+@dataclass(frozen=True, slots=True)
+class ForceUseParameters:
+    """Which creep forces of a window are used, and how far they are off."""
+
+    usual_hollow: tuple[float, float] = (3e-3, 40e-3)  # m, centre and half width, of wheels that are in no family
+    most_misfit: float = 0.15e-3  # m, rms of rL - rR between estimate and the best profile
+    fewest_nodes: int = 5
+    share_rounds: int = 3  # of spin and saturation, each of which decides on the other
+    most_utilisation: float = 0.98  # near 1 the creepage is beyond all bounds
+    least_utilisation: float = 1e-6
+    summed_s: float = 0.012  # between samples that are summed: creep changes within some 20 ms
+    fewest_s: float = 0.4  # of a place
+    shortest_s: float = 5.0  # of a stretch of samples
+    trimmed_s: float = 1.0  # at each of its ends
+    # std of an rms force beside springs and load: what the filter makes of it; docs/results/adhesion.md
+    force_error: float = 0.05
+    smoothed_error: float = 0.06  # the same where vibration was taken out, and with it what is as fast
+    lateral_error: float = 0.10  # of the lateral creep, whose gravitational part follows from profiles
+    used_quantile: float = 0.99
+    fewest_samples: int = 500
+
+
+FORCES = ForceUseParameters()
+SHARE_ROUNDS = FORCES.share_rounds
+MOST_UTILISATION = FORCES.most_utilisation
+
+
 KEPT = 64
 
 
@@ -69,7 +95,7 @@ def contact_angles(
     The curve (b,) is rL - rR over y - d, m; NaN where it is not estimated.
     """
     known = np.isfinite(difference)
-    if known.sum() < FEWEST_NODES:
+    if known.sum() < FORCES.fewest_nodes:
         return Reason(ReasonCode.NO_CREEP_CURVE, f"rL - rR is known at {known.sum()} displacements")
     rail = (section.rail_profile, section.rail_inclination, section.nominal_gauge_m)
     if not (is_design(wheel) and is_design(section.rail_profile)):
@@ -82,11 +108,11 @@ def contact_angles(
     left = expected - difference[known]
     misfit = np.sqrt(((left - left.mean(axis=1, keepdims=True)) ** 2).mean(axis=1))  # a diameter difference is no wear
     best = int(np.argmin(misfit))
-    if misfit[best] > MOST_MISFIT:
+    if misfit[best] > FORCES.most_misfit:
         return Reason(
             ReasonCode.PROFILES_UNKNOWN,
             f"{wheel} on {section.rail_profile}, however worn, miss the estimated rL - rR by"
-            f" {1e3 * misfit[best]:.2f} mm, at most {1e3 * MOST_MISFIT:.2f} mm are wear",
+            f" {1e3 * misfit[best]:.2f} mm, at most {1e3 * FORCES.most_misfit:.2f} mm are wear",
         )
     order = np.argsort(curves[best], kind="stable")
     return ContactAngles(curves[best][order], differences[best][order], sums[best][order], float(misfit[best]))
@@ -97,7 +123,7 @@ def _family(
     wheel: str, rail: str, inclination: float, gauge: float, radius: float
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return R, D and dL + dR (9, n) of a wheel worn more and more; None where it never touches the rail."""
-    centre, half_width = HOLLOWS.get(wheel, USUAL_HOLLOW)
+    centre, half_width = HOLLOWS.get(wheel, FORCES.usual_hollow)
     found = []
     try:
         on = rail_profile(rail)
@@ -113,9 +139,6 @@ def _family(
     return curves, differences, sums
 
 
-SHARE_ROUNDS = 3  # of spin and saturation, each of which decides on the other
-MOST_UTILISATION = 0.98  # near 1 the creepage is beyond all bounds
-LEAST_UTILISATION = 1e-6
 STEPS = 4096  # of the table of excesses
 
 
@@ -123,7 +146,7 @@ STEPS = 4096  # of the table of excesses
 def excess_table() -> FloatArray:
     """Return linear over true creep force of a wheel less 1 at T/(mu N) from 0 to 0.98 in equal steps, (4097,)."""
     # It is 0 without slip. Between the points it is taken as linear, which misses it by less than 1e-5.
-    t = np.maximum(np.linspace(0.0, MOST_UTILISATION, STEPS + 1), LEAST_UTILISATION)
+    t = np.maximum(np.linspace(0.0, MOST_UTILISATION, STEPS + 1), FORCES.least_utilisation)
     return frozen_array(3.0 * (1.0 - np.cbrt(1.0 - t)) / t - 1.0, (STEPS + 1,), name="excess")
 
 
@@ -170,12 +193,6 @@ def add_saturated(
             sums[3, k] += g * x
 
 
-SUMMED_S = 0.012  # between samples that are summed: creep changes within some 20 ms
-FEWEST_S = 0.4  # of a place
-SHORTEST_S = 5.0  # of a stretch of samples
-TRIMMED_S = 1.0  # at each of its ends
-
-
 @dataclass(frozen=True, slots=True)
 class CreepSignals(FrozenArrays):
     """Creep of one wheelset over one window in the band of its motion, in its own axes; NaN where not known."""
@@ -207,7 +224,7 @@ def creep_signals(
     rows = sign * np.stack([forces.contact, forces.moment, R, forces.roll])
     finite = np.isfinite(rows).all(axis=0) & np.isfinite(motion.displacement)
     passed, valid = np.full(rows.shape, np.nan), np.zeros(len(V), np.bool_)
-    trim, shortest = round(TRIMMED_S / sample_interval_s), round(SHORTEST_S / sample_interval_s)
+    trim, shortest = round(FORCES.trimmed_s / sample_interval_s), round(FORCES.shortest_s / sample_interval_s)
     for start, stop in runs(finite):
         if stop - start < shortest:
             continue
@@ -235,7 +252,7 @@ def friction_sums(
 
     The curve has centres of bins of y - d (b,), m, and rL - rR there (b,), m, NaN where it is not known.
     """
-    p, step = vehicle, max(1, int(SUMMED_S / sample_interval_s + 1e-6))
+    p, step = vehicle, max(1, int(FORCES.summed_s / sample_interval_s + 1e-6))
     difference = _on_curve(motion.displacement, *curve) - signals.linear_difference
     known = signals.valid & np.isfinite(difference) & np.isfinite(signals.lateral) & np.isfinite(distance)
     good = np.flatnonzero(known[::step]) * step
@@ -250,7 +267,7 @@ def friction_sums(
     saturated = np.zeros((len(cells), 4, len(INVERSE)))
     forces = np.stack([0.5 * moment / p.half_contact_distance, 0.5 * signals.lateral[good], signals.spin[good]])
     add_saturated(excess_table(), np.stack([e, q, x]), forces, index, 0.5 * p.load / INVERSE, saturated)
-    kept = counts * step * sample_interval_s >= FEWEST_S
+    kept = counts * step * sample_interval_s >= FORCES.fewest_s
     return FrictionSums(cells[kept], counts[kept].astype(float), squares[kept], saturated[kept])
 
 
@@ -262,13 +279,6 @@ def _on_curve(displacement: FloatArray, centres: FloatArray, values: FloatArray)
     cell = np.where(inside, place, 0.0).astype(np.int64)
     part = np.where(inside, place, np.nan) - cell
     return np.asarray((1.0 - part) * values[cell] + part * values[cell + 1])
-
-
-FORCE_ERROR = 0.05  # std of an rms force beside springs and load: what the filter makes of it; docs/results/adhesion.md
-SMOOTHED_ERROR = 0.06  # the same where vibration was taken out, and with it what is as fast
-LATERAL_ERROR = 0.10  # of the lateral creep, whose gravitational part follows from profiles
-USED_QUANTILE = 0.99
-FEWEST_SAMPLES = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,10 +315,12 @@ def window_adhesion(
         None if isinstance(angles, Reason) else angles,
         mounted_reversed=inputs.mounted_reversed,
     )
-    if found.valid.sum() < FEWEST_SAMPLES:
-        few = Reason(ReasonCode.TOO_FEW_USABLE, f"{found.valid.sum()} samples of creep, {FEWEST_SAMPLES} are needed")
+    if found.valid.sum() < FORCES.fewest_samples:
+        few = Reason(
+            ReasonCode.TOO_FEW_USABLE, f"{found.valid.sum()} samples of creep, {FORCES.fewest_samples} are needed"
+        )
         return refused(*of_window, few)
-    error = float(np.hypot(FORCE_ERROR, SMOOTHED_ERROR)) if forces.smoothed else FORCE_ERROR
+    error = float(np.hypot(FORCES.force_error, FORCES.smoothed_error)) if forces.smoothed else FORCES.force_error
     distance = inputs.correction.at(window.distance)
     of_samples = (found, motion, distance, curve, vehicle, window.sample_interval_s)
     sums = None if isinstance(angles, Reason) else friction_sums(*of_samples)
@@ -338,8 +350,8 @@ def _forces(
     along = 0.5 * found.moment / vehicle_class.parameters.half_contact_distance
     across = np.stack([0.5 * found.lateral + found.spin, 0.5 * found.lateral - found.spin])  # of left and right wheel
     larger = np.hypot(along, across)[:, found.valid].max(axis=0)
-    used = float(np.quantile(larger, USED_QUANTILE)) / (0.5 * vehicle_class.parameters.load)
-    error = math.hypot(LATERAL_ERROR, of_lateral, of_load)
+    used = float(np.quantile(larger, FORCES.used_quantile)) / (0.5 * vehicle_class.parameters.load)
+    error = math.hypot(FORCES.lateral_error, of_lateral, of_load)
     return (
         contact_force,
         with_interval(lateral, lateral * error),

@@ -9,7 +9,7 @@ Curves that a measurement gives: ``docs/decisions/contact-conicity-rules.md``.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -229,9 +229,17 @@ def _from_travel(middle, amplitude, energy, points, values, potential):  # type:
     return (_ANGLES / total) ** 2
 
 
-DRAWS = 48
-FEWEST = 0.8  # share of the draws that must cover an amplitude
-_SEED = 20_15302
+@dataclass(frozen=True, slots=True)
+class DrawParameters:
+    """How the uncertainty of a conicity is drawn."""
+
+    draws: int = 48
+    fewest: float = 0.8  # share of the draws that must cover an amplitude
+    seed: int = 20_15302
+
+
+DRAWN = DrawParameters()
+DRAWS = DRAWN.draws
 
 
 class MeasuredShapes(NamedTuple):
@@ -277,7 +285,7 @@ def conicity_std(
     wanted = np.array(amplitudes, dtype=np.float64, ndmin=1)
     if shapes.exact:
         return np.zeros(len(wanted))
-    random = np.random.default_rng(_SEED)
+    random = np.random.default_rng(DRAWN.seed)
     expected = _conicity(wheelset, lateral_displacement, wanted, method)
     values = np.full((draws, len(wanted)), np.nan)
     for row in range(draws):
@@ -288,7 +296,7 @@ def conicity_std(
             continue
     covered = np.isfinite(values)
     squares = np.where(covered, (values - expected) ** 2, 0.0).sum(axis=0) / np.maximum(covered.sum(axis=0), 1)
-    return np.where(covered.mean(axis=0) >= FEWEST, np.sqrt(squares), np.nan)
+    return np.where(covered.mean(axis=0) >= DRAWN.fewest, np.sqrt(squares), np.nan)
 
 
 def _conicity(

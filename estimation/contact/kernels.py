@@ -14,22 +14,43 @@ minus nominal gauge, m; both increase strictly where they are (n,) and (g,).
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from estimation.compiled import compiled
 
-STRIDE = 10  # the first scan looks at every tenth point of the wheel's grid
-RIVAL_MARGIN = 2e-5  # m, scan minima within this of the best are refined
-ROLL_TOLERANCE = 1e-11  # m, difference of the two gaps
-SLOPE_TOLERANCE = 1e-10  # of the gap, where it is smallest
-POSITION_TOLERANCE = 1e-10  # m, of the contact
-ROLL_LIMIT = 0.1  # rad
+
+@dataclass(frozen=True, slots=True)
+class ContactParameters:
+    """How closely a contact is found, and what a jump is."""
+
+    stride: int = 10  # the first scan looks at every tenth point of the wheel's grid
+    rival_margin: float = 2e-5  # m, scan minima within this of the best are refined
+    roll_tolerance: float = 1e-11  # m, difference of the two gaps
+    slope_tolerance: float = 1e-10  # of the gap, where it is smallest
+    position_tolerance: float = 1e-10  # m, of the contact
+    roll_limit: float = 0.1  # rad
+    jump_distance: float = 4e-4  # m, a contact has jumped that moves this far ...
+    jump_interval: float = 4e-6  # m, ... while the wheelset moves no farther than this
+    curve_tolerance: float = 2e-7  # m, of the radius difference half-way between two points of a refined curve
+    curve_interval: float = 1e-9  # m, a jump of a refined curve is placed to within this
+
+
+TOLERATED = ContactParameters()
+STRIDE = TOLERATED.stride
+RIVAL_MARGIN = TOLERATED.rival_margin
+ROLL_TOLERANCE = TOLERATED.roll_tolerance
+SLOPE_TOLERANCE = TOLERATED.slope_tolerance
+POSITION_TOLERANCE = TOLERATED.position_tolerance
+ROLL_LIMIT = TOLERATED.roll_limit
+JUMP_DISTANCE = TOLERATED.jump_distance
+JUMP_INTERVAL = TOLERATED.jump_interval
+CURVE_TOLERANCE = TOLERATED.curve_tolerance
+CURVE_INTERVAL = TOLERATED.curve_interval
+
+
 OUTSIDE = 1.0e3  # m, gap where there is no rail
-JUMP_DISTANCE = 4e-4  # m, a contact has jumped that moves this far ...
-JUMP_INTERVAL = 4e-6  # m, ... while the wheelset moves no farther than this
-CURVE_TOLERANCE = 2e-7  # m, of the radius difference half-way between two points of a refined curve
-CURVE_INTERVAL = 1e-9  # m, a jump of a refined curve is placed to within this
 _LEVELS = 64  # more than the halvings from any grid step to the interval
 
 FOUND, NO_OVERLAP, FLANGE_TIP, OUTER_EDGE, NO_ROLL = 0, 1, 2, 3, 4  # outcome of a search: why there is no contact point

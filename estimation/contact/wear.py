@@ -20,17 +20,32 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.contact.profiles import TREAD_DATUM, Profile
+from estimation.contact.profiles import PROFILE, Profile
 from estimation.errors import ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
 from estimation.values.fields import in_mm
 
-DEEPEST_HOLLOW = 6e-3  # largest depth that the form is meant for, m
 
-MOST_FLANGE_WEAR = 4e-3  # largest flange wear for which the moved flange still is one height per lateral position, m
+@dataclass(frozen=True, slots=True)
+class WearParameters:
+    """Where wear of a wheel is looked for."""
 
-_ROOT = (-0.040, -0.032)  # m, the flange moves fully at the first, the tread not at all from the second on
-_TIP = (-0.058, -0.048)  # m, the tip stays up to the first, the face moves fully from the second on
+    deepest_hollow: float = 6e-3  # largest depth that the form is meant for, m
+    # largest flange wear for which the moved flange still is one height per lateral position, m
+    most_flange_wear: float = 4e-3
+    # m, the flange moves fully at the first, the tread not at all from the second on
+    root: tuple[float, float] = (-0.040, -0.032)
+    # m, the tip stays up to the first, the face moves fully from the second on
+    tip: tuple[float, float] = (-0.058, -0.048)
+    face_below_tread: float = 10e-3  # m, where the flange thickness is measured
+    face_above_tip: float = 2e-3  # m, upper point of the flange gradient
+    tread_from: float = -0.030  # m, field side of the flange root
+    rim_margin: float = 5e-3  # m, the outermost part belongs to the chamfer
+    fine: float = 2e-5  # m
+    deepest_band: float = 4e-3  # largest depth that the form is meant for, m
+
+
+WORN = WearParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +58,8 @@ class TreadWear:
     flange_wear: float = 0.0  # reduction of the flange thickness
 
     def __post_init__(self) -> None:
-        _within("depth", self.depth, DEEPEST_HOLLOW)
-        _within("flange_wear", self.flange_wear, MOST_FLANGE_WEAR)
+        _within("depth", self.depth, WORN.deepest_hollow)
+        _within("flange_wear", self.flange_wear, WORN.most_flange_wear)
         _check_band(self)
 
 
@@ -68,7 +83,7 @@ def worn(wheel: Profile, wear: TreadWear) -> Profile:
     """Return the wheel profile after it has lost that material; the new profile is not touched."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear is applied to wheels", field="kind")
-    (root, root_rate), (tip, tip_rate) = _blend(wheel.y, *_ROOT), _blend(wheel.y, *_TIP)
+    (root, root_rate), (tip, tip_rate) = _blend(wheel.y, *WORN.root), _blend(wheel.y, *WORN.tip)
     moved = wear.flange_wear * (1.0 - root) * tip  # from how far field-wards the surface at y came
     rate = wear.flange_wear * ((1.0 - root) * tip_rate - root_rate * tip)
     source = np.clip(wheel.y + moved, wheel.y[0], wheel.y[-1])
@@ -101,13 +116,6 @@ def _check_band(wear: TreadWear | RailWear) -> None:
         raise ParameterError(f"{wear.centre!r} is not a position", field="centre")
 
 
-_FACE_BELOW_TREAD = 10e-3  # m, where the flange thickness is measured
-_FACE_ABOVE_TIP = 2e-3  # m, upper point of the flange gradient
-_TREAD_FROM = -0.030  # m, field side of the flange root
-_RIM_MARGIN = 5e-3  # m, the outermost part belongs to the chamfer
-_FINE = 2e-5  # m
-
-
 @dataclass(frozen=True, slots=True)
 class WearMeasures:
     """Wear measures of a wheel profile, m."""
@@ -135,17 +143,17 @@ def wear_measures(wheel: Profile) -> WearMeasures:
     """Return the wear measures of a whole wheel whose origin is the tread datum, 70 mm from the flange back."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear measures are a wheel's", field="kind")
-    if not wheel.y[0] < _TREAD_FROM or not wheel.y[-1] > 0.0:
+    if not wheel.y[0] < WORN.tread_from or not wheel.y[-1] > 0.0:
         raise ProfileError(f"{wheel.name!r} does not reach from the flange to the tread datum", field="y")
-    y = np.arange(wheel.y[0], wheel.y[-1], _FINE)
+    y = np.arange(wheel.y[0], wheel.y[-1], WORN.fine)
     z = wheel.height(y)
     tip = int(np.argmax(z))
     tread = float(wheel.height(np.zeros(1))[0])
-    thick = _face(y[tip:], z[tip:], tread + _FACE_BELOW_TREAD)
-    high = _face(y[tip:], z[tip:], float(z[tip]) - _FACE_ABOVE_TIP)
-    part = z[(y >= _TREAD_FROM) & (y <= y[-1] - _RIM_MARGIN)]
+    thick = _face(y[tip:], z[tip:], tread + WORN.face_below_tread)
+    high = _face(y[tip:], z[tip:], float(z[tip]) - WORN.face_above_tip)
+    part = z[(y >= WORN.tread_from) & (y <= y[-1] - WORN.rim_margin)]
     hollow = float((np.maximum.accumulate(part[::-1])[::-1] - part).max())  # below the highest point farther out
-    return WearMeasures(float(z[tip]) - tread, thick + TREAD_DATUM, thick - high, hollow)
+    return WearMeasures(float(z[tip]) - tread, thick + PROFILE.tread_datum, thick - high, hollow)
 
 
 def _face(y: FloatArray, z: FloatArray, level: float) -> float:
@@ -154,9 +162,6 @@ def _face(y: FloatArray, z: FloatArray, level: float) -> float:
         raise ProfileError(f"the flange face does not cross a depth of {level * 1e3:.2f} mm", field="z")
     i = int(above[0])
     return float(y[i] - (y[i] - y[i - 1]) * (level - z[i]) / (z[i - 1] - z[i]))
-
-
-DEEPEST_BAND = 4e-3  # largest depth that the form is meant for, m
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +173,7 @@ class RailWear:
     half_width: float = 0.030  # from the middle to where the band ends
 
     def __post_init__(self) -> None:
-        _within("depth", self.depth, DEEPEST_BAND)
+        _within("depth", self.depth, WORN.deepest_band)
         _check_band(self)
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from estimation.errors import ParameterError
 from estimation.estimators import filter_kernels as kernels
 from estimation.estimators.interface import (
-    FEWEST_GROUPS,
+    CURVE_GRID,
     CurveEstimate,
     EstimatorParameters,
     Replicates,
@@ -32,7 +32,7 @@ from estimation.estimators.interface import (
     nothing,
     usable,
 )
-from estimation.estimators.series import GROUPS, SPACING, SeriesState, added, empty, misfit, shifts
+from estimation.estimators.series import SERIES, SeriesState, added, empty, misfit, shifts
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
@@ -42,10 +42,26 @@ from estimation.values.windows import Motion
 from estimation.vehicle.regressors import regression
 from estimation.vehicle.vehicle_class import VehicleParameters
 
-STEP_S = 0.012  # between the samples that a filter takes
-SHORTEST = 100  # samples of a block that is filtered
-LARGEST_SQUARE = 3.0  # mean of squared innovations over their variances of a filter that follows
-MOST_DIVERGED = 0.2  # share of blocks
+
+@dataclass(frozen=True, slots=True)
+class BlockParameters:
+    """Blocks and priors of the filters."""
+
+    step_s: float = 0.012  # between the samples that a filter takes
+    shortest: int = 100  # samples of a block that is filtered
+    largest_square: float = 3.0  # mean of squared innovations over their variances of a filter that follows
+    most_diverged: float = 0.2  # share of blocks
+    least_noise: float = 0.03e-3  # m, std of y - d
+    steepest: float = 1.6  # of R per y - d that particles begin with: a conicity of 0.8
+    offset_std: float = 1e-3  # m
+    rows: int = 64  # of numbers drawn, used in turn
+    seed: int = 2003
+    smallest: float = 1e-9  # of the variance of the slope, relative to the prior's: particles that are all alike
+
+
+BLOCKS = BlockParameters()
+STEEPEST = BLOCKS.steepest
+OFFSET_STD = BLOCKS.offset_std
 
 
 class Inputs(NamedTuple):
@@ -86,19 +102,16 @@ class FilterState(FrozenArrays):
     diverged: int
 
 
-LEAST_NOISE = 0.03e-3  # m, std of y - d
-
-
 def follows(found: Posterior) -> bool:
     """Return whether a filter has followed the motion of a block: by its innovations, and by its covariance."""
     finite = np.isfinite(found.mean).all() and np.isfinite(found.covariance).all() and np.isfinite(found.square)
-    if not finite or found.square > LARGEST_SQUARE:
+    if not finite or found.square > BLOCKS.largest_square:
         return False
     return bool(np.linalg.eigvalsh(found.covariance)[0] > 0.0)
 
 
 def _inputs(motion: Motion, parameters: EstimatorParameters, keep: BoolArray) -> Inputs:
-    stride = max(round(STEP_S / motion.sample_interval_s), 1)
+    stride = max(round(BLOCKS.step_s / motion.sample_interval_s), 1)
     at = np.flatnonzero(keep)
     run = np.cumsum(np.append(0, np.diff(at) > 1))
     within = np.arange(len(at)) - np.searchsorted(run, run)
@@ -135,7 +148,7 @@ class BlockFilters(ABC):
     def init(self, parameters: EstimatorParameters) -> FilterState:
         """Return the state before any block."""
         m = len(self.prior.mean)
-        return FilterState(empty(parameters, m), np.zeros((GROUPS, m, m)), np.zeros((GROUPS, m)), 0, 0)
+        return FilterState(empty(parameters, m), np.zeros((SERIES.groups, m, m)), np.zeros((SERIES.groups, m)), 0, 0)
 
     def update(self, state: FilterState, motion: Motion, weight: float = 1.0) -> FilterState:
         """Return the state with the blocks of ``motion`` filtered and added, ``weight`` times."""
@@ -145,18 +158,18 @@ class BlockFilters(ABC):
         precision, information = state.precision.copy(), state.information.copy()
         blocks, diverged = state.blocks, state.diverged
         of_sensors = math.sqrt(motion.displacement_noise)
-        noise = max(math.hypot(parameters.uncertainty.alignment_noise, of_sensors), LEAST_NOISE)
+        noise = max(math.hypot(parameters.uncertainty.alignment_noise, of_sensors), BLOCKS.least_noise)
         before = np.diag(prior.std**-2.0)
         for block in np.unique(motion.block[keep]):
             inputs = _inputs(motion, parameters, keep & (motion.block == block))
-            if len(inputs.yaw) < SHORTEST:
+            if len(inputs.yaw) < BLOCKS.shortest:
                 continue
             found = self.filter_block(parameters.vehicle, inputs, noise)
             blocks += 1
             if not follows(found):
                 diverged += 1
                 continue
-            group = int(group_of(np.array([block]), GROUPS)[0])
+            group = int(group_of(np.array([block]), SERIES.groups)[0])
             after = np.linalg.inv(found.covariance)
             precision[group] += weight * (after - before)
             information[group] += weight * (after @ found.mean - before @ prior.mean)
@@ -168,16 +181,16 @@ class BlockFilters(ABC):
         span = covered_range(series.counts)
         if isinstance(span, Reason):
             return nothing(span, series.parameters, series.samples, series.stretches)
-        if state.diverged > MOST_DIVERGED * state.blocks:
+        if state.diverged > BLOCKS.most_diverged * state.blocks:
             text = f"the filter has diverged in {state.diverged} of {state.blocks} blocks of running"
             return nothing(Reason(ReasonCode.DIVERGED, text), series.parameters, series.samples, series.stretches)
         present = np.flatnonzero(np.trace(state.precision, axis1=1, axis2=2) != 0.0)
-        if len(present) < FEWEST_GROUPS:
+        if len(present) < CURVE_GRID.fewest_groups:
             return nothing(too_few_blocks(len(present)), series.parameters, series.samples, series.stretches)
         before = np.diag(self.prior.std**-2.0)
         precision = before + state.precision.sum(axis=0)
         information = before @ self.prior.mean + state.information.sum(axis=0)
-        x = np.linspace(*span, round((span[1] - span[0]) / SPACING) + 1)
+        x = np.linspace(*span, round((span[1] - span[0]) / SERIES.spacing) + 1)
         functions = self.basis(x)
         value = functions @ np.linalg.solve(precision, information)
         left_out = [
@@ -217,13 +230,6 @@ class ExtendedKalman(BlockFilters):
         return Posterior(mean[2:], 0.5 * (P + P.T)[2:, 2:], square)
 
 
-STEEPEST = 1.6  # of R per y - d that particles begin with: a conicity of 0.8
-OFFSET_STD = 1e-3  # m
-ROWS = 64  # of numbers drawn, used in turn
-SEED = 2003
-SMALLEST = 1e-9  # of the variance of the slope, relative to the prior's: particles that are all alike
-
-
 @dataclass(frozen=True, slots=True)
 class ParticleFilter(BlockFilters):
     """Rao-Blackwellised particle filter: ``particles`` over the conicity, the same for every amplitude.
@@ -253,13 +259,13 @@ class ParticleFilter(BlockFilters):
         lever = 2 * vehicle.half_contact_distance * vehicle.nominal_radius
         square = kernels.particles(*inputs, noise, lever, slope, mean, P, _draws(self.particles))
         found = np.column_stack([mean[:, 2], slope * MILLIMETRE])
-        covariance = np.cov(found.T, bias=True) + np.diag([P[:, 2, 2].mean(), SMALLEST * self.prior.std[1] ** 2])
+        covariance = np.cov(found.T, bias=True) + np.diag([P[:, 2, 2].mean(), BLOCKS.smallest * self.prior.std[1] ** 2])
         return Posterior(found.mean(axis=0), covariance, square)
 
 
 @lru_cache
 def _draws(particles: int) -> FloatArray:
-    rng = np.random.default_rng(SEED)
-    drawn = np.column_stack([rng.uniform(size=ROWS), rng.standard_normal((ROWS, particles))])
+    rng = np.random.default_rng(BLOCKS.seed)
+    drawn = np.column_stack([rng.uniform(size=BLOCKS.rows), rng.standard_normal((BLOCKS.rows, particles))])
     drawn.flags.writeable = False
     return drawn

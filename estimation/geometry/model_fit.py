@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.geometry.uncertainty import MOUNTING_STD, ParameterUncertainty
-from estimation.motion.rolling_sums import BANDS, UNKNOWNS
+from estimation.motion.rolling_sums import ROLLED, UNKNOWNS
 from estimation.tables.bin_table import BinParameters, Solution, inverses, unpack
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import BinTable, Contradiction
@@ -37,7 +37,34 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.roll_up import RollingSums
 from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
 
-SMALLEST = 1e-200  # variance, so that without any sample the shared coefficients are zero
+
+@dataclass(frozen=True, slots=True)
+class RollingFitParameters:
+    """When the motion contradicts a rolling radius on file."""
+
+    smallest: float = 1e-200  # variance, so that without any sample the shared coefficients are zero
+    most_displacement_error: float = 0.2  # of the power of y - d: what the interval of a curve allows for
+    most_widened: float = 2.0  # std of a conicity over itself by it
+    rounds: int = 4  # of weights that follow from what is left
+    outlying: float = 2.0  # times the median of what is left in the bands, over the noise: a band with more is left out
+    short_bands: int = 2  # those of the shortest wavelengths, in which vibration shows
+    model_std: float = 5e-3  # m: without noise right radii are found 1 % too small
+    radius_noise_doubt: float = 0.1  # of what taking off the noise changes
+    noise_doubt_left: float = 0.6  # the same, per noise that is left in all bands beyond that on file
+    noise_doubt_vibrating: float = 0.4  # the same on axle boxes that vibrate
+    # of the radius, per share by which the suspension moves the wheelset more than on dry rails
+    friction_share: float = 0.3
+    # of the radius, per scale of yaw against lateral sensor: more than sensors have is what is missing
+    scale_share: float = 0.5
+    most_unexplained: float = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
+    fewest_parts: int = 8
+    doubted: float = 2.0  # stds beyond which the radius on file is in doubt: right ones have 0.6 rms, at most 2.5
+    # of the radius on file: what the motion has to exclude, as wheels worn out on file as new ones
+    mistake: float = 0.10
+    certain: float = 4.0  # beyond which it is another: hundreds of wheelsets are looked at every 15 minutes
+
+
+ROLLING_FIT = RollingFitParameters()
 
 
 def solve_with_shared_scales(
@@ -74,7 +101,7 @@ def solve_with_shared_scales(
     right = np.where(known_bins, cross[:, :, :q, :] - coupling @ alone, 0.0).sum(axis=1)
     unshared = np.maximum(square - np.einsum("rbi,rbi->rb", alone[..., 0], cross[:, :, q:, 0]), 0.0)
     freedom = np.maximum(np.where(solvable, weight - (p - q), 0.0).sum(axis=1), 1.0)
-    variance = np.maximum(np.where(solvable, unshared, 0.0).sum(axis=1) / freedom, SMALLEST)
+    variance = np.maximum(np.where(solvable, unshared, 0.0).sum(axis=1) / freedom, ROLLING_FIT.smallest)
     counted = np.ones(q) if counted_as_one is None else np.asarray(counted_as_one)
     known = variance[:, None, None] * np.diag(counted / np.square(prior_stds))
     common = np.linalg.solve(left + known, right)[:, None]
@@ -97,8 +124,6 @@ def solve_with_shared_scales(
     return solution, np.asarray(moved)
 
 
-MOST_DISPLACEMENT_ERROR = 0.2  # of the power of y - d: what the interval of a curve allows for
-MOST_WIDENED = 2.0  # std of a conicity over itself by it
 _NOISE = YAW_TARGETS.index("noise")
 
 
@@ -175,13 +200,14 @@ def mismatch(
 def displaced(fit: ModelFit) -> Contradiction | None:
     """Return that sensors and track leave the lateral displacement open, which flattens the curve; None else."""
     share = fit.displacement_error
-    if share <= MOST_DISPLACEMENT_ERROR:
+    if share <= ROLLING_FIT.most_displacement_error:
         return None
     text = (
         f"{share:.0%} of the power of the lateral displacement are errors of the alignment on file and of the sensors,"
-        f" {MOST_DISPLACEMENT_ERROR:.0%} may be: the conicity may be too small by as much; survey the section again"
+        f" {ROLLING_FIT.most_displacement_error:.0%} may be: the conicity may be too small by as much;"
+        " survey the section again"
     )
-    relative = min(share / max(1.0 - share, 1e-9), MOST_WIDENED)
+    relative = min(share / max(1.0 - share, 1e-9), ROLLING_FIT.most_widened)
     return Contradiction(Reason(ReasonCode.CONICITY_OPEN, text), certain=False, relative=relative)
 
 
@@ -221,20 +247,6 @@ def _unexplained(fit: ModelFit, uncertainty: ParameterUncertainty) -> Contradict
 
 EXPECTED = np.array([1.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of the unknowns; nothing is expected of the radius
 EXPECTED_STD = np.array([0.01, 10.0, 0.1, 0.1, 300.0, 300.0])  # gravity and curve stand for dL - dR, 100 times as large
-ROUNDS = 4  # of weights that follow from what is left
-OUTLYING = 2.0  # times the median of what is left in the bands, over the noise: a band with more is left out
-SHORT_BANDS = 2  # those of the shortest wavelengths, in which vibration shows
-MODEL_STD = 5e-3  # m: without noise right radii are found 1 % too small
-RADIUS_NOISE_DOUBT = 0.1  # of what taking off the noise changes
-NOISE_DOUBT_LEFT = 0.6  # the same, per noise that is left in all bands beyond that on file
-NOISE_DOUBT_VIBRATING = 0.4  # the same on axle boxes that vibrate
-FRICTION_SHARE = 0.3  # of the radius, per share by which the suspension moves the wheelset more than on dry rails
-SCALE_SHARE = 0.5  # of the radius, per scale of yaw against lateral sensor: more than sensors have is what is missing
-MOST_UNEXPLAINED = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
-FEWEST_PARTS = 8
-DOUBTED = 2.0  # stds beyond which the radius on file is in doubt: right ones have 0.6 rms, at most 2.5
-MISTAKE = 0.10  # of the radius on file: what the motion has to exclude, as wheels worn out on file as new ones
-CERTAIN = 4.0  # beyond which it is another: hundreds of wheelsets are looked at every 15 minutes
 
 _SCALE, _RADIUS, _SUSPENSION, _CURVE = (UNKNOWNS.index(name) for name in ("scale", "radius", "suspension", "curve"))
 
@@ -256,19 +268,19 @@ def check_radius(
     A radius that nobody measured and that the motion does not tell from one off by ``MISTAKE`` stands beside the
     number as a doubt; one that was ``measured`` stands against another measurement, a doubt too. Few data say nothing.
     """
-    if len(parts) < FEWEST_PARTS:
+    if len(parts) < ROLLING_FIT.fewest_parts:
         return None
     found = rolling_radius(parts)
     if found is None:
         return None if measured else _open(on_file, "the motion does not show the radius on which the wheelset rolls")
     std = math.hypot(found.std, relative_std * on_file)
     stds = abs(found.value - on_file) / std
-    if stds <= DOUBTED:
-        if measured or stds + DOUBTED <= MISTAKE * on_file / std:
+    if stds <= ROLLING_FIT.doubted:
+        if measured or stds + ROLLING_FIT.doubted <= ROLLING_FIT.mistake * on_file / std:
             return None
         by_motion = f"{1e3 * found.value:.0f} mm (std {1e3 * found.std:.0f} mm)"
         return _open(on_file, f"the motion shows the radius on which the wheelset rolls as {by_motion}")
-    certain = stds > CERTAIN and not measured
+    certain = stds > ROLLING_FIT.certain and not measured
     reason = Reason(
         ReasonCode.ROLLING_RADIUS_DIFFERS,
         f"the wheelset rolls as on wheels of {1e3 * found.value:.0f} mm radius (std {1e3 * found.std:.0f} mm),"
@@ -280,15 +292,15 @@ def check_radius(
 
 def _open(on_file: float, shown: str) -> Contradiction:
     text = (
-        f"{shown}, which does not confirm the {1e3 * on_file:.0f} mm on file: a radius {MISTAKE:.0%} off moves the"
-        f" conicity by {MISTAKE:.0%}; put its std on file, as measured or as wheels wear"
+        f"{shown}, which does not confirm the {1e3 * on_file:.0f} mm on file: a radius {ROLLING_FIT.mistake:.0%} off"
+        f" moves the conicity by {ROLLING_FIT.mistake:.0%}; put its std on file, as measured or as wheels wear"
     )
     return Contradiction(Reason(ReasonCode.ROLLING_RADIUS_OPEN, text), certain=False, relative=0.0)
 
 
 def rolling_radius(parts: Sequence[RollingSums]) -> RollingRadius | None:
     """Return the radius on which a wheelset rolls; None where the data do not determine it."""
-    if len(parts) < FEWEST_PARTS:
+    if len(parts) < ROLLING_FIT.fewest_parts:
         return None
     products = np.array([one.products for one in parts])
     noise = np.array([one.noise for one in parts])
@@ -303,35 +315,35 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
     taken_off = noise.copy()
     # curve and gravity are one where contact is straight: its noise is what keeps them apart there
     taken_off[..., 1 + _CURVE, 1 + _CURVE] = 0.0
-    with_noise = _solution(_weighted(np.ones(BANDS), total))
+    with_noise = _solution(_weighted(np.ones(ROLLED.bands), total))
     share = min(1.0, float(np.min(_left(total, of_noise, with_noise))))  # sensors may be better than on file
-    weights = np.ones(BANDS)
-    left = np.ones(BANDS)
+    weights = np.ones(ROLLED.bands)
+    left = np.ones(ROLLED.bands)
     without_noise = products - share * taken_off
     by_band = without_noise.sum(axis=0)
-    for _ in range(ROUNDS):
+    for _ in range(ROLLING_FIT.rounds):
         left = _left(total, of_noise, _solution(_weighted(weights, by_band)))
-        weights = (left <= OUTLYING * np.median(left)) / np.maximum(left, 1.0)
+        weights = (left <= ROLLING_FIT.outlying * np.median(left)) / np.maximum(left, 1.0)
     sums = np.einsum("b,pbij->pij", weights, without_noise)
     whole = sums.sum(axis=0)
     information = whole[1:, 1:] + np.diag(1.0 / EXPECTED_STD**2)
     if np.linalg.eigvalsh(information)[0] <= 0.0:
         return None
     best = _solution(whole)
-    if best[_RADIUS] <= 0.0 or _unexplained_share(whole, best) > MOST_UNEXPLAINED:
+    if best[_RADIUS] <= 0.0 or _unexplained_share(whole, best) > ROLLING_FIT.most_unexplained:
         return None
     replicates = np.array([best, *(_solution(whole - one) for one in sums)])
     bound = math.sqrt(float(np.linalg.inv(information)[_RADIUS, _RADIUS]))
     corrected = best[_RADIUS] - _solution(_weighted(weights, total))[_RADIUS]
     sampling = float(normal_equivalent(jackknife_std(replicates), len(sums))[_RADIUS])
-    vibrating = bool((left[-SHORT_BANDS:] > OUTLYING * np.median(left)).any())
-    doubt = NOISE_DOUBT_VIBRATING if vibrating else RADIUS_NOISE_DOUBT
+    vibrating = bool((left[-ROLLING_FIT.short_bands :] > ROLLING_FIT.outlying * np.median(left)).any())
+    doubt = ROLLING_FIT.noise_doubt_vibrating if vibrating else ROLLING_FIT.radius_noise_doubt
     stds = [
         max(sampling, bound, _std_of_bands(weights, by_band)),
-        MODEL_STD,
-        (doubt + NOISE_DOUBT_LEFT * max(float(left.min()) - 1.0, 0.0)) * corrected,
-        FRICTION_SHARE * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),
-        SCALE_SHARE * best[_RADIUS] * abs(best[_SCALE] - 1.0),
+        ROLLING_FIT.model_std,
+        (doubt + ROLLING_FIT.noise_doubt_left * max(float(left.min()) - 1.0, 0.0)) * corrected,
+        ROLLING_FIT.friction_share * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),
+        ROLLING_FIT.scale_share * best[_RADIUS] * abs(best[_SCALE] - 1.0),
     ]
     return RollingRadius(float(best[_RADIUS]), float(np.linalg.norm(stds)), bound)
 

@@ -24,12 +24,32 @@ from estimation.values.track import Correction, TrackLayout
 from estimation.values.units import GRAVITY
 from estimation.values.windows import Window, WindowQuality
 
-GRID_STEP = 1.0  # m, to which a layout is refined before it is looked at
+
+@dataclass(frozen=True, slots=True)
+class CheckParameters:
+    """What a window must not show."""
+
+    grid_step: float = 1.0  # m, to which a layout is refined before it is looked at
+    most_at_rest: float = 1.4  # m/s2, of a lateral accelerometer on straight track: its offset, and g times its angle
+    mean_s: float = 5.0  # over which the motion of the wheelset averages out
+    least_share: float = 0.5  # of the samples that a mean needs
+    look_s: float = 1.0  # over which positions are compared with the speed
+    jump: float = 0.5  # m
+    jump_share: float = 0.05  # of the distance run
+    backwards: float = -0.3  # correlation of the lateral velocity with speed times yaw, 1 of an axle that rolls forward
+    unrelated: float = 0.25  # of sensors that are not on these axes: a turned one has up to 0.15, stiff bogies have 0.8
+    smoothed_s: float = 0.04  # vibration is faster
+    one_way: float = 0.98  # share of the samples that must lead one way
+    margin: float = 25.0  # m kept from a stretch of low friction: half a place
+    most_left_out: float = 0.25  # share of the samples from which low friction is why too few are left
+
+
+CHECKS = CheckParameters()
 
 
 def straight(distance: FloatArray, layout: TrackLayout, limits: SignalParameters) -> BoolArray:
     """Return which places (n,) are on track that is straight within ``limits``; places off the layout do not."""
-    grid = np.union1d(np.arange(layout.s[0], layout.s[-1], GRID_STEP), layout.s)
+    grid = np.union1d(np.arange(layout.s[0], layout.s[-1], CHECKS.grid_step), layout.s)
     bent = (np.abs(np.interp(grid, layout.s, layout.curvature)) > limits.sharpest_curvature) | (
         np.abs(np.interp(grid, layout.s, layout.cant)) > limits.highest_cant
     )
@@ -41,9 +61,6 @@ def straight(distance: FloatArray, layout: TrackLayout, limits: SignalParameters
     return np.asarray(on_layout & (near[last] == near[first]))
 
 
-MOST_AT_REST = 1.4  # m/s2, of a lateral accelerometer on straight track: its offset, and g times its angle
-
-
 def check_upright(window: Window, usable: BoolArray) -> Reason | None:
     """Return that a lateral accelerometer is turned about the longitudinal axis; None where it is not."""
     # It then measures a part of gravity at rest: of 8 degrees 1.4 m/s2. Vertical motion is in its signal too, and
@@ -53,20 +70,15 @@ def check_upright(window: Window, usable: BoolArray) -> Reason | None:
     places = {"axle box": window.lateral_acceleration, "mass or frame": window.mass_lateral_acceleration}
     means = {name: float(np.mean(values[usable])) for name, values in places.items()}
     name = max(means, key=lambda place: abs(means[place]))
-    if abs(means[name]) <= MOST_AT_REST:
+    if abs(means[name]) <= CHECKS.most_at_rest:
         return None
     angle = np.degrees(np.arcsin(min(abs(means[name]) / GRAVITY, 1.0)))
     return Reason(
         ReasonCode.SENSOR_TURNED,
         f"the lateral accelerometer of the {name} measures {means[name]:+.1f} m/s2 on average, like one that is turned"
-        f" by {angle:.0f} degrees; at most {MOST_AT_REST:g} m/s2 may be its offset; check its mounting, and its offset"
-        " in the mapping of the bus",
+        f" by {angle:.0f} degrees; at most {CHECKS.most_at_rest:g} m/s2 may be its offset; check its mounting,"
+        " and its offset in the mapping of the bus",
     )
-
-
-MEAN_S = 5.0  # over which the motion of the wheelset averages out
-
-LEAST_SHARE = 0.5  # of the samples that a mean needs
 
 
 def detect_uncompensated_acceleration(
@@ -85,13 +97,13 @@ def detect_uncompensated_acceleration(
 
 def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> float:
     """Return by how much the slow lateral acceleration of wheelset and mass together changes in a window, m/s2."""
-    size = round(MEAN_S / window.sample_interval_s)
+    size = round(CHECKS.mean_s / window.sample_interval_s)
     count = len(usable) // size
     known = usable[: count * size].reshape(count, size)
     lateral = 0.5 * (window.lateral_acceleration + window.mass_lateral_acceleration)[: count * size].reshape(
         count, size
     )
-    enough = known.mean(axis=1) >= LEAST_SHARE
+    enough = known.mean(axis=1) >= CHECKS.least_share
     if not enough.any():
         return 0.0
     means = np.where(known, lateral, 0.0).sum(axis=1)[enough] / known.sum(axis=1)[enough]
@@ -160,15 +172,6 @@ def usable_samples(
     return Usable(left, lost)
 
 
-LOOK_S = 1.0  # over which positions are compared with the speed
-JUMP = 0.5  # m
-JUMP_SHARE = 0.05  # of the distance run
-BACKWARDS = -0.3  # correlation of the lateral velocity with speed times yaw, 1 of an axle that rolls forward
-UNRELATED = 0.25  # of sensors that are not on these axes: a turned one has up to 0.15, stiff bogies have 0.8
-SMOOTHED_S = 0.04  # vibration is faster
-ONE_WAY = 0.98  # share of the samples that must lead one way
-
-
 def gate(quality: WindowQuality, track_section: str | None, gates: Gates) -> Reason | None:
     """Return why a window of this quality is not looked at; None where it is."""
     refused = _too_poor(quality, gates)
@@ -235,8 +238,8 @@ def position_jumps(integrated: IntegratedWindow) -> tuple[Jump, ...]:
     for segment in integrated.segments:
         at, run = bridged(window.distance[segment.part], segment.known), segment.run
         error = at - (1.0 if float(np.median(np.diff(at))) >= 0.0 else -1.0) * run
-        look = min(round(LOOK_S / window.sample_interval_s), len(at) - 1)
-        deviates = np.abs(error[look:] - error[:-look]) > JUMP + JUMP_SHARE * (run[look:] - run[:-look])
+        look = min(round(CHECKS.look_s / window.sample_interval_s), len(at) - 1)
+        deviates = np.abs(error[look:] - error[:-look]) > CHECKS.jump + CHECKS.jump_share * (run[look:] - run[:-look])
         for first, behind in runs(deviates):
             # each such second holds the jump, so it is in what they share; where they share nothing all is in doubt
             low, high = int(behind) - 1, int(first) + look
@@ -276,9 +279,9 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
     # with one of the two sensors the wrong way round, the sign is the other. Where one of the two is on another axis,
     # or measures something else, they have nothing in common.
     correlation = lateral_yaw_correlation(integrated)
-    if correlation is None or correlation >= UNRELATED:
+    if correlation is None or correlation >= CHECKS.unrelated:
         return None
-    if correlation >= BACKWARDS:
+    if correlation >= CHECKS.backwards:
         return Reason(
             ReasonCode.SENSOR_TURNED,
             f"lateral velocity and yaw of the wheelset have nothing in common (correlation {correlation:.2f}): a sensor"
@@ -294,7 +297,9 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
 def lateral_yaw_correlation(integrated: IntegratedWindow) -> float | None:
     """Return the correlation of lateral velocity with speed times yaw, vibration apart; None where nothing moves."""
     products, lateral, yaw = 0.0, 0.0, 0.0
-    second, fast = (round(length / integrated.window.sample_interval_s) for length in (LOOK_S, SMOOTHED_S))
+    second, fast = (
+        round(length / integrated.window.sample_interval_s) for length in (CHECKS.look_s, CHECKS.smoothed_s)
+    )
     for segment in integrated.segments:
         both = np.stack([segment.rates[0], segment.speed * segment.displacements[1]])
         a, b = (high_pass_running_mean(row, second) for row in uniform_filter1d(both, max(fast, 1)))
@@ -320,7 +325,7 @@ def direction(window: Window) -> int:
     if not len(moving):
         return 1
     forward = float((moving > 0.0).mean())
-    return 1 if forward >= ONE_WAY else -1 if forward <= 1.0 - ONE_WAY else 0
+    return 1 if forward >= CHECKS.one_way else -1 if forward <= 1.0 - CHECKS.one_way else 0
 
 
 def check_running(window: Window, signals: SignalParameters) -> Reason | None:
@@ -340,13 +345,11 @@ def runs_backwards(window: Window) -> bool | None:
     """Return whether the axes of a node point against the direction of travel; None where it does not say."""
     signals = SignalParameters()
     correlation = lateral_yaw_correlation(integrate(window, moving_samples(window, signals), signals))
-    if correlation is None or abs(correlation) < abs(BACKWARDS):
+    if correlation is None or abs(correlation) < abs(CHECKS.backwards):
         return None
     return correlation < 0.0
 
 
-MARGIN = 25.0  # m kept from a stretch of low friction: half a place
-MOST_LEFT_OUT = 0.25  # share of the samples from which low friction is why too few are left
 TOO_LITTLE = frozenset({ReasonCode.NO_USABLE_SAMPLE, ReasonCode.INTERRUPTED, ReasonCode.TOO_FEW_USABLE})
 
 
@@ -359,7 +362,7 @@ def away_from_low_adhesion(
     distance = window.distance if correction is None else correction.at(window.distance)
     low = np.zeros(len(window.valid), np.bool_)
     for begin, end in stretches:
-        low |= (distance >= begin - MARGIN) & (distance <= end + MARGIN)
+        low |= (distance >= begin - CHECKS.margin) & (distance <= end + CHECKS.margin)
     left = window.valid & ~low
     if not left.any() and window.valid.any():
         return Reason(ReasonCode.LOW_ADHESION, "all of the window is on rails of low friction")
@@ -369,7 +372,7 @@ def away_from_low_adhesion(
 def refused_for_low_adhesion(reason: Reason, window: Window, kept: Window) -> Reason:
     """Return why a window is refused: low friction, where that took most of its samples and too few are left."""
     share = 1.0 - float(kept.valid.sum()) / max(int(window.valid.sum()), 1)
-    if share < MOST_LEFT_OUT or reason.code not in TOO_LITTLE:
+    if share < CHECKS.most_left_out or reason.code not in TOO_LITTLE:
         return reason
     text = f"{share:.0%} of its samples are on rails of low friction; of the rest: {reason.text}"
     return Reason(ReasonCode.LOW_ADHESION, text)

@@ -16,6 +16,7 @@ beside the sums that the noise of the sensors makes of them.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -187,13 +188,23 @@ def add_spectra(
                     of_noise[part[k], band, a, b] += weight * expected
 
 
-WAVELENGTHS = (2.5, 10.0)  # m: shorter ones are axle box vibration, longer ones noise
-BANDS = 6  # of equal ratio, longest wavelengths first
-PIECE_S = 8.0  # half of one overlaps the next
-TOGETHER = 4  # pieces that are transformed at once: what fits into the cache of a processor
-PART_S = 15.0  # of a window: what is left out as one by the jackknife
-USUAL_LATERAL, USUAL_ANGULAR = 1e-3, 2e-3  # m/s2 and rad/s2 per root hertz: MEMS sensors, where nothing is on file
-USUAL_RATE = 1e-4  # rad/s per root hertz, of a gyroscope
+@dataclass(frozen=True, slots=True)
+class RollingParameters:
+    """Bands and pieces in which a rolling radius is looked for."""
+
+    wavelengths: tuple[float, float] = (2.5, 10.0)  # m: shorter ones are axle box vibration, longer ones noise
+    bands: int = 6  # of equal ratio, longest wavelengths first
+    piece_s: float = 8.0  # half of one overlaps the next
+    together: int = 4  # pieces that are transformed at once: what fits into the cache of a processor
+    part_s: float = 15.0  # of a window: what is left out as one by the jackknife
+    usual_lateral: float = 1e-3  # m/s2 and rad/s2 per root hertz: MEMS sensors, where nothing is on file
+    usual_angular: float = 2e-3
+    usual_rate: float = 1e-4  # rad/s per root hertz, of a gyroscope
+
+
+ROLLED = RollingParameters()
+
+
 UNKNOWNS = ("scale", "radius", "inertia", "suspension", "gravity", "curve")
 
 
@@ -204,7 +215,7 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     if runs_backwards(window):
         window = turned_over(window)
     dt = window.sample_interval_s
-    size, each = round(PIECE_S / dt), round(PART_S / dt)
+    size, each = round(ROLLED.piece_s / dt), round(ROLLED.part_s / dt)
     usable = moving_samples(window, signals)
     samples, starts = [], []
     for first, behind in segments(usable, window, signals):
@@ -212,7 +223,7 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
         starts.append(np.arange(0, behind - first - size + 1, size // 2))
     parts = [first + at for (first, _), of in zip(samples, starts, strict=True) for at in of]
     numbers = sorted({place // each for place in parts})
-    products, noise = np.zeros((2, len(numbers), BANDS, TERMS, TERMS))
+    products, noise = np.zeros((2, len(numbers), ROLLED.bands, TERMS, TERMS))
     for (first, rows), at in zip(samples, starts, strict=True):
         part = np.searchsorted(numbers, (first + at) // each)
         _add(rows, at, part, window, vehicle_class, size, products, noise)
@@ -235,9 +246,9 @@ def _add(
     dt, taper = window.sample_interval_s, _taper(size)
     unit = 0.5 * size / dt * float(np.mean(taper**2))  # of a squared spectrum per squared noise density
     densities = _densities(vehicle_class.sensors), _resolution_noise(window)
-    place = (dt, size, unit, _equation(vehicle_class), *densities, WAVELENGTHS)
-    for first in range(0, len(starts), TOGETHER):
-        some = slice(first, first + TOGETHER)
+    place = (dt, size, unit, _equation(vehicle_class), *densities, ROLLED.wavelengths)
+    for first in range(0, len(starts), ROLLED.together):
+        some = slice(first, first + ROLLED.together)
         speeds = np.empty(len(starts[some]))
         pieces = np.empty((len(speeds), ROWS, size))
         write_pieces(rows, starts[some], dt, taper, pieces, speeds)
@@ -277,11 +288,11 @@ def _resolution_noise(window: Window) -> FloatArray:
 
 
 def _densities(sensors: SensorLayout) -> FloatArray:
-    usual = (USUAL_LATERAL, USUAL_ANGULAR, USUAL_ANGULAR, USUAL_LATERAL)
+    usual = (ROLLED.usual_lateral, ROLLED.usual_angular, ROLLED.usual_angular, ROLLED.usual_lateral)
     rates = (False, sensors.yaw_is_gyroscope, sensors.roll_is_gyroscope, False)
     return np.square(
         [
-            one.noise_density or (USUAL_RATE if rate else density)
+            one.noise_density or (ROLLED.usual_rate if rate else density)
             for one, density, rate in zip(sensors.channels.values(), usual, rates, strict=True)
         ]
     )

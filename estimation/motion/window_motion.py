@@ -37,7 +37,7 @@ from estimation.motion.integration import (
     mirrored,
     standard_displacement,
 )
-from estimation.motion.rolling_radius_difference import CROSSOVER, STEP, fuse, motion_signals
+from estimation.motion.rolling_radius_difference import FUSED, fuse, motion_signals
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array, runs
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
@@ -113,14 +113,28 @@ def evaluate(places: FloatArray, s: FloatArray, coefficients: FloatArray, found:
             found[i] = ((a * t + b) * t + c) * t + d
 
 
-FULL_BAND_FACTOR = 2.0  # times the wavelength that is looked at: an alignment that reaches further holds it unchanged
+@dataclass(frozen=True, slots=True)
+class AlignmentUseParameters:
+    """How a window takes the alignment of its section."""
+
+    # times the wavelength that is looked at: an alignment that reaches further holds it unchanged
+    full_band_factor: float = 2.0
+    # m, of an alignment at a place from which on it is left out, where most of it is far better:
+    uncertain_std: float = 0.25e-3
+    uncertain_times: float = 3.0  # times the median
+    regularisation: float = 0.03  # e: where F leaves less than about this, less is undone
+    cutoff_wavelength: float = 120.0  # m, wavelength of rL - rR; what is longer is small: -2 l r0 d''
+
+
+USED = AlignmentUseParameters()
+
 
 TRACKS = 16  # sections whose deconvolved alignment is kept: every window of a section needs it
 
 
 def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength: float) -> FloatArray:
     """Return d (n,), m, by a cubic spline through the stored alignment; NaN off the section and where not known."""
-    as_it_is = track.cutoff_wavelength >= FULL_BAND_FACTOR * cutoff_wavelength
+    as_it_is = track.cutoff_wavelength >= USED.full_band_factor * cutoff_wavelength
     return at_places(_curve(track, as_it_is=as_it_is), distance)
 
 
@@ -129,20 +143,13 @@ def _curve(track: TrackAlignment, *, as_it_is: bool) -> SampledCurve:
     return SampledCurve(track.s, _certain(track) if as_it_is else deconvolved(track))
 
 
-UNCERTAIN_STD = 0.25e-3  # m, of an alignment at a place from which on it is left out, where most of it is far better:
-UNCERTAIN_TIMES = 3.0  # times the median
-
-
 def _certain(track: TrackAlignment) -> FloatArray:
     # places of a survey that no pass has made better would blur what the rest shows
     if not (track.passes > 0).any():
         return track.alignment
-    most = max(UNCERTAIN_STD, UNCERTAIN_TIMES * float(np.nanmedian(track.alignment_std)))
+    most = max(USED.uncertain_std, USED.uncertain_times * float(np.nanmedian(track.alignment_std)))
     certain = np.where(track.alignment_std <= most, track.alignment, np.nan)
     return frozen_array(certain, (len(certain),), name="alignment")
-
-
-REGULARISATION = 0.03  # e: where F leaves less than about this, less is undone
 
 
 @lru_cache(maxsize=TRACKS)
@@ -171,11 +178,8 @@ def _regularised_inverse(filtered: FloatArray, weights: FloatArray) -> FloatArra
     kernel = np.zeros(size)
     kernel[: len(weights)] = weights
     left = 1 - fft.rfft(np.roll(kernel, -(len(weights) // 2))).real  # F by wavenumber: the weights are symmetric
-    inverse = left / (left**2 + REGULARISATION**2)
+    inverse = left / (left**2 + USED.regularisation**2)
     return np.asarray(fft.irfft(fft.rfft(filtered, size) * inverse, size)[:n])
-
-
-CUTOFF_WAVELENGTH = 120.0  # m, wavelength of rL - rR; what is longer is small: -2 l r0 d''
 
 
 def gauge_shift(
@@ -192,7 +196,7 @@ def gauge_shift(
     table = None if track.findings is None else track.findings.gauge_shifts.get(window.wheelset)
     if track.findings is None or table is None:
         return None
-    ends = STEP * (len(local_cubic_kernel(CROSSOVER, STEP)) // 2)
+    ends = FUSED.step * (len(local_cubic_kernel(FUSED.crossover, FUSED.step)) // 2)
     more = track.findings.stiffness_ratio.get(window.vehicle, 1.0) - 1.0
     e = np.interp(window.distance, track.s, track.gauge_deviation, left=np.nan, right=np.nan)
     shift = np.full(len(window.valid), np.nan)
@@ -204,7 +208,7 @@ def gauge_shift(
         if not certain.any():
             continue
         whole = (grid.difference + more * grid.stiffness_term)[None, :]
-        (fast,) = remove_wander(np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, CUTOFF_WAVELENGTH)
+        (fast,) = remove_wander(np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, USED.cutoff_wavelength)
         known = segment.known & (run >= grid.run[0] + ends) & (run <= grid.run[-1] - ends)
         shift[part][known] = table.at(np.interp(run[known], grid.run, fast), e[part][known])
     return shift

@@ -9,7 +9,7 @@ from typing import Annotated, TypeVar
 
 import numpy as np
 
-from estimation.accuracy.wheel_contact import REACH, STEP, RailShare, WheelPair, conicity_of
+from estimation.accuracy.wheel_contact import CONTACTS, RailShare, WheelPair, conicity_of
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
 from estimation.errors import ContactError, ParameterError, ProfileError
@@ -273,7 +273,7 @@ def conicity_on_rails(wheels: WheelPair, rails: RailShare, amplitude: FloatArray
         wheelset = WheelsetOnTrack(
             wheels.left, wheels.right, rail, rail, rails.inclination, rails.gauge, radius, radius
         )
-        x = STEP * np.arange(-round(REACH / STEP), round(REACH / STEP) + 1)
+        x = CONTACTS.step * np.arange(-round(CONTACTS.reach / CONTACTS.step), round(CONTACTS.reach / CONTACTS.step) + 1)
         curve = radius_difference_curve(wheelset, x)
     except (ContactError, ProfileError, ParameterError):
         return nothing, nothing

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import fdtri
 
-from estimation.geometry.conicity import LARGEST_STD
+from estimation.geometry.conicity import PUBLISHED
 from estimation.rails.cell import RailsParameters, ReferenceWheel
 from estimation.rails.component import Component
 from estimation.rails.two_way import Parted, part
@@ -25,7 +25,16 @@ from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
 PARAMETERS = 2  # of a line
-DOUBT = 0.99  # share of lines whose periods are nearer to it
+
+
+@dataclass(frozen=True, slots=True)
+class RailTrendParameters:
+    """When a line fits."""
+
+    doubt: float = 0.99  # share of lines whose periods are nearer to it
+
+
+RAIL_TREND = RailTrendParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +58,7 @@ class Line:
         """Whether the values are on a line, as far as their errors say."""
         if self.freedom < 1:
             return True
-        return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), DOUBT))
+        return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), RAIL_TREND.doubt))
 
 
 def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
@@ -263,7 +272,7 @@ class _Publisher:
 
     def _published(self, value: float, sampled: float, systematic: float, windows: float) -> Estimate:
         found = with_interval(value, sampled, systematic, self.groups, windows)
-        if found.std is not None and found.std <= LARGEST_STD:
+        if found.std is not None and found.std <= PUBLISHED.largest_std:
             return found
         text = f"the data leave the conicity open by {found.std:.2f}"
         return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), windows)

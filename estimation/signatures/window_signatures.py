@@ -17,14 +17,7 @@ from estimation.motion.integration import (
     WindowParameters,
     integrate,
 )
-from estimation.motion.rolling_radius_difference import (
-    OVERSAMPLING,
-    SHORTEST,
-    STEP,
-    fuse,
-    motion_signals,
-    sample_smoothed,
-)
+from estimation.motion.rolling_radius_difference import FUSED, fuse, motion_signals, sample_smoothed
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import POWERS, SIGNALS, AxlePosition, LibraryEntry, Place, Signature
@@ -208,11 +201,11 @@ def _stretch(segment: IntegratedSegment, window: Window, parameters: WindowParam
     at = np.interp(np.arange(len(segment.known)), known, window.distance[segment.part][known])
     run = np.maximum.accumulate(way * at) + _INCREASE * np.arange(len(at))
     fused = fuse(motion_signals(segment, parameters.vehicle, run), parameters.vehicle)
-    first, count = round(float(fused.run[0]) / STEP), len(fused.run)
-    fine = STEP / OVERSAMPLING
-    weights = local_cubic_kernel(SHORTEST[1], fine)
+    first, count = round(float(fused.run[0]) / FUSED.step), len(fused.run)
+    fine = FUSED.step / FUSED.oversampling
+    weights = local_cubic_kernel(FUSED.shortest[1], fine)
     others = np.stack([segment.displacements[2], segment.speed])
-    roll, speed = sample_smoothed(others, run, OVERSAMPLING * first, count, OVERSAMPLING, fine, weights)
+    roll, speed = sample_smoothed(others, run, FUSED.oversampling * first, count, FUSED.oversampling, fine, weights)
     begin = first if way > 0 else -(first + count - 1)
     signals = np.stack([fused.displacement, fused.difference, roll])
     return _Stretch(begin, np.asarray(signals[:, ::way]), np.asarray(speed[::way]))

@@ -50,7 +50,16 @@ from estimation.vehicle.regressors import (
 )
 from estimation.vehicle.vehicle_class import VehicleParameters, difference_noise
 
-SMALLEST_EIGENVALUE = 1e-10  # of the scaled normal matrix; below it a direction is not in the data
+
+@dataclass(frozen=True, slots=True)
+class FastNoiseParameters:
+    """How noise that is too fast to be motion is measured."""
+
+    smallest_eigenvalue: float = 1e-10  # of the scaled normal matrix; below it a direction is not in the data
+    fast_samples: int = 17  # at 250 Hz: faster than some 10 Hz
+
+
+FAST_NOISE = FastNoiseParameters()
 
 
 def packed_size(regressors: int, targets: int) -> int:
@@ -88,7 +97,7 @@ def inverses(gram: FloatArray) -> FloatArray:
     scaled_inverse = np.full_like(scaled, np.nan)
     filled = np.all(scale > 0, axis=1)  # the others have directions that are not in the data
     values, vectors = np.linalg.eigh(scaled[filled])
-    ok = values[:, 0] > SMALLEST_EIGENVALUE
+    ok = values[:, 0] > FAST_NOISE.smallest_eigenvalue
     inverse_values = np.full_like(values, np.nan)
     inverse_values[ok] = 1.0 / values[ok]
     scaled_inverse[filled] = np.einsum("cij,cj,ckj->cik", vectors, inverse_values, vectors)
@@ -337,11 +346,8 @@ def fast_noise(difference: FloatArray, valid: BoolArray) -> float:
     if not known.any():
         return 0.0
     filled = np.where(known, difference, 0.0)
-    fast = filled - uniform_filter1d(filled, FAST_SAMPLES)
+    fast = filled - uniform_filter1d(filled, FAST_NOISE.fast_samples)
     return (float(np.median(np.abs(fast[known]))) * STD_PER_MAD) ** 2
-
-
-FAST_SAMPLES = 17  # at 250 Hz: faster than some 10 Hz
 
 
 def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameters) -> BinTable:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.track.gauge.search import (
-    FEWEST_PASSES,
+    GAUGE_STEPS,
     GaugePrior,
     SearchParameters,
     gauge_step,
@@ -153,7 +153,7 @@ def iterate(
     first = first_rounds(setting, panel, corrections)
     setting = replace(setting, placed_on_survey=first.placed_on_survey)
     constant = prior is not None and prior.gauge_known and not prior.gauge.any()
-    if constant or not (first.state.count >= FEWEST_PASSES).any():
+    if constant or not (first.state.count >= GAUGE_STEPS.fewest_passes).any():
         return first
     if (
         prior is None or not prior.gauge_known

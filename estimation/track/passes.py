@@ -199,7 +199,17 @@ def examine(
 
 
 Item = TypeVar("Item")
-MOST = 4  # windows; the pass of a longer run is cut, so that a window that comes late changes little
+
+
+@dataclass(frozen=True, slots=True)
+class PassParameters:
+    """Passes of a window."""
+
+    most: int = 4  # windows; the pass of a longer run is cut, so that a window that comes late changes little
+
+
+PASSES = PassParameters()
+MOST = PASSES.most
 
 
 def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = MOST) -> list[list[Item]]:

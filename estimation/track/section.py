@@ -31,10 +31,18 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import Correction, Iterated, TrackAlignment, evidence_of_measurement, evidence_of_version
 
-USUAL_FACTOR = 1.5  # times the median of the wheelsets
-LEAST_USUAL = 0.12e-3  # m
-POWER = 4
-LARGEST_EFFECTIVE_WEIGHT = 0.25  # weight of the one that is furthest off, above which nothing would change
+
+@dataclass(frozen=True, slots=True)
+class ResidualParameters:
+    """How much passes count that are off."""
+
+    usual_factor: float = 1.5  # times the median of the wheelsets
+    least_usual: float = 0.12e-3  # m
+    power: int = 4
+    largest_effective_weight: float = 0.25  # weight of the one that is furthest off, above which nothing would change
+
+
+RESIDUALS = ResidualParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +56,9 @@ class Residuals:
     def weights(self) -> dict[ProfileLife, float]:
         """Return by profile life how much a pass counts where it is far off; empty where that would not matter."""
         known = [value for value in self.of_lives.values() if np.isfinite(value)]
-        usual = max(USUAL_FACTOR * float(np.median(known)), LEAST_USUAL) if known else np.inf
-        found = {life: (usual / value) ** POWER for life, value in self.of_lives.items() if value > usual}
-        return found if any(weight < LARGEST_EFFECTIVE_WEIGHT for weight in found.values()) else {}
+        usual = max(RESIDUALS.usual_factor * float(np.median(known)), RESIDUALS.least_usual) if known else np.inf
+        found = {life: (usual / value) ** RESIDUALS.power for life, value in self.of_lives.items() if value > usual}
+        return found if any(weight < RESIDUALS.largest_effective_weight for weight in found.values()) else {}
 
 
 def residuals(iterated: IterationResult) -> Residuals:

@@ -68,7 +68,16 @@ class AlignmentSettings:
     often: float = 1e-3  # m of rL - rR, both ways: further out few passes are
 
 
-SAME_GAUGE = 0.8  # correlation of two estimates of one gauge
+@dataclass(frozen=True, slots=True)
+class SameParameters:
+    """When two gauges are one."""
+
+    same_gauge: float = 0.8  # correlation of two estimates of one gauge
+
+
+ALIKE = SameParameters()
+
+
 SMALLEST = float(np.finfo(np.float64).tiny)  # in place of a power of zero
 
 
@@ -166,7 +175,7 @@ def carry_over_findings(found: TrackAlignment, before: TrackAlignment | None) ->
     old, new = before.findings, found.findings
     shifts, was, now = dict(new.gauge_shifts), before.gauge_deviation, found.gauge_deviation
     powers = float(was @ was) * float(now @ now)
-    if shifts and powers > 0.0 and float(was @ now) > SAME_GAUGE * np.sqrt(powers):  # one gauge, sign and all
+    if shifts and powers > 0.0 and float(was @ now) > ALIKE.same_gauge * np.sqrt(powers):  # one gauge, sign and all
         shifts = {**old.gauge_shifts, **shifts}
     missed = old.stiffness_ratio.keys() - new.stiffness_ratio.keys()
     std = max(new.stiffness_ratio_std, old.stiffness_ratio_std) if missed else new.stiffness_ratio_std

@@ -11,7 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from estimation.track.gauge.wheel_functions import LEAST_GAUGE
+from estimation.track.gauge.wheel_functions import WHEELS
 from estimation.track.panel.basis import MeasuredCurve
 from estimation.track.panel.solution import prior_on_grid
 from estimation.track.passes import Pass, PassOutcome, PassStatus, ProfileLife
@@ -44,7 +44,16 @@ from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectio
 
 NOT_USED = "not used: "
 GAUGE_NOT_USED = "its gauge is not used: "
-SHARPER = 0.8  # of the std of a file, below which the mean of it and its first passes is used in its place
+
+
+@dataclass(frozen=True, slots=True)
+class UpdateParameters:
+    """When an update is sharper."""
+
+    sharper: float = 0.8  # of the std of a file, below which the mean of it and its first passes is used in its place
+
+
+UPDATES = UpdateParameters()
 
 
 class UpdateOutcome(StrEnum):
@@ -251,7 +260,7 @@ def _extended(
         std, std_now = (float(np.nanmedian(one.alignment_std)) for one in (posterior.before, found))
         first = not posterior.before.passes.any()
         if (
-            (first and std > settings.same_least and std_now < SHARPER * std)
+            (first and std > settings.same_least and std_now < UPDATES.sharper * std)
             or requires_reestimation(posterior.before, in_motion, settings)
             or posterior.before.scale_std < settings.same_std * doubted
         ):
@@ -334,7 +343,7 @@ def _with_gauge_shifts(
     kept: AlignmentUpdate, survey: TrackAlignment, vehicles: Mapping[str, str], settings: AlignmentSettings
 ) -> AlignmentUpdate:
     found = kept.estimate.alignment
-    varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= LEAST_GAUGE
+    varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= WHEELS.least_gauge
     if not varies or not kept.estimate.report.converged:
         return kept
     if found is None or found.findings is None or not found.findings.gauge_shifts:

@@ -40,8 +40,25 @@ from estimation.vehicle.regressors import (
 from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass, VehicleParameters
 
 ComplexArray = npt.NDArray[np.complex128]
-ANGLE_PER_DIFFERENCE = 67.0  # c, rad/m: touching at 1:20 on a tread of 300 mm
-ANGLE_SUM = 0.1  # A, rad: twice 1:20
+
+
+@dataclass(frozen=True, slots=True)
+class LinearParameters:
+    """Contact and speeds of the linear model."""
+
+    angle_per_difference: float = 67.0  # c, rad/m: touching at 1:20 on a tread of 300 mm
+    angle_sum: float = 0.1  # A, rad: twice 1:20
+    lowest_speed: float = 5.0  # m/s
+    highest_speed: float = 150.0
+    speed_step: float = 2.5
+    speed_tolerance: float = 0.05
+    creeping: float = 0.8  # damping ratio of a mode that hardly oscillates
+    stable: float = 1e-5  # 1/s; a body without a spring has an eigenvalue of 0
+
+
+LINEAR = LinearParameters()
+ANGLE_PER_DIFFERENCE = LINEAR.angle_per_difference
+ANGLE_SUM = LINEAR.angle_sum
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,11 +202,6 @@ def _secondary(bogie: BogieParameters, q: FloatArray, v: FloatArray) -> tuple[Fl
     return force, moment
 
 
-LOWEST_SPEED, HIGHEST_SPEED, SPEED_STEP, SPEED_TOLERANCE = 5.0, 150.0, 2.5, 0.05  # m/s
-_CREEPING = 0.8  # damping ratio of a mode that hardly oscillates
-_STABLE = 1e-5  # 1/s; a body without a spring has an eigenvalue of 0
-
-
 @dataclass(frozen=True, slots=True)
 class Mode:
     """A mode of the linear model."""
@@ -237,7 +249,7 @@ def _name(model: LinearModel, shares: FloatArray, shape: FloatArray, value: comp
         return names[int(np.argmax(np.where(wheelset, 0.0, shares)))]
     lateral = np.array([name.endswith("wheelset lateral") for name in names])
     direction = "lateral" if shares[lateral].sum() >= shares[wheelset & ~lateral].sum() else "yaw"
-    if abs(value.real) > _CREEPING * abs(value):
+    if abs(value.real) > LINEAR.creeping * abs(value):
         return f"wheelset {direction}, creep"
     kind = "kinematic" if abs(value.imag) < 4 * math.pi * model.klingel_hz else f"wheelset {direction}"
     if len(model.wheelset_offsets) == 1:
@@ -252,14 +264,14 @@ def critical_speed(vehicle_class: VehicleClass, contact: LinearContact) -> float
 
     def grows(speed: float) -> bool:
         matrix = linear_model(vehicle_class, speed, contact).matrix
-        return bool(np.linalg.eigvals(matrix).real.max() > _STABLE)
+        return bool(np.linalg.eigvals(matrix).real.max() > LINEAR.stable)
 
-    speeds = np.arange(LOWEST_SPEED, HIGHEST_SPEED + SPEED_STEP, SPEED_STEP)
+    speeds = np.arange(LINEAR.lowest_speed, LINEAR.highest_speed + LINEAR.speed_step, LINEAR.speed_step)
     unstable = next((float(speed) for speed in speeds if grows(float(speed))), math.inf)
-    if unstable in {LOWEST_SPEED, math.inf}:
+    if unstable in {LINEAR.lowest_speed, math.inf}:
         return unstable
-    stable = unstable - SPEED_STEP
-    while unstable - stable > SPEED_TOLERANCE:
+    stable = unstable - LINEAR.speed_step
+    while unstable - stable > LINEAR.speed_tolerance:
         middle = (stable + unstable) / 2
         stable, unstable = (stable, middle) if grows(middle) else (middle, unstable)
     return unstable

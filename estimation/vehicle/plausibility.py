@@ -19,7 +19,21 @@ from estimation.errors import ParameterError
 from estimation.values.units import GRAVITY, STEEL_POISSON_RATIO, STEEL_SHEAR_MODULUS
 from estimation.vehicle.vehicle_class import BogieParameters, VehicleClass, VehicleParameters
 
-UNIT_FACTOR = 1000.0  # mm for m, N/mm for N/m, t for kg, kN for N
+
+@dataclass(frozen=True, slots=True)
+class PlausibilityParameters:
+    """What values of a class are plausible."""
+
+    unit_factor: float = 1000.0  # mm for m, N/mm for N/m, t for kg, kN for N
+    flattest: float = 1e-3  # semi-axis ratio of an ellipse that is looked for; the table ends at 0.1
+    rail_condition_std: float = 0.10  # relative std of the coefficients on rails as they are, beside the table's
+
+
+PLAUSIBLE = PlausibilityParameters()
+UNIT_FACTOR = PLAUSIBLE.unit_factor
+RAIL_CONDITION_STD = PLAUSIBLE.rail_condition_std
+
+
 UNIT_FACTORS = UNIT_FACTOR, UNIT_FACTOR**2  # kN/mm for N/m, MN for N
 
 
@@ -181,8 +195,6 @@ def _gyration(body: str, value: float, ends: tuple[float, float], *names: str) -
     return PlausibleRange(f"the radius of gyration of the {body} in yaw", "m", value, *ends, names)
 
 
-FLATTEST = 1e-3  # semi-axis ratio of an ellipse that is looked for; the table ends at 0.1
-RAIL_CONDITION_STD = 0.10  # relative std of the coefficients on rails as they are, beside the table's
 _ROWS = np.array(  # semi-axis ratio a/b, C11, C22, C23, C33; Poisson's ratio 1/4
     [
         (0.1, 3.31, 2.52, 0.473, 8.28),
@@ -290,12 +302,12 @@ def _semi_axis_ratio(curvature_ratio: float) -> float:
         first, second = special.ellipk(parameter), special.ellipe(parameter)
         return float((second / g**2 - first) / (first - second)) - curvature_ratio
 
-    if excess(FLATTEST) < 0.0:
+    if excess(PLAUSIBLE.flattest) < 0.0:
         raise ParameterError(
             f"the curvatures have the ratio {curvature_ratio:.3g}: the contact ellipse is outside Kalker's table",
             field="ratio",
         )
-    return float(optimize.brentq(excess, FLATTEST, 1.0 - 1e-9))
+    return float(optimize.brentq(excess, PLAUSIBLE.flattest, 1.0 - 1e-9))
 
 
 def table_coefficients(ratio: float) -> tuple[float, float, float, float]:

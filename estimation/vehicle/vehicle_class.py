@@ -130,9 +130,35 @@ class VehicleClass:
         return axle + 1 if axle % AXLES_OF_A_BOGIE else axle - 1
 
 
-CREEP_STD, STIFFNESS_STD, DAMPING_STD, MASS_STD, LENGTH_STD = 0.10, 0.05, 0.10, 0.025, 0.002
-LOAD_STD = 0.12  # an axle carries 11 t empty and 17 t full, with the passengers that no file has: anything between
-UNSTATED_SCALE_STD = 0.03  # of a sensor whose scale has no std on file
+@dataclass(frozen=True, slots=True)
+class ClassParameters:
+    """What a class leaves open where its file does not say."""
+
+    creep_std: float = 0.10
+    stiffness_std: float = 0.05
+    damping_std: float = 0.10
+    mass_std: float = 0.025
+    length_std: float = 0.002
+    # an axle carries 11 t empty and 17 t full, with the passengers that no file has: anything between
+    load_std: float = 0.12
+    unstated_scale_std: float = 0.03  # of a sensor whose scale has no std on file
+    most_difference_noise: float = 0.3e-3  # m, std of rL - rR at the usual speed
+    cutoff_step: float = 5.0  # m
+    shortest_cutoff: float = 30.0  # m
+    usual_speed: float = 20.0  # m/s
+    rail_head_radius: float = 0.08  # m, of the arc beside the crown of all usual rail heads, where most wheels touch
+
+
+CLASSES = ClassParameters()
+CREEP_STD, STIFFNESS_STD, DAMPING_STD, MASS_STD, LENGTH_STD = (
+    CLASSES.creep_std,
+    CLASSES.stiffness_std,
+    CLASSES.damping_std,
+    CLASSES.mass_std,
+    CLASSES.length_std,
+)
+LOAD_STD = CLASSES.load_std
+UNSTATED_SCALE_STD = CLASSES.unstated_scale_std
 
 
 def default_relative_std(name: str) -> float:
@@ -215,7 +241,7 @@ def difference_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> f
     p, sensors = vehicle_class.parameters, vehicle_class.sensors
     per_yaw = p.yaw_stiffness * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
     twice = cutoff_wavelength**3 / (3.0 * (2.0 * math.pi) ** 4)
-    once = cutoff_wavelength * USUAL_SPEED**2 / (2.0 * math.pi) ** 2
+    once = cutoff_wavelength * CLASSES.usual_speed**2 / (2.0 * math.pi) ** 2
     variance = (once if sensors.yaw_is_gyroscope else twice) * sensors.yaw.noise_density**2
     if vehicle_class.bogie is not None:
         variance += 2.0 * twice * (sensors.mass_lateral.noise_density / vehicle_class.bogie.wheelbase) ** 2
@@ -229,17 +255,11 @@ def usable_cutoff(vehicle_class: VehicleClass, longest: float) -> float:
     longer waves hold noise alone. Shorter ones than ``SHORTEST_CUTOFF`` would not hold the displacement of a wheelset.
     """
     cutoff = longest
-    while cutoff - CUTOFF_STEP >= SHORTEST_CUTOFF:
-        if math.sqrt(difference_noise(vehicle_class, cutoff) / USUAL_SPEED**3) <= MOST_DIFFERENCE_NOISE:
+    while cutoff - CLASSES.cutoff_step >= CLASSES.shortest_cutoff:
+        if math.sqrt(difference_noise(vehicle_class, cutoff) / CLASSES.usual_speed**3) <= CLASSES.most_difference_noise:
             break
-        cutoff -= CUTOFF_STEP
+        cutoff -= CLASSES.cutoff_step
     return cutoff
-
-
-MOST_DIFFERENCE_NOISE = 0.3e-3  # m, std of rL - rR at the usual speed
-CUTOFF_STEP = 5.0  # m
-SHORTEST_CUTOFF = 30.0  # m
-USUAL_SPEED = 20.0  # m/s
 
 
 def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, speed: FloatArray) -> FloatArray:
@@ -252,7 +272,7 @@ def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, sp
     sensors, height = vehicle_class.sensors, vehicle_class.parameters.nominal_radius
     gravity = GRAVITY if sensors.measures_gravity else 0.0
     if not sensors.measures_gravity:
-        height += RAIL_HEAD_RADIUS
+        height += CLASSES.rail_head_radius
     of_roll = 1 if sensors.roll_is_gyroscope else 2
     crossed = 2.0 * gravity * height * _integrated(of_roll + 1, slowest)
     both = height**2 * _integrated(of_roll, slowest) + crossed + gravity**2 * _integrated(of_roll + 2, slowest)
@@ -263,9 +283,6 @@ def _integrated(times: int, slowest: FloatArray) -> FloatArray:
     """Return the variance (n,) of white noise of density one, integrated so often, of frequencies from ``slowest``."""
     order = 2 * times
     return np.asarray(1.0 / ((order - 1) * (2.0 * math.pi) ** order * slowest ** (order - 1)))
-
-
-RAIL_HEAD_RADIUS = 0.08  # m, of the arc beside the crown of all usual rail heads, where most wheels touch
 
 
 def check_possible(parameters: object, may_be_zero: tuple[str, ...]) -> None:

@@ -56,12 +56,20 @@ class WorklistInputs:
     refused: Mapping[ReasonCode, int] = field(default_factory=dict)  # newest windows, the most frequent first
 
 
-DUE_WITHIN_KM = 30_000.0
-"""A wheelset is due where the limit is reached within this distance with a probability of 10 %. It is the distance
-beyond which the shipped rule on the forecast lets its alert go."""
+@dataclass(frozen=True, slots=True)
+class WorklistParameters:
+    """When a wheelset is due."""
+
+    # A wheelset is due where the limit is reached within this distance with a probability of 10 %. It is the distance
+    # beyond which the shipped rule on the forecast lets its alert go.
+    due_within_km: float = 30_000.0
+    more_likely_than_not: float = 0.5
+
+
+WORKLIST = WorklistParameters()
+
 
 TURN = "turn the wheelset, or measure its profiles"
-MORE_LIKELY_THAN_NOT = 0.5
 FAR_KM = 1e9  # stands for a distance that is not known, behind all that are
 BAND_KM = 1e10  # from one class of urgency to the next
 ADVICE = {rule.kind: rule.advice for rule in ALERT_RULES if rule.advice}
@@ -133,9 +141,9 @@ def _of_limit(ahead: Ahead, alerts: Sequence[OpenAlert]) -> list[tuple[Urgency, 
     exceeded = next((alert for alert in alerts if alert.kind == ConicityLimitRule.kind), None)
     forecast = next((alert for alert in alerts if alert.kind == LimitForecastRule.kind), None)
     probability, distance = ahead.probability_over_limit, ahead.distance_km
-    if exceeded is not None or (probability is not None and probability >= MORE_LIKELY_THAN_NOT):
+    if exceeded is not None or (probability is not None and probability >= WORKLIST.more_likely_than_not):
         return [(Urgency.OVER_LIMIT, Reason(ReasonCode.LIMIT_EXCEEDED, _exceeded(exceeded, probability)))]
-    if forecast is not None or (distance.p10 is not None and distance.p10 <= DUE_WITHIN_KM):
+    if forecast is not None or (distance.p10 is not None and distance.p10 <= WORKLIST.due_within_km):
         text = _due(distance) if ahead.known else "the limit was forecast near when it could be assessed last"
         return [(Urgency.DUE, Reason(ReasonCode.LIMIT_AHEAD, text))]
     if not ahead.known:
@@ -148,7 +156,7 @@ def _of_limit(ahead: Ahead, alerts: Sequence[OpenAlert]) -> list[tuple[Urgency, 
 def _exceeded(alert: OpenAlert | None, probability: float | None) -> str:
     if alert is not None and alert.condition is Condition.UNKNOWN:
         return f"limit exceeded when it could be assessed last: {TURN}"
-    if probability is None or probability < MORE_LIKELY_THAN_NOT:
+    if probability is None or probability < WORKLIST.more_likely_than_not:
         return f"limit exceeded: {TURN}"
     return f"limit exceeded (probability {probability:.0%}): {TURN}"
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Self
 
 from estimation.contact.profiles import Profile
-from estimation.contact.wear import DEEPEST_BAND
+from estimation.contact.wear import WORN
 from estimation.errors import ProfileError, ScenarioError
 from estimation.values.fields import MM
 from ingest.file_value import As, FileBeside, between, read_value, taken
@@ -187,8 +187,10 @@ class ScenarioTable:
             raise field_error("the rails under a drawn fleet do not wear", *place)
         days = (self.sessions.campaigns - 1) * self.sessions.distance_between / self.sessions.distance_per_day
         deepest = wear.deepest(self.section.tonnage * days / DAYS_PER_YEAR)
-        if deepest > DEEPEST_BAND:
-            reason = f"the last campaign is on bands {1e3 * deepest:.1f} mm deep; at most {1e3 * DEEPEST_BAND:g} mm"
+        if deepest > WORN.deepest_band:
+            reason = (
+                f"the last campaign is on bands {1e3 * deepest:.1f} mm deep; at most {1e3 * WORN.deepest_band:g} mm"
+            )
             raise field_error(reason, *place)
 
     def scenario(self) -> Scenario:

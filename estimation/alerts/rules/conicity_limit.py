@@ -22,7 +22,7 @@ from estimation.alerts.rules.rule import (
     too_few_windows,
 )
 from estimation.trend.extrapolation import (
-    LEAST_AMPLITUDE,
+    FAMILY,
     LIMIT_AMPLITUDE,
     QUANTITY,
     SAME_AMPLITUDE,
@@ -39,8 +39,17 @@ from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.registry import VehicleRecord
 from estimation.values.units import KM_H_IN_M_S
 
-LAST_POINTS = 2  # of a trend: one alone may be an outlier
-NOT_BELOW = 0.6  # least probability at 3 mm with which a conicity over the limit at a smaller amplitude is over it
+
+@dataclass(frozen=True, slots=True)
+class LimitUseParameters:
+    """Which points a limit looks at."""
+
+    last_points: int = 2  # of a trend: one alone may be an outlier
+    # least probability at 3 mm with which a conicity over the limit at a smaller amplitude is over it
+    not_below: float = 0.6
+
+
+LIMIT_USE = LimitUseParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +83,7 @@ class LimitState:
         if of_trend is None:
             return None
         known = [(self.conicity, of_trend)]
-        if len(self.last) == LAST_POINTS:
+        if len(self.last) == LIMIT_USE.last_points:
             points = [(one, self._above(one, limit) or 0.0) for one in self.last]
             known.append(min(points, key=lambda pair: pair[1]))
         conicity, probability = max(known, key=lambda pair: pair[1])
@@ -92,11 +101,11 @@ class LimitState:
         # That is the one at 3 mm; at the amplitude reached where that one is over more probably and the one at 3 mm is
         # unknown or not rather below. One that is below at a smaller amplitude alone decides nothing.
         at_limit, at_reached = self.at_limit(limit), self.at_reached(limit)
-        if at_reached is None or at_reached.probability < NOT_BELOW:
+        if at_reached is None or at_reached.probability < LIMIT_USE.not_below:
             return at_limit
         if at_limit is None:
             return at_reached
-        if at_limit.probability < NOT_BELOW:
+        if at_limit.probability < LIMIT_USE.not_below:
             return at_limit
         return max(at_limit, at_reached, key=lambda one: one.probability)
 
@@ -121,15 +130,17 @@ def limit_state(facts: WheelsetFacts) -> LimitState | None:
     fitted = None if trend is None or trend.fitted.status is not Status.ESTIMATED else trend.fitted
     conicity = conicity_at_limit_amplitude(geometry) if fitted is None else fitted
     amplitude = geometry.reported_amplitude
-    reaches = LEAST_AMPLITUDE - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
+    reaches = FAMILY.least_amplitude - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
     known = reaches and geometry.equivalent_conicity.status is Status.ESTIMATED
     beyond = extrapolated(below_limit(geometry)) if known else None
     last: list[Estimate] = []
     if trend is not None and fitted is not None:
-        pairs = zip(trend.value[-LAST_POINTS:].tolist(), trend.std[-LAST_POINTS:].tolist(), strict=True)
+        pairs = zip(
+            trend.value[-LIMIT_USE.last_points :].tolist(), trend.std[-LIMIT_USE.last_points :].tolist(), strict=True
+        )
         last = [with_interval(value, std) for value, std in pairs]
     left_open = any(
-        LEAST_AMPLITUDE - SAME_AMPLITUDE < at < LIMIT_AMPLITUDE + SAME_AMPLITUDE
+        FAMILY.least_amplitude - SAME_AMPLITUDE < at < LIMIT_AMPLITUDE + SAME_AMPLITUDE
         and code_of(one.reason) is ReasonCode.CONICITY_OPEN
         for at, one in zip(geometry.amplitude.tolist(), geometry.conicity, strict=True)
     )

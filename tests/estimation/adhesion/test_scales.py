@@ -10,7 +10,7 @@ from test_friction import KNOWN, TRUE, a_pass
 
 from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
 from estimation.adhesion.friction import pooled_friction, section_adhesion
-from estimation.adhesion.pass_sums import FAR, MOST_STD, SCALES, Agreed, contradicting, pass_sums, scales
+from estimation.adhesion.pass_sums import SCALE, SCALES, Agreed, contradicting, pass_sums, scales
 from estimation.values.opinions import WindowAdhesion
 from estimation.values.reasons import ReasonCode
 
@@ -27,8 +27,8 @@ def test_limits_are_pinned() -> None:
         FrictionParameters().wheelset_scatter,
         FrictionParameters().fewest_with_scale,
         FrictionParameters().most_deviation,
-        MOST_STD,
-        FAR,
+        SCALE.most_std,
+        SCALE.far,
     ) == (0.1, 3, 3.0, 0.25, 0.5)
     assert (SCALES[0], SCALES[-1], len(SCALES)) == (-1.8, 1.8, 73)
 

@@ -58,7 +58,7 @@ def motion() -> Motion:
 def blocks(samples: int, alignment: float = 0.0, sensors: float = 0.0) -> tuple[int, list[float]]:
     """Return how many blocks are filtered of one that a filter takes so many samples of, and the noise it is given."""
     parameters = replace(SURE, uncertainty=replace(SURE.uncertainty, alignment_noise=alignment))
-    stride = max(round(block_filters.STEP_S / motion().sample_interval_s), 1)
+    stride = max(round(block_filters.BLOCKS.step_s / motion().sample_interval_s), 1)
     first = np.arange(len(motion())) < 1 + stride * (samples - 1)
     one = replace(
         motion(),

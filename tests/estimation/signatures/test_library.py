@@ -274,7 +274,7 @@ def test_what_decides_retirement_and_novelty_is_where_it_was_measured_to_be() ->
         SignatureParameters().least_passes,
         SignatureParameters().library_rounds,
     ) == (5.5, 3, 2)
-    assert (calibration.NOVEL, calibration.COVERAGE) == (0.99, 0.95)
+    assert (calibration.CALIBRATED.novel, calibration.COVERAGE) == (0.99, 0.95)
 
 
 def estimate(value: float, half: float) -> Estimate:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation.tables.bin_table import FAST_SAMPLES, fast_noise
+from estimation.tables.bin_table import FAST_NOISE, fast_noise
 from estimation.values.units import STD_PER_MAD
 
 N, RATE = 30_000, 250.0
@@ -34,4 +34,4 @@ def test_samples_that_do_not_count_are_left_out() -> None:
 
 
 def test_the_mean_is_over_some_hundredths_of_a_second() -> None:
-    assert (FAST_SAMPLES, STD_PER_MAD) == (17, 1.4826)
+    assert (FAST_NOISE.fast_samples, STD_PER_MAD) == (17, 1.4826)

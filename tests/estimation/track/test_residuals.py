@@ -14,7 +14,7 @@ from window_passes import window_passes
 
 from estimation.filters import high_pass, local_cubic_kernel
 from estimation.track.passes import Pass, ProfileLife
-from estimation.track.section import LEAST_USUAL, USUAL_FACTOR, Residuals, SectionEstimate, estimate_section
+from estimation.track.section import RESIDUALS, Residuals, SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters
 from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
@@ -72,17 +72,22 @@ def test_what_is_usual_counts_whole_and_what_is_not_counts_less_and_less() -> No
             ProfileLife("E"): float("nan"),
         },
     )
-    usual = USUAL_FACTOR * 0.1245e-3
+    usual = RESIDUALS.usual_factor * 0.1245e-3
     assert rms_residuals.weights() == {ProfileLife("D"): pytest.approx((usual / 0.3e-3) ** 4)}
     assert (
         Residuals(
-            {}, {ProfileLife("A"): 0.01e-3, ProfileLife("B"): 0.01e-3, ProfileLife("C"): 0.99 * LEAST_USUAL}
+            {}, {ProfileLife("A"): 0.01e-3, ProfileLife("B"): 0.01e-3, ProfileLife("C"): 0.99 * RESIDUALS.least_usual}
         ).weights()
         == {}
     )
     assert (
         Residuals(
-            {}, {ProfileLife("A"): 0.1e-3, ProfileLife("B"): 0.1e-3, ProfileLife("C"): 1.2 * USUAL_FACTOR * 0.1e-3}
+            {},
+            {
+                ProfileLife("A"): 0.1e-3,
+                ProfileLife("B"): 0.1e-3,
+                ProfileLife("C"): 1.2 * RESIDUALS.usual_factor * 0.1e-3,
+            },
         ).weights()
         == {}
     )  # hardly matters

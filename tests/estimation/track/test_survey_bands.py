@@ -11,7 +11,7 @@ import pytest
 from estimation.filters import high_pass, local_cubic_kernel
 from estimation.track.panel.basis import PanelParameters
 from estimation.track.passes import Pass, ProfileLife
-from estimation.track.results import CORRELATED, REPORTED_STD, position_std, shrunk
+from estimation.track.results import POSITIONS, position_std, shrunk
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters
 from estimation.track.survey_posterior import (
@@ -215,6 +215,10 @@ def test_the_shipped_figures() -> None:
         SectionParameters().local,
         SectionParameters().local_stds,
     ) == (2.5, 6.0, 100.0, 4.0)
-    assert (SectionParameters().model_share, shipped.NEIGHBOUR, shipped.NEXT) == (2.0, 0.48, 0.06)
-    assert (CORRELATED, REPORTED_STD) == (20.0, 1.0)
+    assert (SectionParameters().model_share, shipped.SURVEY_BANDS.neighbour, shipped.SURVEY_BANDS.next) == (
+        2.0,
+        0.48,
+        0.06,
+    )
+    assert (POSITIONS.correlated, POSITIONS.reported_std) == (20.0, 1.0)
     assert (shipped.STATED, SectionParameters().independent, shipped.MOST_DIFFERENCE_ERROR) == (60.0, 5.0, 0.08)

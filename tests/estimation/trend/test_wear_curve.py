@@ -97,7 +97,7 @@ def test_a_node_equals_generalised_least_squares_with_the_whole_covariance() -> 
     log_likelihood = []
     for tau in (scatter, 1.3):
         K = np.diag(points.variance + tau**2) + bend**2 * np.outer(points.design[:, 2], points.design[:, 2])
-        K += (wear_curve.WANDERING * bend) ** 2 * points.spacing * wandering @ wandering.T
+        K += (wear_curve.WEAR_CURVE.wandering * bend) ** 2 * points.spacing * wandering @ wandering.T
         inverse = np.linalg.inv(K)
         information = line.T @ inverse @ line
         solution = np.linalg.solve(information, line.T @ inverse @ points.z)

@@ -13,7 +13,7 @@ from scipy import integrate
 from estimation.errors import ParameterError
 from estimation.vehicle.linear_model import (
     COORDINATES,
-    HIGHEST_SPEED,
+    LINEAR,
     LinearContact,
     critical_speed,
     klingel_wavelength,
@@ -185,7 +185,7 @@ def test_a_vehicle_hunts_just_above_its_critical_speed_and_not_below() -> None:
     for vehicle in (SINGLE, COACH):
         contact = LinearContact(0.3)
         speed = critical_speed(vehicle, contact)
-        assert 10.0 < speed < HIGHEST_SPEED
+        assert 10.0 < speed < LINEAR.highest_speed
         assert modes(linear_model(vehicle, speed + 0.2, contact))[0].growth > 0.0
         assert modes(linear_model(vehicle, speed - 0.2, contact))[0].growth < 0.0
 
