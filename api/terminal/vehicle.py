@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from estimation.vehicle.linear_model import (
-    LINEAR,
     LinearContact,
     critical_speed,
     klingel_wavelength,
@@ -15,6 +14,7 @@ from estimation.vehicle.linear_model import (
     modes,
 )
 from estimation.vehicle.observability import CAUSES, Running, conicity_shifts, observability
+from estimation.vehicle.parameters import OF_GEAR
 from estimation.vehicle.vehicle_class import VehicleClass
 from ingest.vehicle_class_schema import read_vehicle_class, shipped_class, shipped_classes
 
@@ -71,7 +71,7 @@ def _critical_speeds(vehicle_class: VehicleClass) -> Iterator[str]:
     for conicity in CONICITIES:
         speed = critical_speed(vehicle_class, LinearContact(conicity))
         found = (
-            f"above {LINEAR.highest_speed:g} m/s" if math.isinf(speed) else f"{speed:.0f} m/s, {3.6 * speed:.0f} km/h"
+            f"above {OF_GEAR.highest_speed:g} m/s" if math.isinf(speed) else f"{speed:.0f} m/s, {3.6 * speed:.0f} km/h"
         )
         yield f"  conicity {conicity:g}: {found}"
 

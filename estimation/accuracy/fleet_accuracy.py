@@ -12,6 +12,7 @@ from typing import Annotated
 import numpy as np
 from scipy.special import betaincinv
 
+from estimation.accuracy.parameters import OF_ACCURACY
 from estimation.accuracy.wheel_contact import AMPLITUDES, WheelContact
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, conicity_at_limit_amplitude
@@ -174,19 +175,6 @@ def _key(amplitude: float) -> int:
     return round(amplitude / SAME_AMPLITUDE)
 
 
-@dataclass(frozen=True, slots=True)
-class AccuracyParameters:
-    """How curves are compared with measured ones."""
-
-    tail: float = 0.025  # on either side of a 95 % interval
-    searched: float = 0.6e-3  # m
-    search_step: float = 5e-6  # m
-    most_deviation: float = 3.0  # standard deviations that one bin counts at most
-
-
-ACCURACY = AccuracyParameters()
-
-
 def covers(estimated: Estimate, measured: Estimate) -> bool | None:
     """Return whether the 95 % interval of an estimate covers a measured value; None where either is unknown."""
     # the measurement errs too: the half of the interval on its side and 1.96 of its standard deviations are added as
@@ -227,8 +215,8 @@ class CoverageCount:
         n, k = self.compared, self.covered
         if n == 0:
             return None
-        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, ACCURACY.tail))
-        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1.0 - ACCURACY.tail))
+        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, OF_ACCURACY.tail))
+        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1.0 - OF_ACCURACY.tail))
         return low, high
 
 
@@ -327,11 +315,11 @@ def curve_origin(
     if not known.any():
         return CurveOrigin(crossing, 0.0)
     best = (np.inf, crossing, 0.0)
-    low, high = min(crossing, 0.0) - ACCURACY.searched, max(crossing, 0.0) + ACCURACY.searched
-    for shift in np.linspace(low, high, round((high - low) / ACCURACY.search_step) + 1):
+    low, high = min(crossing, 0.0) - OF_ACCURACY.searched, max(crossing, 0.0) + OF_ACCURACY.searched
+    for shift in np.linspace(low, high, round((high - low) / OF_ACCURACY.search_step) + 1):
         curve = np.interp(centre + shift, displacement, difference)
         mean = float(found.samples @ curve / found.samples.sum())
         deviation = (R.value - curve + mean)[known] / R.std[known]
-        misfit = float(np.minimum(deviation**2, ACCURACY.most_deviation**2).sum())
+        misfit = float(np.minimum(deviation**2, OF_ACCURACY.most_deviation**2).sum())
         best = min(best, (misfit, float(shift), mean))
     return CurveOrigin(best[1], best[2])

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
+from estimation.accuracy.parameters import OF_ACCURACY
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.contact.geometry import (
     ContactTable,
@@ -26,17 +27,6 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.units import IN_MM, NORMAL_95
 
 AMPLITUDES: FloatArray = np.arange(1, 9, dtype=np.float64) * 1e-3  # m
-
-
-@dataclass(frozen=True, slots=True)
-class WheelContactParameters:
-    """Where contact of measured wheels is computed."""
-
-    reach: float = 12e-3  # m: an amplitude of 8 mm about a centre that is 4 mm off
-    step: float = 0.1e-3  # m
-
-
-CONTACTS = WheelContactParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +135,9 @@ def _on_rails(wheels: WheelPair, one: RailShare) -> tuple[ContactTable, RadiusDi
     wheelset = WheelsetOnTrack(
         wheels.left, wheels.right, rail, rail, one.inclination, one.gauge, wheels.nominal_radius, wheels.nominal_radius
     )
-    x = CONTACTS.step * np.arange(-round(CONTACTS.reach / CONTACTS.step), round(CONTACTS.reach / CONTACTS.step) + 1)
+    x = OF_ACCURACY.step * np.arange(
+        -round(OF_ACCURACY.reach / OF_ACCURACY.step), round(OF_ACCURACY.reach / OF_ACCURACY.step) + 1
+    )
     table = contact_table(wheelset, x, method=ContactMethod.EN15302, outside="hold")
     return table, refined_curve(wheelset, table, 0)
 

@@ -19,11 +19,13 @@ from typing import Annotated, Self
 
 import numpy as np
 
+from estimation.adhesion.parameters import OF_FORCES
 from estimation.adhesion.stationary_filter import AXLE, StationaryFilter, stationary_filter
 from estimation.compiled import compiled
 from estimation.filters import remove_wander
 from estimation.motion.checks import moving_samples
-from estimation.motion.integration import ROLL_USE, IntegratedSegment, SignalParameters, integrate
+from estimation.motion.integration import IntegratedSegment, SignalParameters, integrate
+from estimation.motion.parameters import OF_MOTION
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.units import GRAVITY
@@ -82,7 +84,8 @@ def gear_segments(
     segments = []
     for parts in zip(*found, strict=True):
         rolls = tuple(
-            remove_wander(one.displacements[[ROLL]], one.run, one.known, ROLL_USE.cutoff_wavelength)[0] for one in parts
+            remove_wander(one.displacements[[ROLL]], one.run, one.known, OF_MOTION.integration_cutoff_wavelength)[0]
+            for one in parts
         )
         segments.append(GearSegment(parts, rolls, _accelerations(windows, parts, rolls)))
     return GearSegments(tuple(segments), usable, windows[0].sample_interval_s, axles)
@@ -169,24 +172,6 @@ def smooth_back(back: FloatArray, predicted: FloatArray, filtered: FloatArray) -
         add_product(back, gained, filtered[i])
 
 
-@dataclass(frozen=True, slots=True)
-class CreepParameters:
-    """Band, vibration and outliers of creep forces."""
-
-    band_hz: float = 12.0  # end of the band that is kept
-    vibrating: float = 0.25  # rms of what a lateral acceleration has above the band, m/s2: more than contact jumps make
-    half_length_s: float = 0.12  # of the low-pass, on each side
-    # mean square of a channel's innovations over what the filter expects; see docs/adhesion.md
-    most_innovation: float = 10.0
-    # creep coefficient, yaw spring and load on file scale 1/mu; the scale of a sensor looks like creep that grows with
-    # the force, at every friction alike: in parts of b, as measured with sensors that are 5 % off (`bench adhesion`)
-    yaw_as_creep: float = 0.55  # b that a scale of the yaw sensors leaves, over its error
-    lateral_as_creep: float = 0.35  # the same of the lateral sensors
-
-
-CREEP_FILTER = CreepParameters()
-
-
 def without_vibration(
     accelerations: FloatArray, known: BoolArray, sample_interval_s: float, lateral: slice
 ) -> tuple[FloatArray, bool]:
@@ -194,10 +179,10 @@ def without_vibration(
     from scipy import signal  # noqa: PLC0415 - slow to import, and few need it
 
     rate = 1.0 / sample_interval_s
-    weights = signal.firwin(2 * round(CREEP_FILTER.half_length_s * rate) + 1, CREEP_FILTER.band_hz, fs=rate)
+    weights = signal.firwin(2 * round(OF_FORCES.half_length_s * rate) + 1, OF_FORCES.band_hz, fs=rate)
     smooth = signal.fftconvolve(accelerations, weights[None], mode="same", axes=1)
     rest = (accelerations - smooth)[lateral][:, known]
-    if float(np.sqrt(np.mean(rest**2, axis=1)).max()) <= CREEP_FILTER.vibrating:
+    if float(np.sqrt(np.mean(rest**2, axis=1)).max()) <= OF_FORCES.vibrating:
         return accelerations, False
     return np.where(known, smooth, 0.0), True
 
@@ -224,11 +209,11 @@ def forces_on(gear: GearSegments, vehicle_class: VehicleClass) -> tuple[ContactF
         named, innovation, vibrates = _smoothed(gear, segment, vehicle_class)
         values[:, :, segment.axles[0].part] = named
         worst, vibrating = max(worst, innovation), vibrating or vibrates
-    if not (np.isfinite(worst) and worst <= CREEP_FILTER.most_innovation):
+    if not (np.isfinite(worst) and worst <= OF_FORCES.most_innovation):
         return Reason(
             ReasonCode.DIVERGED,
             f"the innovations of the filter are {np.sqrt(worst):.1f} times what the vehicle's class lets expect, at"
-            f" most {np.sqrt(CREEP_FILTER.most_innovation):.1f} times are believed; check class and sensors",
+            f" most {np.sqrt(OF_FORCES.most_innovation):.1f} times are believed; check class and sensors",
         )
     return tuple(
         ContactForces(contact, moment, yaw_rate, roll, usable, worst, vibrating)
@@ -243,7 +228,10 @@ def _smoothed(gear: GearSegments, segment: GearSegment, vehicle_class: VehicleCl
     first = parts[0]
     speed = float(first.speed.mean())
     made = stationary_filter(vehicle_class, gear.sample_interval_s, speed)
-    roll_rates = [remove_wander(one.rates[[ROLL]], one.run, one.known, ROLL_USE.cutoff_wavelength)[0] for one in parts]
+    roll_rates = [
+        remove_wander(one.rates[[ROLL]], one.run, one.known, OF_MOTION.integration_cutoff_wavelength)[0]
+        for one in parts
+    ]
     measurements = np.zeros((len(first.speed), len(made.measured)))
     lateral = slice(0, 2 * made.axles, 2)
     steady, vibrating = without_vibration(segment.accelerations, first.known, gear.sample_interval_s, lateral)
@@ -329,9 +317,7 @@ class FileErrors:
     @property
     def creep_std(self) -> float:
         """Std of what the scales of the sensors leave, as a b of all vehicles."""
-        return math.hypot(
-            CREEP_FILTER.yaw_as_creep * self.yaw_scale, CREEP_FILTER.lateral_as_creep * self.lateral_scale
-        )
+        return math.hypot(OF_FORCES.yaw_as_creep * self.yaw_scale, OF_FORCES.lateral_as_creep * self.lateral_scale)
 
 
 def lateral_scale_std(sensors: SensorLayout) -> float:

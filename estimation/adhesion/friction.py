@@ -33,7 +33,7 @@ from estimation.adhesion.pass_sums import (
     creep_levels,
     pass_sums,
 )
-from estimation.motion.checks import CHECKS
+from estimation.motion.parameters import OF_MOTION
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
@@ -281,5 +281,5 @@ def touched(one: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tu
         return ()
     first, behind = CELL_LENGTH * one.sums.cells[0], CELL_LENGTH * (one.sums.cells[-1] + 1)
     return tuple(
-        (begin, end) for begin, end in stretches if begin < behind + CHECKS.margin and end > first - CHECKS.margin
+        (begin, end) for begin, end in stretches if begin < behind + OF_MOTION.margin and end > first - OF_MOTION.margin
     )

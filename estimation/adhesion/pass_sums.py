@@ -36,6 +36,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
+from estimation.adhesion.parameters import OF_FORCES
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.opinions import INVERSE, LeftOut, WindowAdhesion
 from estimation.values.reasons import Reason, ReasonCode
@@ -110,17 +111,6 @@ SCALES = frozen_array(np.linspace(-1.8, 1.8, 73), (73,), name="SCALES")
 """(s,) logarithms of scales that are tried: a sixth to six times."""
 
 
-@dataclass(frozen=True, slots=True)
-class ScaleParameters:
-    """When the scale of a vehicle is known."""
-
-    most_std: float = 0.25  # of the logarithm of a scale that is compared
-    far: float = 0.5  # of the logarithm: over which that std is measured
-
-
-SCALE = ScaleParameters()
-
-
 TINY = np.finfo(float).tiny
 
 
@@ -142,9 +132,9 @@ class Scales(FrozenArrays):
     @property
     def known(self) -> BoolArray:
         """(g,) those that a scale well below, or above the least of the grid, does not fit."""
-        below = self.logarithm - SCALE.far
+        below = self.logarithm - OF_FORCES.far
         return np.asarray(
-            self.std_from(np.where(below >= SCALES[0], below, self.logarithm + SCALE.far)) < SCALE.most_std
+            self.std_from(np.where(below >= SCALES[0], below, self.logarithm + OF_FORCES.far)) < OF_FORCES.most_std
         )
 
 

@@ -18,6 +18,7 @@ from itertools import combinations
 
 import numpy as np
 
+from estimation.alerts.parameters import OF_FINDINGS
 from estimation.trend.change_point import Series, StepModel, newest_change
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
@@ -57,15 +58,15 @@ class Mirrored:
     left: float  # standard deviations that the other sign leaves
 
 
-def newest_mirrored(parts: Parts, model: StepModel, parameters: IdentityParameters) -> Mirrored | None:
+def newest_mirrored(parts: Parts, model: StepModel) -> Mirrored | None:
     """Return the newest change of sign since the last known event, by a whole history; None where there is none."""
     # From one interval to the next a curve differs by no more than its standard deviations where these are large,
     # although most of what they hold is common to all intervals of a wheelset. Over a history the noise is known: the
     # even parts are one pattern of changing size, which wears slowly, and a wheelset that was turned end for end has
     # the same size with the other sign.
-    bins = np.isfinite(parts.even).mean(axis=0) >= 1.0 - parameters.same_size
+    bins = np.isfinite(parts.even).mean(axis=0) >= 1.0 - OF_FINDINGS.same_size
     whole = np.flatnonzero(np.isfinite(parts.even[:, bins]).all(axis=1))
-    if bins.sum() < parameters.fewest_bins or len(whole) < 2 * EVEN.least_points:
+    if bins.sum() < OF_FINDINGS.fewest_bins or len(whole) < 2 * EVEN.least_points:
         return None
     even, odd, std = (1e3 * table[whole][:, bins] for table in (parts.even, parts.odd, parts.std))
     even = even - even.mean(axis=1, keepdims=True)  # a band-passed signal leaves the level open
@@ -79,11 +80,11 @@ def newest_mirrored(parts: Parts, model: StepModel, parameters: IdentityParamete
     odd_change, even_change = (_change(table, x_km, sides) for table in (odd, even))
     unlike, common = abs(after + before), float(np.median(error))
     if (
-        odd_change > parameters.kept * even_change
-        or unlike > parameters.same_size * abs(found.size) + parameters.common * common
+        odd_change > OF_FINDINGS.kept * even_change
+        or unlike > OF_FINDINGS.same_size * abs(found.size) + OF_FINDINGS.common * common
     ):
         return None
-    left = unlike / float(np.hypot(found.std, parameters.common * common))
+    left = unlike / float(np.hypot(found.std, OF_FINDINGS.common * common))
     return Mirrored(int(whole[found.last]), int(whole[found.first]), abs(found.size) / found.std, left)
 
 
@@ -129,10 +130,6 @@ class IdentityParameters:
     reach: float = 3.5e-3  # m of lateral displacement that is looked at
     least_bins: int = 8
     least_windows: int = 3
-    same_size: float = 0.25  # of the step, by which the size may differ but for its sign
-    common: float = 2.0  # published standard deviations besides, of what all intervals have in common
-    kept: float = 0.35  # of the change of the even part, that the odd part may change by: it is its own mirror image
-    fewest_bins: int = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,7 +264,6 @@ def _reversed_in(seen: Sequence[Observation], p: IdentityParameters) -> Identity
             np.array([one.std[near] for one in evens]),
         ),
         EVEN,
-        p,
     )
     if found is None:
         return None

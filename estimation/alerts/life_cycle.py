@@ -18,6 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated
 
+from estimation.alerts.parameters import OF_FINDINGS
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
@@ -26,16 +27,6 @@ from estimation.values.units import DAY_NS
 
 DELAYS = "delays"
 RUN_FROM = "run_from_km"  # among them: mileage of the first of the findings on end that are counted
-
-
-@dataclass(frozen=True, slots=True)
-class LifeParameters:
-    """When evidence is another."""
-
-    probability_bands: tuple[float, ...] = (0.05, 0.5, 0.8, 0.95, 0.99)
-
-
-LIFE = LifeParameters()
 
 
 SEVERITY_RANK = {severity: rank for rank, severity in enumerate(Severity)}
@@ -211,7 +202,7 @@ def _changed(before: Alert, after: Alert, events: tuple[AlertEventKind, ...]) ->
 
 
 def _material(alert: Alert) -> tuple[object, ...]:
-    band = None if alert.probability is None else bisect_right(LIFE.probability_bands, alert.probability)
+    band = None if alert.probability is None else bisect_right(OF_FINDINGS.probability_bands, alert.probability)
     evidence = {key: value for key, value in alert.evidence.items() if key != DELAYS}
     limits = (alert.raise_limit, alert.clear_limit)
     return alert.severity, alert.condition, band, evidence, alert.action, limits, alert.acknowledged_by

@@ -20,9 +20,9 @@ import numpy as np
 from scipy.special import chdtri, ndtr
 
 from estimation.adhesion.creep_forces import GearSegment, GearSegments
-from estimation.dampers.damper_filters import DAMPER_FILTER, DamperFilters, add_products, damper_filters, of_signals
+from estimation.dampers.damper_filters import DamperFilters, add_products, damper_filters, of_signals
+from estimation.dampers.parameters import OF_DAMPING
 from estimation.dampers.suspension_equations import (
-    RESAMPLING,
     between_samples,
     low_pass,
     mass_std,
@@ -41,27 +41,11 @@ from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass
 
 
-@dataclass(frozen=True, slots=True)
-class DampedWindowParameters:
-    """When a window says something of a damper."""
-
-    unknown_s: float = 6.0  # at the begin of a segment, whose deflections are not known
-    model_error: float = 0.02  # of the acceleration above, that stiff bodies do not explain whatever their parameters
-    least_excitation: float = 3.0  # what motion shows of the damper over what noise does
-    fewest_samples: float = 600.0  # of a window that are counted: 10 s
-    most_unexplained: float = 0.05  # mean square of the innovations beside noise, over that of the acceleration above
-    every: int = 3  # windows, one of which is looked at: a damper changes over months
-    largest_std: float = 0.3  # relative, of parameters beside the damper: beyond it their effect is not proportional
-
-
-DAMPED = DampedWindowParameters()
-
-
 def looked_at(first: Window) -> bool:
     """Return whether the damper is looked at in a window: in one of ``EVERY``, whatever others there are."""
     # Its start is mixed first, so that no recorder that runs at regular times is always left out. Both running gears of
     # a vehicle are looked at in the same windows.
-    return zlib.crc32(f"{first.vehicle} {first.start_ns // first.length_ns}".encode()) % DAMPED.every == 0
+    return zlib.crc32(f"{first.vehicle} {first.start_ns // first.length_ns}".encode()) % OF_DAMPING.every == 0
 
 
 def window_damper(
@@ -103,7 +87,7 @@ def _window_sums(gear: GearSegments, vehicle_class: VehicleClass) -> tuple[Dampe
         add_products(filters, *taken, products)
         count += int(counted.sum())
         square += float((above[0, counted] ** 2).sum())
-    if count < DAMPED.fewest_samples:
+    if count < OF_DAMPING.fewest_samples:
         return Reason(ReasonCode.TOO_FEW_USABLE, f"{count} samples of deflections are known"), None
     return _judged(products, count, square, filters)
 
@@ -113,9 +97,9 @@ def not_judged(vehicle_class: VehicleClass) -> Reason | None:
     if not nominal_damping(vehicle_class) > 0.0:
         return Reason(ReasonCode.DAMPER_NOT_ON_FILE, f"class {vehicle_class.code!r} has no lateral damper on file")
     for name, std in uncertain_parameters(vehicle_class).items():
-        if std > DAMPED.largest_std:
+        if std > OF_DAMPING.largest_std:
             text = f"{name} of class {vehicle_class.code!r} is known to {std:.0%} only"
-            return Reason(ReasonCode.SUSPENSION_UNCERTAIN, f"{text}, at most {DAMPED.largest_std:.0%} will do")
+            return Reason(ReasonCode.SUSPENSION_UNCERTAIN, f"{text}, at most {OF_DAMPING.largest_std:.0%} will do")
     return None
 
 
@@ -128,14 +112,14 @@ def _taken(
     """
     axles, known, dt = gear.axles, segment.axles[0].known, gear.sample_interval_s
     stride, half = stride_of(dt), len(low_pass(dt)) // 2
-    unknown = round(DAMPED.unknown_s / (stride * dt))
+    unknown = round(OF_DAMPING.unknown_s / (stride * dt))
     if len(known) - 2 * half < 2 * unknown * stride:
         return None
     signals = [segment.accelerations[: 2 * axles : 2], segment.accelerations[2 * axles :]]
     taken = [[thinned(bridged(one, known), dt) for one in rows] for rows in signals]
     (below, below_apart), (above, above_apart) = ((np.mean(rows, axis=0), 0.5 * (rows[0] - rows[-1])) for rows in taken)
     raised, raised_apart = between_samples(below), between_samples(below_apart)
-    late = DAMPER_FILTER.late_std_s / (stride * dt)
+    late = OF_DAMPING.late_std_s / (stride * dt)
     counted = known[half : len(known) - half][::stride].copy()
     counted[:unknown] = counted[-1:] = False
     of_wheelsets = [raised, raised + apart[0] * raised_apart, raised, raised + late * np.gradient(raised_apart)]
@@ -148,17 +132,17 @@ def _judged(
 ) -> tuple[DamperSums | Reason, float]:
     whole = of_signals(filters, products)
     least = min(_least(one, count) for one in whole)
-    innovation = float(least) / (float(filters.noise[:, 0, 0].max()) + DAMPED.most_unexplained * square / count)
+    innovation = float(least) / (float(filters.noise[:, 0, 0].max()) + OF_DAMPING.most_unexplained * square / count)
     if not (np.isfinite(innovation) and innovation <= 1.0):
         text = f"the innovations of the suspension's filters are {np.sqrt(innovation):.1f} times what is believed"
         return Reason(ReasonCode.DIVERGED, f"{text}; check class and sensors"), innovation
-    independent = count * min(2.0 * RESAMPLING.passed_hz * filters.step_s, 1.0)
-    scale = independent / (count * least + DAMPED.model_error**2 * square)
+    independent = count * min(2.0 * OF_DAMPING.passed_hz * filters.step_s, 1.0)
+    scale = independent / (count * least + OF_DAMPING.model_error**2 * square)
     excited = _excitation(whole * scale, count * scale * filters.noise)
-    if not excited > DAMPED.least_excitation:
+    if not excited > OF_DAMPING.least_excitation:
         text = f"the motion shows the damper {max(excited, 0.0):.1f} times as much as noise does"
         return Reason(
-            ReasonCode.DAMPER_NOT_EXCITED, f"{text}, {DAMPED.least_excitation:g} times are needed"
+            ReasonCode.DAMPER_NOT_EXCITED, f"{text}, {OF_DAMPING.least_excitation:g} times are needed"
         ), innovation
     return DamperSums((whole - count * filters.noise) * scale, independent, filters.curved), innovation
 

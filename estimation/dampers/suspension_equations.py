@@ -24,6 +24,7 @@ from typing import Annotated
 
 import numpy as np
 
+from estimation.dampers.parameters import OF_DAMPING
 from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass, VehicleParameters
 
@@ -99,22 +100,9 @@ def _bogie(p: VehicleParameters, bogie: BogieParameters, share: float) -> Suspen
     return SuspensionEquations(rates, np.array([0.0, -1.0, 0.0, 0.0]), frame)
 
 
-@dataclass(frozen=True, slots=True)
-class ResamplingParameters:
-    """How signals are brought to the step of the equations."""
-
-    passed_hz: float = 5.0
-    stopped_hz: float = 8.0
-    stopped_db: float = 70.0
-    step_s: float = 0.016  # between the samples that the filters take
-
-
-RESAMPLING = ResamplingParameters()
-
-
 def stride_of(sample_interval_s: float) -> int:
     """Return of how many samples one is kept."""
-    return max(round(RESAMPLING.step_s / sample_interval_s), 1)
+    return max(round(OF_DAMPING.step_s / sample_interval_s), 1)
 
 
 @lru_cache(maxsize=4)
@@ -123,9 +111,9 @@ def low_pass(sample_interval_s: float) -> FloatArray:
     from scipy.signal import firwin, kaiserord  # noqa: PLC0415 - slow to import, and few need it
 
     count, beta = kaiserord(
-        RESAMPLING.stopped_db, 2.0 * sample_interval_s * (RESAMPLING.stopped_hz - RESAMPLING.passed_hz)
+        OF_DAMPING.stopped_db, 2.0 * sample_interval_s * (OF_DAMPING.stopped_hz - OF_DAMPING.passed_hz)
     )
-    corner = 0.5 * (RESAMPLING.passed_hz + RESAMPLING.stopped_hz)
+    corner = 0.5 * (OF_DAMPING.passed_hz + OF_DAMPING.stopped_hz)
     taps = firwin(count | 1, corner, window=("kaiser", beta), fs=1.0 / sample_interval_s)
     return frozen_array(taps, (None,), name="taps")
 

@@ -23,7 +23,6 @@ import numpy as np
 from estimation.errors import ParameterError
 from estimation.estimators import filter_kernels as kernels
 from estimation.estimators.interface import (
-    CURVE_GRID,
     CurveEstimate,
     EstimatorParameters,
     Replicates,
@@ -32,7 +31,8 @@ from estimation.estimators.interface import (
     nothing,
     usable,
 )
-from estimation.estimators.series import SERIES, SeriesState, added, empty, misfit, shifts
+from estimation.estimators.parameters import OF_RIVALS
+from estimation.estimators.series import SeriesState, added, empty, misfit, shifts
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
@@ -42,26 +42,8 @@ from estimation.values.windows import Motion
 from estimation.vehicle.regressors import regression
 from estimation.vehicle.vehicle_class import VehicleParameters
 
-
-@dataclass(frozen=True, slots=True)
-class BlockParameters:
-    """Blocks and priors of the filters."""
-
-    step_s: float = 0.012  # between the samples that a filter takes
-    shortest: int = 100  # samples of a block that is filtered
-    largest_square: float = 3.0  # mean of squared innovations over their variances of a filter that follows
-    most_diverged: float = 0.2  # share of blocks
-    least_noise: float = 0.03e-3  # m, std of y - d
-    steepest: float = 1.6  # of R per y - d that particles begin with: a conicity of 0.8
-    offset_std: float = 1e-3  # m
-    rows: int = 64  # of numbers drawn, used in turn
-    seed: int = 2003
-    smallest: float = 1e-9  # of the variance of the slope, relative to the prior's: particles that are all alike
-
-
-BLOCKS = BlockParameters()
-STEEPEST = BLOCKS.steepest
-OFFSET_STD = BLOCKS.offset_std
+STEEPEST = OF_RIVALS.steepest
+OFFSET_STD = OF_RIVALS.offset_std
 
 
 class Inputs(NamedTuple):
@@ -105,13 +87,13 @@ class FilterState(FrozenArrays):
 def follows(found: Posterior) -> bool:
     """Return whether a filter has followed the motion of a block: by its innovations, and by its covariance."""
     finite = np.isfinite(found.mean).all() and np.isfinite(found.covariance).all() and np.isfinite(found.square)
-    if not finite or found.square > BLOCKS.largest_square:
+    if not finite or found.square > OF_RIVALS.largest_square:
         return False
     return bool(np.linalg.eigvalsh(found.covariance)[0] > 0.0)
 
 
 def _inputs(motion: Motion, parameters: EstimatorParameters, keep: BoolArray) -> Inputs:
-    stride = max(round(BLOCKS.step_s / motion.sample_interval_s), 1)
+    stride = max(round(OF_RIVALS.step_s / motion.sample_interval_s), 1)
     at = np.flatnonzero(keep)
     run = np.cumsum(np.append(0, np.diff(at) > 1))
     within = np.arange(len(at)) - np.searchsorted(run, run)
@@ -148,7 +130,9 @@ class BlockFilters(ABC):
     def init(self, parameters: EstimatorParameters) -> FilterState:
         """Return the state before any block."""
         m = len(self.prior.mean)
-        return FilterState(empty(parameters, m), np.zeros((SERIES.groups, m, m)), np.zeros((SERIES.groups, m)), 0, 0)
+        return FilterState(
+            empty(parameters, m), np.zeros((OF_RIVALS.groups, m, m)), np.zeros((OF_RIVALS.groups, m)), 0, 0
+        )
 
     def update(self, state: FilterState, motion: Motion, weight: float = 1.0) -> FilterState:
         """Return the state with the blocks of ``motion`` filtered and added, ``weight`` times."""
@@ -158,18 +142,18 @@ class BlockFilters(ABC):
         precision, information = state.precision.copy(), state.information.copy()
         blocks, diverged = state.blocks, state.diverged
         of_sensors = math.sqrt(motion.displacement_noise)
-        noise = max(math.hypot(parameters.uncertainty.alignment_noise, of_sensors), BLOCKS.least_noise)
+        noise = max(math.hypot(parameters.uncertainty.alignment_noise, of_sensors), OF_RIVALS.least_noise)
         before = np.diag(prior.std**-2.0)
         for block in np.unique(motion.block[keep]):
             inputs = _inputs(motion, parameters, keep & (motion.block == block))
-            if len(inputs.yaw) < BLOCKS.shortest:
+            if len(inputs.yaw) < OF_RIVALS.shortest:
                 continue
             found = self.filter_block(parameters.vehicle, inputs, noise)
             blocks += 1
             if not follows(found):
                 diverged += 1
                 continue
-            group = int(group_of(np.array([block]), SERIES.groups)[0])
+            group = int(group_of(np.array([block]), OF_RIVALS.groups)[0])
             after = np.linalg.inv(found.covariance)
             precision[group] += weight * (after - before)
             information[group] += weight * (after @ found.mean - before @ prior.mean)
@@ -181,16 +165,16 @@ class BlockFilters(ABC):
         span = covered_range(series.counts)
         if isinstance(span, Reason):
             return nothing(span, series.parameters, series.samples, series.stretches)
-        if state.diverged > BLOCKS.most_diverged * state.blocks:
+        if state.diverged > OF_RIVALS.most_diverged * state.blocks:
             text = f"the filter has diverged in {state.diverged} of {state.blocks} blocks of running"
             return nothing(Reason(ReasonCode.DIVERGED, text), series.parameters, series.samples, series.stretches)
         present = np.flatnonzero(np.trace(state.precision, axis1=1, axis2=2) != 0.0)
-        if len(present) < CURVE_GRID.fewest_groups:
+        if len(present) < OF_RIVALS.fewest_groups:
             return nothing(too_few_blocks(len(present)), series.parameters, series.samples, series.stretches)
         before = np.diag(self.prior.std**-2.0)
         precision = before + state.precision.sum(axis=0)
         information = before @ self.prior.mean + state.information.sum(axis=0)
-        x = np.linspace(*span, round((span[1] - span[0]) / SERIES.spacing) + 1)
+        x = np.linspace(*span, round((span[1] - span[0]) / OF_RIVALS.spacing) + 1)
         functions = self.basis(x)
         value = functions @ np.linalg.solve(precision, information)
         left_out = [
@@ -259,13 +243,15 @@ class ParticleFilter(BlockFilters):
         lever = 2 * vehicle.half_contact_distance * vehicle.nominal_radius
         square = kernels.particles(*inputs, noise, lever, slope, mean, P, _draws(self.particles))
         found = np.column_stack([mean[:, 2], slope * MILLIMETRE])
-        covariance = np.cov(found.T, bias=True) + np.diag([P[:, 2, 2].mean(), BLOCKS.smallest * self.prior.std[1] ** 2])
+        covariance = np.cov(found.T, bias=True) + np.diag(
+            [P[:, 2, 2].mean(), OF_RIVALS.smallest * self.prior.std[1] ** 2]
+        )
         return Posterior(found.mean(axis=0), covariance, square)
 
 
 @lru_cache
 def _draws(particles: int) -> FloatArray:
-    rng = np.random.default_rng(BLOCKS.seed)
-    drawn = np.column_stack([rng.uniform(size=BLOCKS.rows), rng.standard_normal((BLOCKS.rows, particles))])
+    rng = np.random.default_rng(OF_RIVALS.seed)
+    drawn = np.column_stack([rng.uniform(size=OF_RIVALS.rows), rng.standard_normal((OF_RIVALS.rows, particles))])
     drawn.flags.writeable = False
     return drawn

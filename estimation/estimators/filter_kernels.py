@@ -11,34 +11,20 @@ and measure psi and y - d. A step takes psi first, then y - d with the new psi, 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from estimation.compiled import compiled
+from estimation.estimators.parameters import OF_RIVALS
 from estimation.values.arrays import FloatArray
 from estimation.values.units import MILLIMETRE
 
-
-@dataclass(frozen=True, slots=True)
-class KernelParameters:
-    """Random walks of the filters."""
-
-    alignment: float = 1e-6  # m, intensity of d' per speed: slopes of 0.6 mm/m over 3 m
-    yaw_rate: float = 3e-8  # rad2/s, intensity of what psi' has besides: R is measured to 0.03 mm over some 0.05 s
-    yaw: float = 1e-5  # rad, std of psi
-    renewed: tuple[float, float] = (1e-3, 1e-3)  # m, rad, std of y - d and psi behind a gap
-    moved: float = 0.3  # of the spread of the particles, std by which copies are moved
-    cooling: float = 0.25  # of the spread that copies have at least, with every time that they are made
-
-
-KERNELS = KernelParameters()
-ALIGNMENT = KERNELS.alignment
-YAW_RATE = KERNELS.yaw_rate
-YAW = KERNELS.yaw
-RENEWED = KERNELS.renewed
-MOVED = KERNELS.moved
-COOLING = KERNELS.cooling
+ALIGNMENT = OF_RIVALS.alignment
+YAW_RATE = OF_RIVALS.yaw_rate
+YAW = OF_RIVALS.yaw
+RENEWED = OF_RIVALS.renewed
+MOVED = OF_RIVALS.moved
+COOLING = OF_RIVALS.cooling
 
 
 @compiled(nogil=True, error_model="numpy")

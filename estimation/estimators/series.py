@@ -15,7 +15,6 @@ import numpy as np
 
 from estimation.estimators.interface import (
     CELLS,
-    CURVE_GRID,
     CurveEstimate,
     EstimatorParameters,
     Replicates,
@@ -26,6 +25,7 @@ from estimation.estimators.interface import (
     nothing,
     usable,
 )
+from estimation.estimators.parameters import OF_RIVALS
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import FloatArray, FrozenArrays
@@ -34,21 +34,6 @@ from estimation.values.units import MILLIMETRE
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 from estimation.vehicle.vehicle_class import VehicleParameters
-
-
-@dataclass(frozen=True, slots=True)
-class SeriesParameters:
-    """Terms of the series."""
-
-    groups: int = 16
-    smallest_variance: float = 1e-18  # m2
-    spacing: float = 0.05e-3  # m of y - d at which the curve is given
-    least_share: float = 1e-9  # smallest to largest eigenvalue of scaled sums that still are solved
-    least_stiff: float = 0.2  # of the creep coefficient on file: below, the moments beside creep say too little
-
-
-SERIES = SeriesParameters()
-
 
 Basis = Callable[[FloatArray], FloatArray]  # y - d (n,) to functions (n, m)
 
@@ -71,7 +56,7 @@ def empty(
     parameters: EstimatorParameters, functions: int, targets: int = len(YAW_TARGETS), sums: int = 1
 ) -> SeriesState:
     """Return empty sums for ``functions`` basis functions."""
-    gram, cross = np.zeros((SERIES.groups, functions, functions)), np.zeros((SERIES.groups, functions, targets))
+    gram, cross = np.zeros((OF_RIVALS.groups, functions, functions)), np.zeros((OF_RIVALS.groups, functions, targets))
     return SeriesState(parameters, gram, cross, 0.0, np.zeros((sums, CELLS)), np.zeros(CELLS), 0, 0)
 
 
@@ -88,7 +73,7 @@ def summed(
 ) -> SeriesState:
     """Return the state with the usable samples (n,) of ``motion`` added, ``by_cell`` (n, k) by displacement."""
     keep = usable(motion)
-    x, groups = motion.displacement[keep], group_of(motion.block[keep], SERIES.groups)
+    x, groups = motion.displacement[keep], group_of(motion.block[keep], OF_RIVALS.groups)
     gram, cross = state.gram.copy(), state.cross.copy()
     for group in np.unique(groups):
         in_group = groups == group
@@ -131,10 +116,10 @@ class SeriesFit(ABC):
         if isinstance(span, Reason):
             return nothing(span, state.parameters, state.samples, state.stretches)
         present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
-        if len(present) < CURVE_GRID.fewest_groups:  # what is left without one of them may not determine the functions
+        if len(present) < OF_RIVALS.fewest_groups:  # what is left without one of them may not determine the functions
             return nothing(too_few_blocks(len(present)), state.parameters, state.samples, state.stretches)
         low, high = span
-        x = np.linspace(low, high, round((high - low) / SERIES.spacing) + 1)
+        x = np.linspace(low, high, round((high - low) / OF_RIVALS.spacing) + 1)
         gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
         small = _small(gram, self.ridge)
         theta = np.linalg.solve(gram + small, cross[:, 0])
@@ -146,7 +131,7 @@ class SeriesFit(ABC):
         squares = max(float(state.squares - theta @ cross[:, 0]), 0.0)
         count = max(float(state.counts.sum()) - len(theta), 1.0)
         inverse = np.linalg.inv(gram + small)
-        covariance = 0.5 * (inverse + inverse.T) * max(squares / count, SERIES.smallest_variance)
+        covariance = 0.5 * (inverse + inverse.T) * max(squares / count, OF_RIVALS.smallest_variance)
         own = (functions @ np.linalg.cholesky(covariance)).T
         without = np.array(left_out) @ functions.T
         curve = Replicates(x, value, without, shifted, state.samples, state.stretches, own)
@@ -207,7 +192,7 @@ class KnownIrregularity:
         if isinstance(span, Reason) or reason is not None:
             assert reason is not None  # it is ``span``
             return nothing(reason, state.parameters, state.samples, state.stretches)
-        x = np.linspace(*span, round((span[1] - span[0]) / SERIES.spacing) + 1)
+        x = np.linspace(*span, round((span[1] - span[0]) / OF_RIVALS.spacing) + 1)
         gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
         theta = np.linalg.solve(gram, cross)
         value = _line(x, theta[:, 0])
@@ -242,16 +227,16 @@ def equations(motion: Motion, vehicle: VehicleParameters) -> tuple[FloatArray, F
 
 
 def _refusal(state: SeriesState, groups: int) -> Reason | None:
-    if groups < CURVE_GRID.fewest_groups:
+    if groups < OF_RIVALS.fewest_groups:
         return too_few_blocks(groups)
     gram = state.gram.sum(axis=0)
     size = np.sqrt(np.diag(gram))
     eigenvalues = np.linalg.eigvalsh(gram / np.outer(size, size))
-    if eigenvalues[0] < SERIES.least_share:
+    if eigenvalues[0] < OF_RIVALS.least_share:
         return Reason(ReasonCode.NOT_FINITE, "yaw rate and displacement are proportional")
     creep = float(np.linalg.solve(gram, state.cross.sum(axis=0)[:, 0])[0])
     share = creep / state.parameters.vehicle.longitudinal_creep_coefficient
-    if SERIES.least_stiff < share < 1.0 / SERIES.least_stiff:
+    if OF_RIVALS.least_stiff < share < 1.0 / OF_RIVALS.least_stiff:
         return None
     return Reason(ReasonCode.DIVERGED, f"the creep coefficient comes out as {share:.2f} times that on file")
 

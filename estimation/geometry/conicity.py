@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel, zero_crossing
+from estimation.geometry.parameters import OF_GEOMETRY
 from estimation.geometry.sharpening import (
     FREE,
     ContactRoll,
@@ -25,18 +26,6 @@ from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import Centre, CentreOrigin
 from estimation.values.quantities import Estimate, jackknife_std, with_interval
 from estimation.values.reasons import Reason, ReasonCode
-
-
-@dataclass(frozen=True, slots=True)
-class PublishedParameters:
-    """When a conicity may be published."""
-
-    fewest_groups: int = 4
-    largest_std: float = 0.1  # of a conicity that is published: wheelsets in service have 0.02 to 0.6
-
-
-PUBLISHED = PublishedParameters()
-
 
 NO_AMPLITUDE = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "no amplitude is covered")
 NO_OFFSET = Reason(ReasonCode.OFFSET_NOT_OBSERVABLE, "band-limited signals carry no offset")
@@ -101,10 +90,10 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     amplitude = np.array(parameters.amplitudes)
     run = _run_around_zero(curve, parameters)
     groups = len(curve.difference) - 1
-    if run is None or groups < PUBLISHED.fewest_groups:
+    if run is None or groups < OF_GEOMETRY.fewest_groups:
         few_bins = Reason(ReasonCode.TOO_FEW_BINS, "too few bins around the centre have samples")
         unknown = Estimate.unknown(
-            too_few_blocks(groups) if groups < PUBLISHED.fewest_groups else few_bins, curve.count
+            too_few_blocks(groups) if groups < OF_GEOMETRY.fewest_groups else few_bins, curve.count
         )
         return CurveEstimates(
             amplitude, (unknown,) * len(amplitude), parameters.reference_amplitude, unknown, unknown, unknown
@@ -135,7 +124,7 @@ def not_covered(amplitude: float) -> Reason:
 
 def too_few_blocks(groups: int) -> Reason:
     """Return that there are too few blocks of running time for an interval."""
-    return Reason(ReasonCode.TOO_FEW_BLOCKS, f"{groups} blocks of data, {PUBLISHED.fewest_groups} are needed")
+    return Reason(ReasonCode.TOO_FEW_BLOCKS, f"{groups} blocks of data, {OF_GEOMETRY.fewest_groups} are needed")
 
 
 def _nonlinearity(
@@ -262,7 +251,7 @@ def _conicity(values: FloatArray, groups: int, count: float, amplitude: float, p
     found = _estimate(values, groups, count, not_covered(amplitude))
     if found.value is None or found.high is None or found.std is None:
         return found
-    if found.std <= max(PUBLISHED.largest_std, parameters.largest_share * found.value):
+    if found.std <= max(OF_GEOMETRY.largest_std, parameters.largest_share * found.value):
         return found
     text = f"the data leave the conicity at {1e3 * amplitude:g} mm open by {found.high - found.value:.2f} either way"
     return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), count)

@@ -28,7 +28,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.geometry.uncertainty import MOUNTING_STD, ParameterUncertainty
-from estimation.motion.rolling_sums import ROLLED, UNKNOWNS
+from estimation.motion.parameters import OF_MOTION
+from estimation.motion.rolling_sums import UNKNOWNS
 from estimation.tables.bin_table import BinParameters, Solution, inverses, unpack
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import BinTable, Contradiction
@@ -315,10 +316,10 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
     taken_off = noise.copy()
     # curve and gravity are one where contact is straight: its noise is what keeps them apart there
     taken_off[..., 1 + _CURVE, 1 + _CURVE] = 0.0
-    with_noise = _solution(_weighted(np.ones(ROLLED.bands), total))
+    with_noise = _solution(_weighted(np.ones(OF_MOTION.bands), total))
     share = min(1.0, float(np.min(_left(total, of_noise, with_noise))))  # sensors may be better than on file
-    weights = np.ones(ROLLED.bands)
-    left = np.ones(ROLLED.bands)
+    weights = np.ones(OF_MOTION.bands)
+    left = np.ones(OF_MOTION.bands)
     without_noise = products - share * taken_off
     by_band = without_noise.sum(axis=0)
     for _ in range(ROLLING_FIT.rounds):

@@ -46,10 +46,11 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtr
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
-from estimation.motion.integration import ROLL_USE
+from estimation.motion.parameters import OF_MOTION
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.units import NORMAL_95
-from estimation.vehicle.vehicle_class import CLASSES, VehicleClass
+from estimation.vehicle.parameters import OF_GEAR
+from estimation.vehicle.vehicle_class import VehicleClass
 
 
 @dataclass(frozen=True, slots=True)
@@ -350,9 +351,9 @@ def standard_curve(x: FloatArray, curve: FloatArray, roll: ContactRoll) -> tuple
     flat, rises = split_at_rises(x, curve, middle)
     phi = SHARPENING.roll_per_displacement * away + SHARPENING.roll_per_radius * flat
     moved = (
-        curve - rises + displaced(x, rises, middle, (SHARPENING.crown_depth - CLASSES.rail_head_radius) * np.abs(phi))
+        curve - rises + displaced(x, rises, middle, (SHARPENING.crown_depth - OF_GEAR.rail_head_radius) * np.abs(phi))
     )
     if roll is ContactRoll.SEEN:
         return x, moved
-    taken = ROLL_USE.hidden_share / (1.0 + ROLL_USE.hidden_share) * away
-    return x + CLASSES.rail_head_radius * phi - taken, moved
+    taken = OF_MOTION.hidden_share / (1.0 + OF_MOTION.hidden_share) * away
+    return x + OF_GEAR.rail_head_radius * phi - taken, moved

@@ -13,31 +13,13 @@ from typing import Self
 
 import numpy as np
 
+from estimation.geometry.parameters import OF_GEOMETRY
 from estimation.geometry.sharpening import FREE, ContactRoll, held_shares
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
 from estimation.vehicle.vehicle_class import VehicleClass
 
-
-@dataclass(frozen=True, slots=True)
-class ErrorParameters:
-    """What is known of errors beforehand."""
-
-    unknown_factor: float = 0.4  # relative std of a factor from which on nothing is known of the quotient
-    least_scale_std: float = 0.002  # relative, of any sensor: its digits and its drift
-    mounting_std: float = math.radians(2.0)  # of the angle of a yaw sensor about the lateral axis
-    jump_place: float = 0.03e-3  # m, std of where a contact jump is found without any gauge
-    jump_place_share: float = 0.3  # of the blur, the same
-    scale_uncertainty: float = 0.003  # of a displacement that was integrated and projected
-    scatter: float = 2.5  # std over which samples scatter across a jump, in std of the error
-    # m, std of the origin of band-limited motion: it is the mean of the observed displacements
-    origin: float = 0.005e-3
-    origin_std_share: float = 0.25  # share of ``jump_position_std`` that is added to it
-    most_excess: float = 0.2  # of the variance of the displacement that its error may make up
-
-
-ERRORS = ErrorParameters()
-MOUNTING_STD = ERRORS.mounting_std
+MOUNTING_STD = OF_GEOMETRY.mounting_std
 
 
 # Relative, of the displacement of EN 15302: rail heads are no arcs of one radius; the roll of the contact is hidden.
@@ -48,7 +30,7 @@ def quotient_widening(relative: float) -> float:
     """Return by how much the std of a quotient exceeds that of first order: 1/(1 - s), infinite from 0.4."""
     # The quotient grows without limit as its divisor, of relative std s, nears zero. With this std 92 to 96 % of the 95
     # % intervals of 1/(1 + e), e normal with std s, hold 1.
-    return 1.0 / (1.0 - relative) if relative < ERRORS.unknown_factor else float("inf")
+    return 1.0 / (1.0 - relative) if relative < OF_GEOMETRY.unknown_factor else float("inf")
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +136,7 @@ class ParameterUncertainty:
 def _sensors_of_bogie(vehicle_class: VehicleClass) -> tuple[float, float, float]:
     """Return the stds of the yaw sensor's scale against the frame's, of the frame sensors' difference, of the angle."""
     of_yaw, of_frame = vehicle_class.sensors.yaw.scale_std, vehicle_class.sensors.mass_lateral.scale_std
-    least = ERRORS.least_scale_std
+    least = OF_GEOMETRY.least_scale_std
     return math.hypot(least, of_yaw, of_frame), math.hypot(least, math.sqrt(2.0) * of_frame), MOUNTING_STD
 
 
@@ -227,7 +209,7 @@ class DisplacementError:
 
     def jump_place_std(self, blur: float) -> float:
         """Return the std, m, of where contact jumps are found on average behind a blur (m, std)."""
-        return float(np.linalg.norm([ERRORS.jump_place, ERRORS.jump_place_share * blur, self.jump_mean_std]))
+        return float(np.linalg.norm([OF_GEOMETRY.jump_place, OF_GEOMETRY.jump_place_share * blur, self.jump_mean_std]))
 
     @staticmethod
     def of(
@@ -245,8 +227,8 @@ class DisplacementError:
         the fields of where contact jumps are.
         """
         variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
-        excess = min(std**2 / variance, ERRORS.most_excess) if variance > 0 else 0.0
-        known = (0.0, 0.0) if not integrated else (ERRORS.scale_uncertainty, ERRORS.origin)
+        excess = min(std**2 / variance, OF_GEOMETRY.most_excess) if variance > 0 else 0.0
+        known = (0.0, 0.0) if not integrated else (OF_GEOMETRY.scale_uncertainty, OF_GEOMETRY.origin)
         return DisplacementError(std, excess, float(np.hypot(known[0], scale)), known[1], **jumps)
 
     def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
@@ -275,9 +257,9 @@ class DisplacementError:
             0.0, x, values[smooth]
         )  # jumps below are part of it, not of the slope
         scaled = np.maximum(np.abs(slope * x), np.abs(above_centre)) * np.hypot(self.excess, self.scale)
-        shifted = np.hypot(scaled, slope * np.hypot(self.origin, ERRORS.origin_std_share * self.jump_position_std))
+        shifted = np.hypot(scaled, slope * np.hypot(self.origin, OF_GEOMETRY.origin_std_share * self.jump_position_std))
         scattered = np.zeros(len(centre))
-        both = replace(self, std=float(np.hypot(ERRORS.scatter * self.std, self.jump_position_std)))
+        both = replace(self, std=float(np.hypot(OF_GEOMETRY.scatter * self.std, self.jump_position_std)))
         scattered[observed] = both.rounded(centre[observed], values[observed]) - values[observed]
         left_unknown[smooth] = np.hypot(shifted, scattered[smooth])
         return left_unknown

@@ -12,6 +12,7 @@ from functools import partial
 
 from estimation.alerts.identity import IDENTITY_EVENT
 from estimation.alerts.life_cycle import close, transition, without_stale_acknowledgement
+from estimation.alerts.parameters import OF_FINDINGS
 from estimation.alerts.rule_book import RuleBook, findings, in_flood, next_change_ns, opened, refreshed, superseded
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS, SUSPENSIONS
@@ -25,7 +26,7 @@ from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseRea
 from estimation.values.geometry import GEOMETRY
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import TREND
-from estimation.worklist.row import FACETS, FORM, STAGE
+from estimation.worklist.row import FACETS, FORM, OF_WORKLIST, STAGE
 
 
 def make_all(unit: UnitOfWork, _: JobContext, __: Mapping[str, tuple[None, Outcome[None]]]) -> Mapping[str, int]:
@@ -39,7 +40,7 @@ WORKLIST: AnyStage = Stage(
     job="evaluate_alerts",
     kind=SubjectKind.WHEELSET,
     facets=FACETS,
-    settings=lambda _: FORM,
+    settings=lambda _: (FORM, OF_WORKLIST),
     load=lambda *_: {},
     compute=lambda _: Outcome(),
     counted=Counted(looked="looked_at", changed="changed"),
@@ -285,7 +286,7 @@ ALERTS = Stage(
         *(Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, Facet.RESTARTS, GEOMETRY.stage, Facet.BESIDE),
         *(TREND.stage, IDENTITY_EVENT.stage),
     ),
-    settings=lambda settings: (settings.trend, settings.rules.version),
+    settings=lambda settings: (settings.trend, settings.rules.version, OF_FINDINGS),
     load=load,
     compute=compute,
     counted=Counted(

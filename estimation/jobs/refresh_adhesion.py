@@ -17,6 +17,7 @@ from estimation.adhesion.friction import section_adhesion, touched
 from estimation.alerts.life_cycle import close, section_transition
 from estimation.alerts.rules.running_gear import LowAdhesionRule, section_finding
 from estimation.dampers.damper import DamperParameters, gear_damper
+from estimation.dampers.parameters import OF_DAMPING
 from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
@@ -302,7 +303,7 @@ OF_VEHICLES = Stage(
     job=JOB_NAME,
     kind=SubjectKind.VEHICLE,
     facets=(CREEP,),
-    settings=lambda _: DamperParameters(),
+    settings=lambda _: (DamperParameters(), OF_DAMPING),
     load=load_dampers,
     compute=judge_dampers,
     counted=Counted(looked="looks", changed="results"),

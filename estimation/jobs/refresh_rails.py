@@ -33,6 +33,7 @@ from estimation.rails.cell import (
     designed_wheel,
     with_refused,
 )
+from estimation.rails.published import RAIL_TREND
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import GEOMETRY
@@ -361,7 +362,7 @@ OF_ALL = Stage(
     job=OF_WHEELSETS.job,
     kind=SubjectKind.WHEELSET,
     facets=(Facet.REGISTRY, Facet.RESTARTS, Facet.ALIGNMENT, TREND.head_facet, CELLS),
-    settings=lambda settings: (settings.rails, settings.estimation),
+    settings=lambda settings: (settings.rails, settings.estimation, RAIL_TREND),
     load=load_rails,
     compute=part_rails,
     counted=Counted(looked="looks", changed="sections", more=("known_refused",)),

@@ -22,6 +22,7 @@ from estimation.jobs.steps.signature_windows import ASSUMED, JOB_NAME, OF_WINDOW
 from estimation.jobs.work import fails_alone
 from estimation.signatures.answer import compared, judged
 from estimation.signatures.library import Change, Libraries, Subject, current
+from estimation.signatures.parameters import OF_ANSWERS
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
@@ -277,7 +278,7 @@ OF_ALL = Stage(
     job=JOB_NAME,
     kind=SubjectKind.WHEELSET,
     facets=(SIGNATURES, Facet.WINDOWS, Facet.REGISTRY, Facet.LAYOUTS, Facet.RESTARTS, GEOMETRY.stage),
-    settings=lambda settings: (settings.signatures, settings.estimation),
+    settings=lambda settings: (settings.signatures, settings.estimation, OF_ANSWERS),
     load=load_library,
     compute=judge,
     counted=Counted(looked="looks", changed="answered", more=("retired",)),

@@ -9,16 +9,19 @@ from functools import partial
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run
-from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.assumptions import identity_changes
 from estimation.storage import UnitOfWork
-from estimation.trend.extrapolation import LIMIT_AMPLITUDE, conicity_points
+from estimation.trend.extrapolation import FAMILY, conicity_points
 from estimation.trend.trend import TrendParameters, behind_step, newest_step, refresh, with_step
+from estimation.trend.wear_curve import WEAR_CURVE
 from estimation.values.geometry import GEOMETRY, IntervalConicities
 from estimation.values.registry import VehicleRecord
 from estimation.values.runs import Facet
 from estimation.values.trend import TREND as TRENDS
 from estimation.values.trend import WearTrend, baseline_part, since_change
+
+METHOD = made_from(FAMILY, WEAR_CURVE)[:16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +79,7 @@ def compute(inputs: TrendInputs) -> Outcome[WearTrend]:
         status=trend.status,
         reason=trend.reason,
         head=trend.head,
-        parameters=asdict(inputs.parameters),
+        parameters={**asdict(inputs.parameters), "method": METHOD},
     )
     return Outcome([part])
 
@@ -106,7 +109,7 @@ TREND = Stage(
     job="refresh_trends",
     kind=TRENDS.subject,
     facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage),
-    settings=lambda settings: (LIMIT_AMPLITUDE, settings.trend, settings.rules.version),
+    settings=lambda settings: (METHOD, settings.trend, settings.rules.version),
     load=load,
     compute=compute,
     counted=Counted(looked="wheelsets", changed="refreshed", same="unchanged", more=("without_limit",)),

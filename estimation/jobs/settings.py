@@ -2,17 +2,38 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
 from estimation.alerts.rule_book import RuleBook
+from estimation.contact.conicity import DRAWN
+from estimation.contact.design_curve import DESIGN
+from estimation.contact.kernels import TOLERATED
+from estimation.contact.penalised_spline import SPLINE
+from estimation.contact.profiles import PROFILE
+from estimation.contact.smoothed_profile import SMOOTHING
+from estimation.contact.wear import WORN
+from estimation.filters import FILTERS
 from estimation.geometry.estimate import GeometryParameters
+from estimation.geometry.model_fit import ROLLING_FIT
+from estimation.geometry.parameters import OF_GEOMETRY
+from estimation.geometry.sharpening import SHARPENING
+from estimation.motion.axle_distance import OF_AXLES
+from estimation.motion.hunting import HUNTS
 from estimation.motion.integration import Gates, SignalParameters, WindowParameters
+from estimation.motion.parameters import OF_MOTION
+from estimation.motion.rolling_radius_difference import FUSED
+from estimation.motion.without_blows import BLOWS
 from estimation.rails.cell import RailsParameters
 from estimation.signatures.window_signatures import SignatureParameters
+from estimation.tables.bin_table import FAST_NOISE
+from estimation.track.gauge.wheel_functions import WHEELS
+from estimation.track.parameters import OF_TRACK
 from estimation.track.settings import AlignmentSettings
 from estimation.trend.trend import TrendParameters
 from estimation.values.fields import JsonValue
+from estimation.vehicle.parameters import OF_GEAR
 from estimation.vehicle.vehicle_class import VehicleClass
 
 
@@ -38,7 +59,13 @@ class RailsSettings:
     model: RailsParameters = field(default_factory=RailsParameters)
 
 
-_MOTION = ("signals", "gates", "interval_km")  # settings of the motion that alignments are made from
+# numbers that no deployment sets, and that stand beside what they steer or in ``parameters.py`` of its folder
+METHOD_NUMBERS = (
+    *(OF_MOTION, BLOWS, OF_AXLES, HUNTS, FUSED, FILTERS, FAST_NOISE, OF_GEOMETRY, SHARPENING, ROLLING_FIT),
+    *(PROFILE, SPLINE, SMOOTHING, DESIGN, WORN, TOLERATED, DRAWN, OF_GEAR, OF_TRACK, WHEELS),
+)
+METHOD = hashlib.sha256(repr(METHOD_NUMBERS).encode()).hexdigest()[:16]
+_MOTION = ("signals", "gates", "interval_km", "method")  # settings of the motion that alignments are made from
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +78,7 @@ class EstimationSettings:
     interval_km: float = 1_000.0  # a geometry for the trend per this distance
     half_life_km: float = 2_000.0  # forgetting of the current geometry
     batch: int = 64  # windows committed together
+    method: str = METHOD  # digest of the numbers that no deployment sets
 
     def windows(self, vehicle_class: VehicleClass, nominal_radius: float | None) -> WindowParameters:
         """Return what turns the windows of a wheelset into motion.

@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.integration import Gates, IntegratedWindow, SignalParameters, bridged, integrate
+from estimation.motion.parameters import OF_MOTION
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, runs
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackLayout
@@ -25,31 +26,9 @@ from estimation.values.units import GRAVITY
 from estimation.values.windows import Window, WindowQuality
 
 
-@dataclass(frozen=True, slots=True)
-class CheckParameters:
-    """What a window must not show."""
-
-    grid_step: float = 1.0  # m, to which a layout is refined before it is looked at
-    most_at_rest: float = 1.4  # m/s2, of a lateral accelerometer on straight track: its offset, and g times its angle
-    mean_s: float = 5.0  # over which the motion of the wheelset averages out
-    least_share: float = 0.5  # of the samples that a mean needs
-    look_s: float = 1.0  # over which positions are compared with the speed
-    jump: float = 0.5  # m
-    jump_share: float = 0.05  # of the distance run
-    backwards: float = -0.3  # correlation of the lateral velocity with speed times yaw, 1 of an axle that rolls forward
-    unrelated: float = 0.25  # of sensors that are not on these axes: a turned one has up to 0.15, stiff bogies have 0.8
-    smoothed_s: float = 0.04  # vibration is faster
-    one_way: float = 0.98  # share of the samples that must lead one way
-    margin: float = 25.0  # m kept from a stretch of low friction: half a place
-    most_left_out: float = 0.25  # share of the samples from which low friction is why too few are left
-
-
-CHECKS = CheckParameters()
-
-
 def straight(distance: FloatArray, layout: TrackLayout, limits: SignalParameters) -> BoolArray:
     """Return which places (n,) are on track that is straight within ``limits``; places off the layout do not."""
-    grid = np.union1d(np.arange(layout.s[0], layout.s[-1], CHECKS.grid_step), layout.s)
+    grid = np.union1d(np.arange(layout.s[0], layout.s[-1], OF_MOTION.grid_step), layout.s)
     bent = (np.abs(np.interp(grid, layout.s, layout.curvature)) > limits.sharpest_curvature) | (
         np.abs(np.interp(grid, layout.s, layout.cant)) > limits.highest_cant
     )
@@ -70,13 +49,13 @@ def check_upright(window: Window, usable: BoolArray) -> Reason | None:
     places = {"axle box": window.lateral_acceleration, "mass or frame": window.mass_lateral_acceleration}
     means = {name: float(np.mean(values[usable])) for name, values in places.items()}
     name = max(means, key=lambda place: abs(means[place]))
-    if abs(means[name]) <= CHECKS.most_at_rest:
+    if abs(means[name]) <= OF_MOTION.most_at_rest:
         return None
     angle = np.degrees(np.arcsin(min(abs(means[name]) / GRAVITY, 1.0)))
     return Reason(
         ReasonCode.SENSOR_TURNED,
         f"the lateral accelerometer of the {name} measures {means[name]:+.1f} m/s2 on average, like one that is turned"
-        f" by {angle:.0f} degrees; at most {CHECKS.most_at_rest:g} m/s2 may be its offset; check its mounting,"
+        f" by {angle:.0f} degrees; at most {OF_MOTION.most_at_rest:g} m/s2 may be its offset; check its mounting,"
         " and its offset in the mapping of the bus",
     )
 
@@ -97,13 +76,13 @@ def detect_uncompensated_acceleration(
 
 def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> float:
     """Return by how much the slow lateral acceleration of wheelset and mass together changes in a window, m/s2."""
-    size = round(CHECKS.mean_s / window.sample_interval_s)
+    size = round(OF_MOTION.mean_s / window.sample_interval_s)
     count = len(usable) // size
     known = usable[: count * size].reshape(count, size)
     lateral = 0.5 * (window.lateral_acceleration + window.mass_lateral_acceleration)[: count * size].reshape(
         count, size
     )
-    enough = known.mean(axis=1) >= CHECKS.least_share
+    enough = known.mean(axis=1) >= OF_MOTION.least_share
     if not enough.any():
         return 0.0
     means = np.where(known, lateral, 0.0).sum(axis=1)[enough] / known.sum(axis=1)[enough]
@@ -238,8 +217,10 @@ def position_jumps(integrated: IntegratedWindow) -> tuple[Jump, ...]:
     for segment in integrated.segments:
         at, run = bridged(window.distance[segment.part], segment.known), segment.run
         error = at - (1.0 if float(np.median(np.diff(at))) >= 0.0 else -1.0) * run
-        look = min(round(CHECKS.look_s / window.sample_interval_s), len(at) - 1)
-        deviates = np.abs(error[look:] - error[:-look]) > CHECKS.jump + CHECKS.jump_share * (run[look:] - run[:-look])
+        look = min(round(OF_MOTION.look_s / window.sample_interval_s), len(at) - 1)
+        deviates = np.abs(error[look:] - error[:-look]) > OF_MOTION.jump + OF_MOTION.jump_share * (
+            run[look:] - run[:-look]
+        )
         for first, behind in runs(deviates):
             # each such second holds the jump, so it is in what they share; where they share nothing all is in doubt
             low, high = int(behind) - 1, int(first) + look
@@ -279,9 +260,9 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
     # with one of the two sensors the wrong way round, the sign is the other. Where one of the two is on another axis,
     # or measures something else, they have nothing in common.
     correlation = lateral_yaw_correlation(integrated)
-    if correlation is None or correlation >= CHECKS.unrelated:
+    if correlation is None or correlation >= OF_MOTION.unrelated:
         return None
-    if correlation >= CHECKS.backwards:
+    if correlation >= OF_MOTION.backwards:
         return Reason(
             ReasonCode.SENSOR_TURNED,
             f"lateral velocity and yaw of the wheelset have nothing in common (correlation {correlation:.2f}): a sensor"
@@ -298,7 +279,7 @@ def lateral_yaw_correlation(integrated: IntegratedWindow) -> float | None:
     """Return the correlation of lateral velocity with speed times yaw, vibration apart; None where nothing moves."""
     products, lateral, yaw = 0.0, 0.0, 0.0
     second, fast = (
-        round(length / integrated.window.sample_interval_s) for length in (CHECKS.look_s, CHECKS.smoothed_s)
+        round(length / integrated.window.sample_interval_s) for length in (OF_MOTION.look_s, OF_MOTION.smoothed_s)
     )
     for segment in integrated.segments:
         both = np.stack([segment.rates[0], segment.speed * segment.displacements[1]])
@@ -325,7 +306,7 @@ def direction(window: Window) -> int:
     if not len(moving):
         return 1
     forward = float((moving > 0.0).mean())
-    return 1 if forward >= CHECKS.one_way else -1 if forward <= 1.0 - CHECKS.one_way else 0
+    return 1 if forward >= OF_MOTION.one_way else -1 if forward <= 1.0 - OF_MOTION.one_way else 0
 
 
 def check_running(window: Window, signals: SignalParameters) -> Reason | None:
@@ -345,7 +326,7 @@ def runs_backwards(window: Window) -> bool | None:
     """Return whether the axes of a node point against the direction of travel; None where it does not say."""
     signals = SignalParameters()
     correlation = lateral_yaw_correlation(integrate(window, moving_samples(window, signals), signals))
-    if correlation is None or abs(correlation) < abs(CHECKS.backwards):
+    if correlation is None or abs(correlation) < abs(OF_MOTION.backwards):
         return None
     return correlation < 0.0
 
@@ -362,7 +343,7 @@ def away_from_low_adhesion(
     distance = window.distance if correction is None else correction.at(window.distance)
     low = np.zeros(len(window.valid), np.bool_)
     for begin, end in stretches:
-        low |= (distance >= begin - CHECKS.margin) & (distance <= end + CHECKS.margin)
+        low |= (distance >= begin - OF_MOTION.margin) & (distance <= end + OF_MOTION.margin)
     left = window.valid & ~low
     if not left.any() and window.valid.any():
         return Reason(ReasonCode.LOW_ADHESION, "all of the window is on rails of low friction")
@@ -372,7 +353,7 @@ def away_from_low_adhesion(
 def refused_for_low_adhesion(reason: Reason, window: Window, kept: Window) -> Reason:
     """Return why a window is refused: low friction, where that took most of its samples and too few are left."""
     share = 1.0 - float(kept.valid.sum()) / max(int(window.valid.sum()), 1)
-    if share < CHECKS.most_left_out or reason.code not in TOO_LITTLE:
+    if share < OF_MOTION.most_left_out or reason.code not in TOO_LITTLE:
         return reason
     text = f"{share:.0%} of its samples are on rails of low friction; of the rest: {reason.text}"
     return Reason(ReasonCode.LOW_ADHESION, text)

@@ -11,32 +11,16 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
+from estimation.motion.parameters import OF_MOTION
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
 from estimation.values.roll_up import Odometer
 from estimation.values.units import DAY_S, HOUR_S, SECOND_NS
 from estimation.values.windows import MileageReading, WindowRecord
-
-
-@dataclass(frozen=True, slots=True)
-class MileageParameters:
-    """Which readings of an odometer are believed."""
-
-    most_km: float = 1e8  # of a wheelset; the registry takes no more either
-    slack_km: float = 50.0  # of readings and times that people enter
-    faster: float = 1.25  # times the greatest speed on file that a vehicle may run
-    alike: int = 2  # journeys that agree with each other are no garbled recording, but an odometer
-    fastest_km_s: float = 0.15  # that a vehicle runs for an hour
-    most_km_day: float = 3000.0  # that a vehicle runs on every day
-
-
-MILEAGE = MileageParameters()
-
 
 PAUSE_NS = 1800 * SECOND_NS  # between windows that begins a new journey
 
@@ -45,7 +29,7 @@ def implausible_mileages(
     readings: Sequence[MileageReading], mounting: Mounting, max_speed_m_s: float
 ) -> Mapping[int, Reason]:
     """Return by start of window why its mileage is not believed; those that are not in it are."""
-    km_per_ns = MILEAGE.faster * max_speed_m_s / 1000.0 / SECOND_NS
+    km_per_ns = OF_MOTION.faster * max_speed_m_s / 1000.0 / SECOND_NS
     found: dict[int, Reason] = {}
     left = []
     for reading in sorted(readings, key=lambda one: one.start_ns):
@@ -66,7 +50,7 @@ def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_sp
     """Whether nothing speaks against any reading."""
     # Where that holds of all readings of a mounting it also holds of any of them. So it holds of all and new ones as
     # soon as it holds of the new ones with those beside them.
-    km_per_ns = MILEAGE.faster * max_speed_m_s / 1000.0 / SECOND_NS
+    km_per_ns = OF_MOTION.faster * max_speed_m_s / 1000.0 / SECOND_NS
     ordered = sorted(readings, key=lambda one: one.start_ns)
     return all(_follows(*pair, km_per_ns) for pair in pairwise(ordered)) and all(
         _alone(one, mounting, km_per_ns) is None for one in ordered
@@ -88,10 +72,10 @@ def _alone(reading: MileageReading, mounting: Mounting, km_per_ns: float) -> Rea
     mileage = reading.mileage_km
     text = ""
     run = mileage - mounting.wheelset_mileage_km
-    farthest = MILEAGE.slack_km + km_per_ns * (reading.start_ns - mounting.from_ns)
-    if not np.isfinite(mileage) or abs(mileage) > MILEAGE.most_km:
+    farthest = OF_MOTION.slack_km + km_per_ns * (reading.start_ns - mounting.from_ns)
+    if not np.isfinite(mileage) or abs(mileage) > OF_MOTION.most_km:
         text = f"a mileage of {mileage:g} km is none of a wheelset"
-    elif run < -MILEAGE.slack_km:
+    elif run < -OF_MOTION.slack_km:
         text = f"the odometer is {-run:,.0f} km below its reading at the mounting"
     elif run > farthest:
         text = f"the wheelset would have run {run:,.0f} km since its mounting, {farthest:,.0f} km are possible"
@@ -105,7 +89,7 @@ def _believed(readings: Sequence[MileageReading], km_per_ns: float) -> Sequence[
         return readings
     chain = _longest_chain(readings, km_per_ns)
     before = [one for one in readings if one.start_ns < chain[0].start_ns]
-    if before and _journeys(_longest_chain(before, km_per_ns)) >= MILEAGE.alike:
+    if before and _journeys(_longest_chain(before, km_per_ns)) >= OF_MOTION.alike:
         return _believed(before, km_per_ns)
     members = {one.start_ns for one in chain}
     run: list[MileageReading] = []  # in a row that are not in the chain
@@ -114,7 +98,7 @@ def _believed(readings: Sequence[MileageReading], km_per_ns: float) -> Sequence[
             run.append(reading)
             continue
         tail = _led_here([*run, reading], km_per_ns)
-        if run and tail[0].start_ns > chain[0].start_ns and _journeys(tail[:-1]) >= MILEAGE.alike:
+        if run and tail[0].start_ns > chain[0].start_ns and _journeys(tail[:-1]) >= OF_MOTION.alike:
             return _believed(readings[: at + 1 - len(tail)], km_per_ns)  # another odometer, that caught up
         run = []
     return chain
@@ -178,7 +162,7 @@ def first_reading(windows: Iterable[WindowRecord]) -> Odometer:
 
 def known_mileage(stored_km: float) -> float:
     """Return a stored mileage, NaN where no wheelset can have run it."""
-    return stored_km if abs(stored_km) <= MILEAGE.most_km else math.nan
+    return stored_km if abs(stored_km) <= OF_MOTION.most_km else math.nan
 
 
 def read(at: Odometer, window: WindowRecord) -> Odometer:
@@ -197,4 +181,4 @@ def read(at: Odometer, window: WindowRecord) -> Odometer:
 
 def most_km(seconds: float) -> float:
     """Return how far, km, a vehicle can have run in some seconds."""
-    return MILEAGE.fastest_km_s * min(seconds, HOUR_S) + MILEAGE.most_km_day * seconds / DAY_S
+    return OF_MOTION.fastest_km_s * min(seconds, HOUR_S) + OF_MOTION.most_km_day * seconds / DAY_S

@@ -16,7 +16,6 @@ beside the sums that the noise of the sensors makes of them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -26,6 +25,7 @@ from estimation.compiled import compiled
 from estimation.motion.axle_distance import turned_over
 from estimation.motion.checks import moving_samples, runs_backwards
 from estimation.motion.integration import SignalParameters, bridged, segments
+from estimation.motion.parameters import OF_MOTION
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.roll_up import RollingSums
 from estimation.values.units import GRAVITY
@@ -188,23 +188,6 @@ def add_spectra(
                     of_noise[part[k], band, a, b] += weight * expected
 
 
-@dataclass(frozen=True, slots=True)
-class RollingParameters:
-    """Bands and pieces in which a rolling radius is looked for."""
-
-    wavelengths: tuple[float, float] = (2.5, 10.0)  # m: shorter ones are axle box vibration, longer ones noise
-    bands: int = 6  # of equal ratio, longest wavelengths first
-    piece_s: float = 8.0  # half of one overlaps the next
-    together: int = 4  # pieces that are transformed at once: what fits into the cache of a processor
-    part_s: float = 15.0  # of a window: what is left out as one by the jackknife
-    usual_lateral: float = 1e-3  # m/s2 and rad/s2 per root hertz: MEMS sensors, where nothing is on file
-    usual_angular: float = 2e-3
-    usual_rate: float = 1e-4  # rad/s per root hertz, of a gyroscope
-
-
-ROLLED = RollingParameters()
-
-
 UNKNOWNS = ("scale", "radius", "inertia", "suspension", "gravity", "curve")
 
 
@@ -215,7 +198,7 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     if runs_backwards(window):
         window = turned_over(window)
     dt = window.sample_interval_s
-    size, each = round(ROLLED.piece_s / dt), round(ROLLED.part_s / dt)
+    size, each = round(OF_MOTION.piece_s / dt), round(OF_MOTION.part_s / dt)
     usable = moving_samples(window, signals)
     samples, starts = [], []
     for first, behind in segments(usable, window, signals):
@@ -223,7 +206,7 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
         starts.append(np.arange(0, behind - first - size + 1, size // 2))
     parts = [first + at for (first, _), of in zip(samples, starts, strict=True) for at in of]
     numbers = sorted({place // each for place in parts})
-    products, noise = np.zeros((2, len(numbers), ROLLED.bands, TERMS, TERMS))
+    products, noise = np.zeros((2, len(numbers), OF_MOTION.bands, TERMS, TERMS))
     for (first, rows), at in zip(samples, starts, strict=True):
         part = np.searchsorted(numbers, (first + at) // each)
         _add(rows, at, part, window, vehicle_class, size, products, noise)
@@ -246,9 +229,9 @@ def _add(
     dt, taper = window.sample_interval_s, _taper(size)
     unit = 0.5 * size / dt * float(np.mean(taper**2))  # of a squared spectrum per squared noise density
     densities = _densities(vehicle_class.sensors), _resolution_noise(window)
-    place = (dt, size, unit, _equation(vehicle_class), *densities, ROLLED.wavelengths)
-    for first in range(0, len(starts), ROLLED.together):
-        some = slice(first, first + ROLLED.together)
+    place = (dt, size, unit, _equation(vehicle_class), *densities, OF_MOTION.wavelengths)
+    for first in range(0, len(starts), OF_MOTION.together):
+        some = slice(first, first + OF_MOTION.together)
         speeds = np.empty(len(starts[some]))
         pieces = np.empty((len(speeds), ROWS, size))
         write_pieces(rows, starts[some], dt, taper, pieces, speeds)
@@ -288,11 +271,11 @@ def _resolution_noise(window: Window) -> FloatArray:
 
 
 def _densities(sensors: SensorLayout) -> FloatArray:
-    usual = (ROLLED.usual_lateral, ROLLED.usual_angular, ROLLED.usual_angular, ROLLED.usual_lateral)
+    usual = (OF_MOTION.usual_lateral, OF_MOTION.usual_angular, OF_MOTION.usual_angular, OF_MOTION.usual_lateral)
     rates = (False, sensors.yaw_is_gyroscope, sensors.roll_is_gyroscope, False)
     return np.square(
         [
-            one.noise_density or (ROLLED.usual_rate if rate else density)
+            one.noise_density or (OF_MOTION.usual_rate if rate else density)
             for one, density, rate in zip(sensors.channels.values(), usual, rates, strict=True)
         ]
     )

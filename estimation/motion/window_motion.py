@@ -37,6 +37,7 @@ from estimation.motion.integration import (
     mirrored,
     standard_displacement,
 )
+from estimation.motion.parameters import OF_MOTION
 from estimation.motion.rolling_radius_difference import FUSED, fuse, motion_signals
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array, runs
 from estimation.values.reasons import Reason, ReasonCode
@@ -113,28 +114,12 @@ def evaluate(places: FloatArray, s: FloatArray, coefficients: FloatArray, found:
             found[i] = ((a * t + b) * t + c) * t + d
 
 
-@dataclass(frozen=True, slots=True)
-class AlignmentUseParameters:
-    """How a window takes the alignment of its section."""
-
-    # times the wavelength that is looked at: an alignment that reaches further holds it unchanged
-    full_band_factor: float = 2.0
-    # m, of an alignment at a place from which on it is left out, where most of it is far better:
-    uncertain_std: float = 0.25e-3
-    uncertain_times: float = 3.0  # times the median
-    regularisation: float = 0.03  # e: where F leaves less than about this, less is undone
-    cutoff_wavelength: float = 120.0  # m, wavelength of rL - rR; what is longer is small: -2 l r0 d''
-
-
-USED = AlignmentUseParameters()
-
-
 TRACKS = 16  # sections whose deconvolved alignment is kept: every window of a section needs it
 
 
 def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength: float) -> FloatArray:
     """Return d (n,), m, by a cubic spline through the stored alignment; NaN off the section and where not known."""
-    as_it_is = track.cutoff_wavelength >= USED.full_band_factor * cutoff_wavelength
+    as_it_is = track.cutoff_wavelength >= OF_MOTION.full_band_factor * cutoff_wavelength
     return at_places(_curve(track, as_it_is=as_it_is), distance)
 
 
@@ -147,7 +132,7 @@ def _certain(track: TrackAlignment) -> FloatArray:
     # places of a survey that no pass has made better would blur what the rest shows
     if not (track.passes > 0).any():
         return track.alignment
-    most = max(USED.uncertain_std, USED.uncertain_times * float(np.nanmedian(track.alignment_std)))
+    most = max(OF_MOTION.uncertain_std, OF_MOTION.uncertain_times * float(np.nanmedian(track.alignment_std)))
     certain = np.where(track.alignment_std <= most, track.alignment, np.nan)
     return frozen_array(certain, (len(certain),), name="alignment")
 
@@ -178,7 +163,7 @@ def _regularised_inverse(filtered: FloatArray, weights: FloatArray) -> FloatArra
     kernel = np.zeros(size)
     kernel[: len(weights)] = weights
     left = 1 - fft.rfft(np.roll(kernel, -(len(weights) // 2))).real  # F by wavenumber: the weights are symmetric
-    inverse = left / (left**2 + USED.regularisation**2)
+    inverse = left / (left**2 + OF_MOTION.regularisation**2)
     return np.asarray(fft.irfft(fft.rfft(filtered, size) * inverse, size)[:n])
 
 
@@ -208,7 +193,9 @@ def gauge_shift(
         if not certain.any():
             continue
         whole = (grid.difference + more * grid.stiffness_term)[None, :]
-        (fast,) = remove_wander(np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, USED.cutoff_wavelength)
+        (fast,) = remove_wander(
+            np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, OF_MOTION.cutoff_wavelength
+        )
         known = segment.known & (run >= grid.run[0] + ends) & (run <= grid.run[-1] - ends)
         shift[part][known] = table.at(np.interp(run[known], grid.run, fast), e[part][known])
     return shift

@@ -9,7 +9,8 @@ from typing import Annotated, TypeVar
 
 import numpy as np
 
-from estimation.accuracy.wheel_contact import CONTACTS, RailShare, WheelPair, conicity_of
+from estimation.accuracy.parameters import OF_ACCURACY
+from estimation.accuracy.wheel_contact import RailShare, WheelPair, conicity_of
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
 from estimation.errors import ContactError, ParameterError, ProfileError
@@ -273,7 +274,9 @@ def conicity_on_rails(wheels: WheelPair, rails: RailShare, amplitude: FloatArray
         wheelset = WheelsetOnTrack(
             wheels.left, wheels.right, rail, rail, rails.inclination, rails.gauge, radius, radius
         )
-        x = CONTACTS.step * np.arange(-round(CONTACTS.reach / CONTACTS.step), round(CONTACTS.reach / CONTACTS.step) + 1)
+        x = OF_ACCURACY.step * np.arange(
+            -round(OF_ACCURACY.reach / OF_ACCURACY.step), round(OF_ACCURACY.reach / OF_ACCURACY.step) + 1
+        )
         curve = radius_difference_curve(wheelset, x)
     except (ContactError, ProfileError, ParameterError):
         return nothing, nothing

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import fdtri
 
-from estimation.geometry.conicity import PUBLISHED
+from estimation.geometry.parameters import OF_GEOMETRY
 from estimation.rails.cell import RailsParameters, ReferenceWheel
 from estimation.rails.component import Component
 from estimation.rails.two_way import Parted, part
@@ -272,7 +272,7 @@ class _Publisher:
 
     def _published(self, value: float, sampled: float, systematic: float, windows: float) -> Estimate:
         found = with_interval(value, sampled, systematic, self.groups, windows)
-        if found.std is not None and found.std <= PUBLISHED.largest_std:
+        if found.std is not None and found.std <= OF_GEOMETRY.largest_std:
             return found
         text = f"the data leave the conicity open by {found.std:.2f}"
         return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), windows)

@@ -31,6 +31,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from estimation.signatures.mixed_model import Likelihood, MixedModel, Rows, fitted, level_of, levels_between, likelihood
+from estimation.signatures.parameters import OF_ANSWERS
 from estimation.signatures.window_signatures import FOLDS, SignatureParameters, families
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
@@ -39,20 +40,7 @@ from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
 SHARES: FloatArray = np.asarray(np.linspace(0.0, 1.0, 21))  # of the variances of geometries, that are tried
 
 
-@dataclass(frozen=True, slots=True)
-class CalibrationParameters:
-    """How answers are compared with what is on file."""
-
-    near: float = 0.03  # of conicity, within which what is on file counts for an answer
-    coverage: float = 0.95
-    most_answers: int = 240  # that a factor is made from: more would cost more, and say little more
-    grid: float = 0.002  # of conicity
-    rare: float = 0.02  # most probability outside what a library covers
-    novel: float = 0.99  # quantile of the distances, by their logarithms, from which on a signature is novel
-
-
-CALIBRATED = CalibrationParameters()
-COVERAGE = CALIBRATED.coverage
+COVERAGE = OF_ANSWERS.coverage
 
 
 _NONE = np.eye(len(SHARES))[0]  # no share of anything
@@ -78,7 +66,7 @@ class OnFile(FrozenArrays):
         # errors in common add up as they are, not as squares: it is a mean of standard deviations, of all entries or of
         # those near by, whichever is larger
         each = self.shared[:, None] + np.sqrt(1.0 - SHARES) * self.claimed[:, None]
-        near = np.exp(-0.5 * ((self.conicity - conicity) / CALIBRATED.near) ** 2) + np.finfo(np.float64).tiny
+        near = np.exp(-0.5 * ((self.conicity - conicity) / OF_ANSWERS.near) ** 2) + np.finfo(np.float64).tiny
         return np.asarray(np.maximum(each.mean(axis=0), near @ each / near.sum()))
 
 
@@ -143,7 +131,7 @@ class Reach:
     @property
     def largest(self) -> float:
         """Distance from which on a signature is novel: the quantile of one more wheelset."""
-        quantile = special.stdtrit(self.wheelsets - 1, CALIBRATED.novel) * np.sqrt(1.0 + 1.0 / self.wheelsets)
+        quantile = special.stdtrit(self.wheelsets - 1, OF_ANSWERS.novel) * np.sqrt(1.0 + 1.0 / self.wheelsets)
         return float(np.exp(self.mean + quantile * self.std))
 
 
@@ -219,7 +207,7 @@ def differences(rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], mar
 def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
     """Return the conicities (k,) that are tried."""
     low, high = max(float(known.min()) - 2 * margin, 0.01), float(known.max()) + 2 * margin
-    return np.asarray(np.arange(low, high + CALIBRATED.grid, CALIBRATED.grid))
+    return np.asarray(np.arange(low, high + OF_ANSWERS.grid, OF_ANSWERS.grid))
 
 
 def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
@@ -236,14 +224,14 @@ def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
 def outside(found: Likelihood, known: tuple[float, float], margin: float) -> bool:
     """Return whether the conicity may be one that a library does not cover: then it says nothing."""
     beyond = (found.conicity < known[0] - margin) | (found.conicity > known[1] + margin)
-    return float(found.posterior[beyond].sum()) > CALIBRATED.rare
+    return float(found.posterior[beyond].sum()) > OF_ANSWERS.rare
 
 
 def _judged(rows: Rows, on_file: OnFile, apart: Sequence[BoolArray], basis: Basis, margin: float) -> Iterator[_Judged]:
     """Yield how well wheelsets are judged, section by section, by those that share nothing with them."""
     # those of which nothing would be said are left out
     tasks = [task for left_out in apart for task in _tasks(rows, left_out, basis) if task[0].any() and task[1].any()]
-    each = -(-CALIBRATED.most_answers // max(len(tasks), 1))
+    each = -(-OF_ANSWERS.most_answers // max(len(tasks), 1))
     for taught, asked in tasks:
         model = fitted(rows.chosen(np.flatnonzero(taught)))
         known = np.unique(rows.place[taught])

@@ -20,25 +20,9 @@ from typing import Annotated
 
 import numpy as np
 
+from estimation.signatures.parameters import OF_ANSWERS
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.signatures import SIGNALS
-
-
-@dataclass(frozen=True, slots=True)
-class MixedModelParameters:
-    """How sections and wheelsets share what a signature shows."""
-
-    conicity: float = 0.2  # that the polynomial is about
-    speed: float = 20.0
-    largest_share: float = 0.9  # of the variance along the response that may be taken out
-    shrinking: float = 0.05  # of covariances towards their diagonals
-    ridge: float = 1e-4  # variance of a log feature that nothing is better known than
-    # of the logarithm of a power, by which a track may always be rougher or smoother than known ones
-    level_margin: float = 0.2
-
-
-MIXED = MixedModelParameters()
-
 
 TERMS = 5  # without the product of conicity and level
 LEVEL = 0  # number of the feature
@@ -95,7 +79,7 @@ def features_of(powers: FloatArray) -> FloatArray:
 
 def terms(conicity: FloatArray, speed: FloatArray) -> FloatArray:
     """Return the terms (..., 5) of the response, the logarithm of the conicity first."""
-    c, v = np.broadcast_arrays(np.log(conicity / MIXED.conicity), np.log(speed / MIXED.speed))
+    c, v = np.broadcast_arrays(np.log(conicity / OF_ANSWERS.conicity), np.log(speed / OF_ANSWERS.speed))
     return np.stack([c, c * c, v, v * v, c * v], axis=-1)
 
 
@@ -119,7 +103,7 @@ def fitted(rows: Rows) -> MixedModel:
     sections, section = np.unique(rows.section[np.unique(place, return_index=True)[1]], return_inverse=True)
     mean = _means(effects, section).mean(axis=0)
     level = effects[:, LEVEL] - mean[LEVEL]
-    of_level = level @ (effects - mean) / max(float(level @ level), MIXED.ridge)
+    of_level = level @ (effects - mean) / max(float(level @ level), OF_ANSWERS.ridge)
     around = effects - mean - level[:, None] * of_level
     by_section = _means(around, section)
     bent = _bent(_means(rows.conicity[:, None], wheelset)[:, 0])
@@ -142,7 +126,7 @@ def fitted(rows: Rows) -> MixedModel:
 
 def _of_errors(rows: Rows, response: FloatArray, level: FloatArray) -> FloatArray:
     """Return the covariance (f, f) that errors of the known conicities give the features, by the slopes at each."""
-    c, v = np.log(rows.conicity / MIXED.conicity), np.log(rows.speed / MIXED.speed)
+    c, v = np.log(rows.conicity / OF_ANSWERS.conicity), np.log(rows.speed / OF_ANSWERS.speed)
     none = np.zeros_like(c)
     slopes = np.stack([none + 1.0, 2.0 * c, none, none, v, level], axis=1) @ response
     return np.asarray((slopes * rows.variance[:, None]).T @ slopes / len(slopes))
@@ -158,7 +142,7 @@ def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> tuple[F
 
 
 def _bent(conicity: FloatArray) -> FloatArray:
-    c = np.log(conicity / MIXED.conicity)
+    c = np.log(conicity / OF_ANSWERS.conicity)
     return np.stack([np.ones_like(c), c, c * c], axis=-1)
 
 
@@ -189,7 +173,9 @@ def _means(values: FloatArray, group: IntArray) -> FloatArray:
 def _covariance(residuals: FloatArray, freedom: int) -> FloatArray:
     raw = residuals.T @ residuals / freedom
     return np.asarray(
-        (1 - MIXED.shrinking) * raw + MIXED.shrinking * np.diag(np.diag(raw)) + MIXED.ridge * np.eye(len(raw))
+        (1 - OF_ANSWERS.shrinking) * raw
+        + OF_ANSWERS.shrinking * np.diag(np.diag(raw))
+        + OF_ANSWERS.ridge * np.eye(len(raw))
     )
 
 
@@ -203,7 +189,7 @@ def _less(whole: FloatArray, part: FloatArray) -> FloatArray:
     root = np.linalg.cholesky(whole)
     half = np.linalg.solve(root, part)
     share, axes = np.linalg.eigh(np.linalg.solve(root, half.T))
-    left = root @ axes * np.sqrt(1.0 - np.clip(share, 0.0, MIXED.largest_share))
+    left = root @ axes * np.sqrt(1.0 - np.clip(share, 0.0, OF_ANSWERS.largest_share))
     return np.asarray(left @ left.T)
 
 
@@ -220,7 +206,7 @@ def levels_between(model: MixedModel, section: IntArray, places: int) -> tuple[f
     mean = np.bincount(section, model.levels) / np.bincount(section)
     within = float(np.std(model.levels - mean[section]))
     ordered = np.sort(mean)
-    gap = float(max(ordered[1] - ordered[0], ordered[-1] - ordered[-2], MIXED.level_margin))
+    gap = float(max(ordered[1] - ordered[0], ordered[-1] - ordered[-2], OF_ANSWERS.level_margin))
     reach = gap + 2.0 * within / np.sqrt(places)
     return float(ordered[0]) - reach, float(ordered[-1]) + reach
 

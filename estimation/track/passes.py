@@ -28,6 +28,7 @@ from estimation.motion.checks import (
 )
 from estimation.motion.integration import IntegratedWindow, WindowParameters, bridged, integrate
 from estimation.motion.rolling_radius_difference import fuse, motion_signals
+from estimation.track.parameters import OF_TRACK
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.registry import WheelsetRecord
@@ -201,15 +202,7 @@ def examine(
 Item = TypeVar("Item")
 
 
-@dataclass(frozen=True, slots=True)
-class PassParameters:
-    """Passes of a window."""
-
-    most: int = 4  # windows; the pass of a longer run is cut, so that a window that comes late changes little
-
-
-PASSES = PassParameters()
-MOST = PASSES.most
+MOST = OF_TRACK.most
 
 
 def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = MOST) -> list[list[Item]]:

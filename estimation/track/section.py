@@ -23,6 +23,7 @@ from estimation.track.panel.solution import (
     prior_on_grid,
     too_few_passes,
 )
+from estimation.track.parameters import OF_TRACK
 from estimation.track.passes import Journey, Pass, ProfileLife, journeys
 from estimation.track.results import AlignmentReport, JourneyReport, merged_alignment, nothing
 from estimation.track.settings import SectionParameters
@@ -30,19 +31,6 @@ from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import Correction, Iterated, TrackAlignment, evidence_of_measurement, evidence_of_version
-
-
-@dataclass(frozen=True, slots=True)
-class ResidualParameters:
-    """How much passes count that are off."""
-
-    usual_factor: float = 1.5  # times the median of the wheelsets
-    least_usual: float = 0.12e-3  # m
-    power: int = 4
-    largest_effective_weight: float = 0.25  # weight of the one that is furthest off, above which nothing would change
-
-
-RESIDUALS = ResidualParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +44,9 @@ class Residuals:
     def weights(self) -> dict[ProfileLife, float]:
         """Return by profile life how much a pass counts where it is far off; empty where that would not matter."""
         known = [value for value in self.of_lives.values() if np.isfinite(value)]
-        usual = max(RESIDUALS.usual_factor * float(np.median(known)), RESIDUALS.least_usual) if known else np.inf
-        found = {life: (usual / value) ** RESIDUALS.power for life, value in self.of_lives.items() if value > usual}
-        return found if any(weight < RESIDUALS.largest_effective_weight for weight in found.values()) else {}
+        usual = max(OF_TRACK.usual_factor * float(np.median(known)), OF_TRACK.least_usual) if known else np.inf
+        found = {life: (usual / value) ** OF_TRACK.power for life, value in self.of_lives.items() if value > usual}
+        return found if any(weight < OF_TRACK.largest_effective_weight for weight in found.values()) else {}
 
 
 def residuals(iterated: IterationResult) -> Residuals:

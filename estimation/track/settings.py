@@ -9,6 +9,7 @@ import numpy as np
 
 from estimation.track.iteration import IterationParameters
 from estimation.track.panel.basis import PanelParameters
+from estimation.track.parameters import OF_TRACK
 from estimation.track.passes import PartitionParameters, PositionParameters
 from estimation.track.screening.agreement import ScreeningParameters
 from estimation.values.arrays import FloatArray
@@ -66,16 +67,6 @@ class AlignmentSettings:
     same_shift: float = 0.15  # of the gauge's std, rms: by which the shift of a wheelset may differ
     same_survey_std: float = 1.5  # factor by which the std of a survey may be off without the passes being solved again
     often: float = 1e-3  # m of rL - rR, both ways: further out few passes are
-
-
-@dataclass(frozen=True, slots=True)
-class SameParameters:
-    """When two gauges are one."""
-
-    same_gauge: float = 0.8  # correlation of two estimates of one gauge
-
-
-ALIKE = SameParameters()
 
 
 SMALLEST = float(np.finfo(np.float64).tiny)  # in place of a power of zero
@@ -175,7 +166,7 @@ def carry_over_findings(found: TrackAlignment, before: TrackAlignment | None) ->
     old, new = before.findings, found.findings
     shifts, was, now = dict(new.gauge_shifts), before.gauge_deviation, found.gauge_deviation
     powers = float(was @ was) * float(now @ now)
-    if shifts and powers > 0.0 and float(was @ now) > ALIKE.same_gauge * np.sqrt(powers):  # one gauge, sign and all
+    if shifts and powers > 0.0 and float(was @ now) > OF_TRACK.same_gauge * np.sqrt(powers):  # one gauge, sign and all
         shifts = {**old.gauge_shifts, **shifts}
     missed = old.stiffness_ratio.keys() - new.stiffness_ratio.keys()
     std = max(new.stiffness_ratio_std, old.stiffness_ratio_std) if missed else new.stiffness_ratio_std

@@ -17,6 +17,7 @@ from scipy import fft
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gauge.wheel_functions import WHEELS, contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
+from estimation.track.parameters import OF_TRACK
 from estimation.track.positions import peak_position
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
@@ -38,18 +39,6 @@ UNITS = {
     1 / 0.3048: "feet were taken for metres",
     0.3048: "metres were taken for feet",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class SurveyWorthParameters:
-    """When a survey is worth more than what is known."""
-
-    memory: float = 60.0  # m: correlation length of a high-passed alignment
-    worth_share: float = 0.5  # of what is wrong with a survey that a fleet's alignment may be off by to replace it
-    worth_std: float = 0.3e-3  # m, that it may be off by at most
-
-
-SURVEY_WORTH = SurveyWorthParameters()
 
 
 NOT_ASSESSABLE = Reason(ReasonCode.SURVEY_NOT_ASSESSABLE, "the fleet does not know enough of the section")
@@ -124,7 +113,7 @@ def worth_more(fleet: TrackAlignment, survey: TrackAlignment) -> bool:
     compared = (r != 0.0) & (f != 0.0)
     wrong = float(np.sqrt(np.mean((f - r)[compared] ** 2))) if compared.any() else 0.0
     std = float(np.nanmedian(fleet.alignment_std))
-    return std < SURVEY_WORTH.worth_std and std < SURVEY_WORTH.worth_share * wrong
+    return std < OF_TRACK.worth_std and std < OF_TRACK.worth_share * wrong
 
 
 def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: SurveyCheckParameters) -> list[Reason]:
@@ -164,7 +153,7 @@ def _on_one_grid(
         inside = valid_support(inside, weights)
         r = high_pass(r, weights)
     seen = inside & np.isfinite(fleet.alignment) & np.isfinite(fleet.alignment_std)
-    if np.count_nonzero(seen) * step < 2.0 * SURVEY_WORTH.memory:
+    if np.count_nonzero(seen) * step < 2.0 * OF_TRACK.memory:
         return None
     std = np.interp(fleet.s, recorded.s, np.nan_to_num(recorded.alignment_std))
     variance = std**2 + np.where(seen, np.nan_to_num(fleet.alignment_std), 0.0) ** 2
@@ -189,7 +178,7 @@ def _by_lag(r: FloatArray, f: FloatArray, weight: FloatArray, reach: int) -> tup
 
 def _memory(r: FloatArray, f: FloatArray, step: float) -> float:
     """Return over how many m one independent sample of the product reaches (Bartlett)."""
-    far = min(int(SURVEY_WORTH.memory / step), len(r) - 1)
+    far = min(int(OF_TRACK.memory / step), len(r) - 1)
     size = fft.next_fast_len(len(r) + far, real=True)
     own = [fft.irfft(np.abs(fft.rfft(signal, size)) ** 2, size)[: far + 1] for signal in (r, f)]
     first, second = (values / max(float(values[0]), 1e-300) for values in own)

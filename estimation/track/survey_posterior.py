@@ -22,23 +22,13 @@ from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import Panel, unfiltered_residual
 from estimation.track.panel.instrumental_slope import error_of_difference
 from estimation.track.panel.solution import PanelSolution
+from estimation.track.parameters import OF_TRACK
 from estimation.track.results import findings, position_std
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackAlignment
 
-
-@dataclass(frozen=True, slots=True)
-class SurveyBandParameters:
-    """Bands of wavelength in which survey and passes are compared."""
-
-    edges: tuple[float, ...] = (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)  # m, longest wavelength of each band
-    neighbour: float = 0.48  # correlation of one error in two bands next to each other, with one band between
-    next: float = 0.06
-
-
-SURVEY_BANDS = SurveyBandParameters()
-EDGES = SURVEY_BANDS.edges
+EDGES = OF_TRACK.edges
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +259,7 @@ def total_variance(variances: Sequence[FloatArray]) -> FloatArray:
     stds = np.sqrt(np.stack(variances))
     count = len(stds)
     apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
-    correlation = np.select([apart == 0, apart == 1, apart == 2], [1.0, SURVEY_BANDS.neighbour, SURVEY_BANDS.next], 0.0)  # noqa: PLR2004
+    correlation = np.select([apart == 0, apart == 1, apart == 2], [1.0, OF_TRACK.neighbour, OF_TRACK.next], 0.0)  # noqa: PLR2004
     return np.asarray(np.einsum("in,ij,jn->n", stds, correlation, stds))
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from estimation.track.gauge.wheel_functions import WHEELS
 from estimation.track.panel.basis import MeasuredCurve
 from estimation.track.panel.solution import prior_on_grid
+from estimation.track.parameters import OF_TRACK
 from estimation.track.passes import Pass, PassOutcome, PassStatus, ProfileLife
 from estimation.track.results import shrunk
 from estimation.track.screening.screen import Screened, screen
@@ -44,16 +45,6 @@ from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectio
 
 NOT_USED = "not used: "
 GAUGE_NOT_USED = "its gauge is not used: "
-
-
-@dataclass(frozen=True, slots=True)
-class UpdateParameters:
-    """When an update is sharper."""
-
-    sharper: float = 0.8  # of the std of a file, below which the mean of it and its first passes is used in its place
-
-
-UPDATES = UpdateParameters()
 
 
 class UpdateOutcome(StrEnum):
@@ -260,7 +251,7 @@ def _extended(
         std, std_now = (float(np.nanmedian(one.alignment_std)) for one in (posterior.before, found))
         first = not posterior.before.passes.any()
         if (
-            (first and std > settings.same_least and std_now < UPDATES.sharper * std)
+            (first and std > settings.same_least and std_now < OF_TRACK.sharper * std)
             or requires_reestimation(posterior.before, in_motion, settings)
             or posterior.before.scale_std < settings.same_std * doubted
         ):

@@ -28,6 +28,7 @@ import numpy.typing as npt
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from estimation.values.units import GRAVITY
+from estimation.vehicle.parameters import OF_GEAR
 from estimation.vehicle.regressors import (
     ContactState,
     WheelsetState,
@@ -42,23 +43,8 @@ from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, Vehi
 ComplexArray = npt.NDArray[np.complex128]
 
 
-@dataclass(frozen=True, slots=True)
-class LinearParameters:
-    """Contact and speeds of the linear model."""
-
-    angle_per_difference: float = 67.0  # c, rad/m: touching at 1:20 on a tread of 300 mm
-    angle_sum: float = 0.1  # A, rad: twice 1:20
-    lowest_speed: float = 5.0  # m/s
-    highest_speed: float = 150.0
-    speed_step: float = 2.5
-    speed_tolerance: float = 0.05
-    creeping: float = 0.8  # damping ratio of a mode that hardly oscillates
-    stable: float = 1e-5  # 1/s; a body without a spring has an eigenvalue of 0
-
-
-LINEAR = LinearParameters()
-ANGLE_PER_DIFFERENCE = LINEAR.angle_per_difference
-ANGLE_SUM = LINEAR.angle_sum
+ANGLE_PER_DIFFERENCE = OF_GEAR.angle_per_difference
+ANGLE_SUM = OF_GEAR.angle_sum
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +235,7 @@ def _name(model: LinearModel, shares: FloatArray, shape: FloatArray, value: comp
         return names[int(np.argmax(np.where(wheelset, 0.0, shares)))]
     lateral = np.array([name.endswith("wheelset lateral") for name in names])
     direction = "lateral" if shares[lateral].sum() >= shares[wheelset & ~lateral].sum() else "yaw"
-    if abs(value.real) > LINEAR.creeping * abs(value):
+    if abs(value.real) > OF_GEAR.creeping * abs(value):
         return f"wheelset {direction}, creep"
     kind = "kinematic" if abs(value.imag) < 4 * math.pi * model.klingel_hz else f"wheelset {direction}"
     if len(model.wheelset_offsets) == 1:
@@ -264,14 +250,14 @@ def critical_speed(vehicle_class: VehicleClass, contact: LinearContact) -> float
 
     def grows(speed: float) -> bool:
         matrix = linear_model(vehicle_class, speed, contact).matrix
-        return bool(np.linalg.eigvals(matrix).real.max() > LINEAR.stable)
+        return bool(np.linalg.eigvals(matrix).real.max() > OF_GEAR.stable)
 
-    speeds = np.arange(LINEAR.lowest_speed, LINEAR.highest_speed + LINEAR.speed_step, LINEAR.speed_step)
+    speeds = np.arange(OF_GEAR.lowest_speed, OF_GEAR.highest_speed + OF_GEAR.speed_step, OF_GEAR.speed_step)
     unstable = next((float(speed) for speed in speeds if grows(float(speed))), math.inf)
-    if unstable in {LINEAR.lowest_speed, math.inf}:
+    if unstable in {OF_GEAR.lowest_speed, math.inf}:
         return unstable
-    stable = unstable - LINEAR.speed_step
-    while unstable - stable > LINEAR.speed_tolerance:
+    stable = unstable - OF_GEAR.speed_step
+    while unstable - stable > OF_GEAR.speed_tolerance:
         middle = (stable + unstable) / 2
         stable, unstable = (stable, middle) if grows(middle) else (middle, unstable)
     return unstable

@@ -33,23 +33,10 @@ from estimation.vehicle.linear_model import (
     sensor_filters,
     true_signals,
 )
+from estimation.vehicle.parameters import OF_GEAR
 from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
 
 CAUSES = ("noise", "dilution", "track", "creep", "stiffness", "mass", "lengths", "scale")
-
-
-@dataclass(frozen=True, slots=True)
-class ObservabilityParameters:
-    """When a parameter of a class shows in signals."""
-
-    lateral_wave: float = 3e-3  # m, of which D is reported
-    seen: float = 0.25  # std over value below which a quantity is seen
-    quietest: float = 1e-7  # m/s2, rad/s2 or rad/s per root hertz: no sensor is quieter
-    angle_sum_std: float = 0.1  # rad, of dL + dR beforehand: turns a wheelset like 0.1 % of a soft yaw spring
-    certain: float = 1e-9  # relative std of what is known exactly
-
-
-OBSERVED = ObservabilityParameters()
 
 
 SCALE_OF = "scale of "  # and the name of a sensor
@@ -109,7 +96,7 @@ class Observed:
     @property
     def seen(self) -> bool:
         """Whether the std is below a quarter of the value."""
-        return self.std < OBSERVED.seen * abs(self.value)
+        return self.std < OF_GEAR.seen * abs(self.value)
 
 
 def observability(vehicle_class: VehicleClass, running: Running) -> tuple[Observed, ...]:
@@ -129,8 +116,8 @@ def observability(vehicle_class: VehicleClass, running: Running) -> tuple[Observ
         (
             "dL - dR at 3 mm",
             "mrad",
-            1e3 * OBSERVED.lateral_wave * at.angle_slope,
-            1e3 * OBSERVED.lateral_wave,
+            1e3 * OF_GEAR.lateral_wave * at.angle_slope,
+            1e3 * OF_GEAR.lateral_wave,
             lateral,
             "angle_slope",
         ),
@@ -198,7 +185,7 @@ def _sensitivity(vehicle_class: VehicleClass, running: Running) -> _Sensitivity:
     raw = (measured @ u[:, :, None])[:, :, 0]
     channels = layout.channels
     of_sensor = {name: channels[name.removeprefix("other_")] for name in SENSORS}
-    densities = np.array([max(of_sensor[name].noise_density, OBSERVED.quietest) ** 2 for name in SENSORS])
+    densities = np.array([max(of_sensor[name].noise_density, OF_GEAR.quietest) ** 2 for name in SENSORS])
     known = (running.alignment_std / running.alignment_rms) ** 2 * running.alignment_density
     by_track = E[:, :, -1]  # the alignment enters x alone
     return _Sensitivity(
@@ -282,12 +269,12 @@ def _dilution(sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], 
 
 def _bounds(sensitivity: _Sensitivity) -> dict[str, float]:
     changes = {**sensitivity.by_combination, **sensitivity.by_error}
-    prior = [OBSERVED.angle_sum_std if name == "angle_sum" else math.inf for name in sensitivity.by_combination]
+    prior = [OF_GEAR.angle_sum_std if name == "angle_sum" else math.inf for name in sensitivity.by_combination]
     prior += sensitivity.std.values()
     J = np.stack(list(changes.values()), axis=2)  # (f, 2, names)
     weighted = np.linalg.solve(sensitivity.noise + sensitivity.track, J * sensitivity.density[:, None, None])
     information = 2 * sensitivity.duration * np.einsum("fej,fek->jk", J.conj(), weighted).real
-    free = [n for n, std in enumerate(prior) if std > OBSERVED.certain]
+    free = [n for n, std in enumerate(prior) if std > OF_GEAR.certain]
     names, prior = [list(changes)[n] for n in free], [prior[n] for n in free]
     information = information[np.ix_(free, free)]
 

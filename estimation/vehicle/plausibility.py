@@ -17,21 +17,11 @@ from scipy import optimize, special
 
 from estimation.errors import ParameterError
 from estimation.values.units import GRAVITY, STEEL_POISSON_RATIO, STEEL_SHEAR_MODULUS
+from estimation.vehicle.parameters import OF_GEAR
 from estimation.vehicle.vehicle_class import BogieParameters, VehicleClass, VehicleParameters
 
-
-@dataclass(frozen=True, slots=True)
-class PlausibilityParameters:
-    """What values of a class are plausible."""
-
-    unit_factor: float = 1000.0  # mm for m, N/mm for N/m, t for kg, kN for N
-    flattest: float = 1e-3  # semi-axis ratio of an ellipse that is looked for; the table ends at 0.1
-    rail_condition_std: float = 0.10  # relative std of the coefficients on rails as they are, beside the table's
-
-
-PLAUSIBLE = PlausibilityParameters()
-UNIT_FACTOR = PLAUSIBLE.unit_factor
-RAIL_CONDITION_STD = PLAUSIBLE.rail_condition_std
+UNIT_FACTOR = OF_GEAR.unit_factor
+RAIL_CONDITION_STD = OF_GEAR.rail_condition_std
 
 
 UNIT_FACTORS = UNIT_FACTOR, UNIT_FACTOR**2  # kN/mm for N/m, MN for N
@@ -302,12 +292,12 @@ def _semi_axis_ratio(curvature_ratio: float) -> float:
         first, second = special.ellipk(parameter), special.ellipe(parameter)
         return float((second / g**2 - first) / (first - second)) - curvature_ratio
 
-    if excess(PLAUSIBLE.flattest) < 0.0:
+    if excess(OF_GEAR.flattest) < 0.0:
         raise ParameterError(
             f"the curvatures have the ratio {curvature_ratio:.3g}: the contact ellipse is outside Kalker's table",
             field="ratio",
         )
-    return float(optimize.brentq(excess, PLAUSIBLE.flattest, 1.0 - 1e-9))
+    return float(optimize.brentq(excess, OF_GEAR.flattest, 1.0 - 1e-9))
 
 
 def table_coefficients(ratio: float) -> tuple[float, float, float, float]:

@@ -44,6 +44,7 @@ import numpy.typing as npt
 from estimation.compiled import compiled
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.windows import OF_FRAME, Motion
+from estimation.vehicle.parameters import OF_GEAR
 from estimation.vehicle.vehicle_class import VehicleParameters
 
 YAW_TARGET_COLUMNS = 8
@@ -198,16 +199,6 @@ SHARED_IN_BOGIE = 3  # regressors of z2 that are the same in all bins: two scale
 
 
 @dataclass(frozen=True, slots=True)
-class RegressorParameters:
-    """Least of a factor."""
-
-    smallest_factor: float = 1e-6  # N; in place of zero, with which the data say nothing of D
-
-
-REGRESSED = RegressorParameters()
-
-
-@dataclass(frozen=True, slots=True)
 class Regression:
     """Regressors and targets of Eq. 2 for n samples."""
 
@@ -228,7 +219,7 @@ def angle_difference_derivatives(parameters: VehicleParameters) -> FloatArray:
     by_name = dict.fromkeys(LATERAL_TARGETS[1:], 0.0)
     by_name["spin_creep"] = parameters.lateral_spin_creep_coefficient / parameters.nominal_radius
     by_name["load"] = -parameters.load / 2
-    return np.array(list(by_name.values())) / (angle_difference_factor(parameters) or REGRESSED.smallest_factor)
+    return np.array(list(by_name.values())) / (angle_difference_factor(parameters) or OF_GEAR.smallest_factor)
 
 
 def regression(

@@ -20,6 +20,7 @@ from annotated_types import Ge, Gt, Interval
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from estimation.values.units import GRAVITY
+from estimation.vehicle.parameters import OF_GEAR
 
 AXLES_OF_A_BOGIE = 2
 
@@ -130,35 +131,15 @@ class VehicleClass:
         return axle + 1 if axle % AXLES_OF_A_BOGIE else axle - 1
 
 
-@dataclass(frozen=True, slots=True)
-class ClassParameters:
-    """What a class leaves open where its file does not say."""
-
-    creep_std: float = 0.10
-    stiffness_std: float = 0.05
-    damping_std: float = 0.10
-    mass_std: float = 0.025
-    length_std: float = 0.002
-    # an axle carries 11 t empty and 17 t full, with the passengers that no file has: anything between
-    load_std: float = 0.12
-    unstated_scale_std: float = 0.03  # of a sensor whose scale has no std on file
-    most_difference_noise: float = 0.3e-3  # m, std of rL - rR at the usual speed
-    cutoff_step: float = 5.0  # m
-    shortest_cutoff: float = 30.0  # m
-    usual_speed: float = 20.0  # m/s
-    rail_head_radius: float = 0.08  # m, of the arc beside the crown of all usual rail heads, where most wheels touch
-
-
-CLASSES = ClassParameters()
 CREEP_STD, STIFFNESS_STD, DAMPING_STD, MASS_STD, LENGTH_STD = (
-    CLASSES.creep_std,
-    CLASSES.stiffness_std,
-    CLASSES.damping_std,
-    CLASSES.mass_std,
-    CLASSES.length_std,
+    OF_GEAR.creep_std,
+    OF_GEAR.stiffness_std,
+    OF_GEAR.damping_std,
+    OF_GEAR.mass_std,
+    OF_GEAR.length_std,
 )
-LOAD_STD = CLASSES.load_std
-UNSTATED_SCALE_STD = CLASSES.unstated_scale_std
+LOAD_STD = OF_GEAR.load_std
+UNSTATED_SCALE_STD = OF_GEAR.unstated_scale_std
 
 
 def default_relative_std(name: str) -> float:
@@ -241,7 +222,7 @@ def difference_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> f
     p, sensors = vehicle_class.parameters, vehicle_class.sensors
     per_yaw = p.yaw_stiffness * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
     twice = cutoff_wavelength**3 / (3.0 * (2.0 * math.pi) ** 4)
-    once = cutoff_wavelength * CLASSES.usual_speed**2 / (2.0 * math.pi) ** 2
+    once = cutoff_wavelength * OF_GEAR.usual_speed**2 / (2.0 * math.pi) ** 2
     variance = (once if sensors.yaw_is_gyroscope else twice) * sensors.yaw.noise_density**2
     if vehicle_class.bogie is not None:
         variance += 2.0 * twice * (sensors.mass_lateral.noise_density / vehicle_class.bogie.wheelbase) ** 2
@@ -255,10 +236,10 @@ def usable_cutoff(vehicle_class: VehicleClass, longest: float) -> float:
     longer waves hold noise alone. Shorter ones than ``SHORTEST_CUTOFF`` would not hold the displacement of a wheelset.
     """
     cutoff = longest
-    while cutoff - CLASSES.cutoff_step >= CLASSES.shortest_cutoff:
-        if math.sqrt(difference_noise(vehicle_class, cutoff) / CLASSES.usual_speed**3) <= CLASSES.most_difference_noise:
+    while cutoff - OF_GEAR.cutoff_step >= OF_GEAR.shortest_cutoff:
+        if math.sqrt(difference_noise(vehicle_class, cutoff) / OF_GEAR.usual_speed**3) <= OF_GEAR.most_difference_noise:
             break
-        cutoff -= CLASSES.cutoff_step
+        cutoff -= OF_GEAR.cutoff_step
     return cutoff
 
 
@@ -272,7 +253,7 @@ def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, sp
     sensors, height = vehicle_class.sensors, vehicle_class.parameters.nominal_radius
     gravity = GRAVITY if sensors.measures_gravity else 0.0
     if not sensors.measures_gravity:
-        height += CLASSES.rail_head_radius
+        height += OF_GEAR.rail_head_radius
     of_roll = 1 if sensors.roll_is_gyroscope else 2
     crossed = 2.0 * gravity * height * _integrated(of_roll + 1, slowest)
     both = height**2 * _integrated(of_roll, slowest) + crossed + gravity**2 * _integrated(of_roll + 2, slowest)

@@ -66,7 +66,7 @@ class WorklistParameters:
     more_likely_than_not: float = 0.5
 
 
-WORKLIST = WorklistParameters()
+OF_WORKLIST = WorklistParameters()
 
 
 TURN = "turn the wheelset, or measure its profiles"
@@ -141,9 +141,9 @@ def _of_limit(ahead: Ahead, alerts: Sequence[OpenAlert]) -> list[tuple[Urgency, 
     exceeded = next((alert for alert in alerts if alert.kind == ConicityLimitRule.kind), None)
     forecast = next((alert for alert in alerts if alert.kind == LimitForecastRule.kind), None)
     probability, distance = ahead.probability_over_limit, ahead.distance_km
-    if exceeded is not None or (probability is not None and probability >= WORKLIST.more_likely_than_not):
+    if exceeded is not None or (probability is not None and probability >= OF_WORKLIST.more_likely_than_not):
         return [(Urgency.OVER_LIMIT, Reason(ReasonCode.LIMIT_EXCEEDED, _exceeded(exceeded, probability)))]
-    if forecast is not None or (distance.p10 is not None and distance.p10 <= WORKLIST.due_within_km):
+    if forecast is not None or (distance.p10 is not None and distance.p10 <= OF_WORKLIST.due_within_km):
         text = _due(distance) if ahead.known else "the limit was forecast near when it could be assessed last"
         return [(Urgency.DUE, Reason(ReasonCode.LIMIT_AHEAD, text))]
     if not ahead.known:
@@ -156,7 +156,7 @@ def _of_limit(ahead: Ahead, alerts: Sequence[OpenAlert]) -> list[tuple[Urgency, 
 def _exceeded(alert: OpenAlert | None, probability: float | None) -> str:
     if alert is not None and alert.condition is Condition.UNKNOWN:
         return f"limit exceeded when it could be assessed last: {TURN}"
-    if probability is None or probability < WORKLIST.more_likely_than_not:
+    if probability is None or probability < OF_WORKLIST.more_likely_than_not:
         return f"limit exceeded: {TURN}"
     return f"limit exceeded (probability {probability:.0%}): {TURN}"
 

@@ -13,6 +13,7 @@ from typing import Annotated
 
 from annotated_types import Interval
 
+from estimation.alerts.parameters import OF_FINDINGS
 from estimation.alerts.rules.rule import (
     IntervalsRule,
     Kilometres,
@@ -38,18 +39,6 @@ from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.registry import VehicleRecord
 from estimation.values.units import KM_H_IN_M_S
-
-
-@dataclass(frozen=True, slots=True)
-class LimitUseParameters:
-    """Which points a limit looks at."""
-
-    last_points: int = 2  # of a trend: one alone may be an outlier
-    # least probability at 3 mm with which a conicity over the limit at a smaller amplitude is over it
-    not_below: float = 0.6
-
-
-LIMIT_USE = LimitUseParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +72,7 @@ class LimitState:
         if of_trend is None:
             return None
         known = [(self.conicity, of_trend)]
-        if len(self.last) == LIMIT_USE.last_points:
+        if len(self.last) == OF_FINDINGS.last_points:
             points = [(one, self._above(one, limit) or 0.0) for one in self.last]
             known.append(min(points, key=lambda pair: pair[1]))
         conicity, probability = max(known, key=lambda pair: pair[1])
@@ -101,11 +90,11 @@ class LimitState:
         # That is the one at 3 mm; at the amplitude reached where that one is over more probably and the one at 3 mm is
         # unknown or not rather below. One that is below at a smaller amplitude alone decides nothing.
         at_limit, at_reached = self.at_limit(limit), self.at_reached(limit)
-        if at_reached is None or at_reached.probability < LIMIT_USE.not_below:
+        if at_reached is None or at_reached.probability < OF_FINDINGS.not_below:
             return at_limit
         if at_limit is None:
             return at_reached
-        if at_limit.probability < LIMIT_USE.not_below:
+        if at_limit.probability < OF_FINDINGS.not_below:
             return at_limit
         return max(at_limit, at_reached, key=lambda one: one.probability)
 
@@ -136,7 +125,9 @@ def limit_state(facts: WheelsetFacts) -> LimitState | None:
     last: list[Estimate] = []
     if trend is not None and fitted is not None:
         pairs = zip(
-            trend.value[-LIMIT_USE.last_points :].tolist(), trend.std[-LIMIT_USE.last_points :].tolist(), strict=True
+            trend.value[-OF_FINDINGS.last_points :].tolist(),
+            trend.std[-OF_FINDINGS.last_points :].tolist(),
+            strict=True,
         )
         last = [with_interval(value, std) for value, std in pairs]
     left_open = any(

@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
+from estimation.alerts.parameters import OF_FINDINGS
 from estimation.alerts.rules.rule import AlertRule, IntervalsRule, Probability, WheelsetFacts
 from estimation.trend.trend import probability_within
 from estimation.values.alerts import DecidingEvidence, Evidence, Finding, Severity, number_evidence, restated
@@ -32,27 +33,6 @@ _WORDS = {
     StepCause.DAMAGED: "damaged",
     StepCause.SENSOR: "another scale of its sensor",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class StepCauseParameters:
-    """How likely causes of a step are."""
-
-    named: float = 0.1  # share of a cause that the sentence names
-    design_std: float = 0.02  # of the conicity of turned wheels about that of their design
-    kept_std: float = 0.02  # of a wheelset's own after it was turned end for end
-    any_conicity: tuple[float, float] = (0.02, 0.6)  # of a wheelset of the fleet
-    damage_size: float = 0.15  # mean of a rise by damage
-    scale_std: float = 0.3  # of the logarithm of a sensor's scale
-    same_scale_std: float = 0.05  # of it between wheelsets of one node
-    together_ns: int = 3 * 86_400 * 10**9  # between steps of one node
-    alone: float = 0.3  # chance that a sensor's fault is one of a single wheelset's
-    least_density: float = 1e-6
-    half_step: float = 0.125e-3  # m: amplitudes nearer to each other are the same
-    probably_over: float = 0.5
-
-
-CAUSES = StepCauseParameters()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,7 +137,7 @@ def unregistered_change_finding(
 
 
 def _sentence(step: TrendStep, size: float, causes: tuple[StepExplanation, ...]) -> str:
-    which = " or ".join(_WORDS[one.cause] for one in causes if one.share >= CAUSES.named)
+    which = " or ".join(_WORDS[one.cause] for one in causes if one.share >= OF_FINDINGS.named)
     changed = f"the conicity has {'risen' if size > 0.0 else 'fallen'} by {abs(size):.2f} at {step.after_km:,.0f} km"
     look = "look at the wheels, and register what happened" if size > 0.0 else "register what happened"
     return f"{changed}, which no event on file explains: {which}; {look}"
@@ -181,14 +161,14 @@ def explanations(step: TrendStep, around: StepSurroundings) -> tuple[StepExplana
     size, std = step.size.value or 0.0, step.size.std or 1.0
     found = {
         StepCause.TURNED: _turned(step, std, around),
-        StepCause.EXCHANGED: (1.0 / (CAUSES.any_conicity[1] - CAUSES.any_conicity[0]), 0.0),
-        StepCause.DAMAGED: (float(np.exp(-size / CAUSES.damage_size)) / CAUSES.damage_size, 0.0)
+        StepCause.EXCHANGED: (1.0 / (OF_FINDINGS.any_conicity[1] - OF_FINDINGS.any_conicity[0]), 0.0),
+        StepCause.DAMAGED: (float(np.exp(-size / OF_FINDINGS.damage_size)) / OF_FINDINGS.damage_size, 0.0)
         if size > 0.0
         else (0.0, -size / std),
         StepCause.SENSOR: _sensor(step, around.others),
-        StepCause.TURNED_END_FOR_END: _normal(size, float(np.hypot(std, CAUSES.kept_std))),
+        StepCause.TURNED_END_FOR_END: _normal(size, float(np.hypot(std, OF_FINDINGS.kept_std))),
     }
-    weight = {cause: USUAL[cause] * max(density, CAUSES.least_density) for cause, (density, _) in found.items()}
+    weight = {cause: USUAL[cause] * max(density, OF_FINDINGS.least_density) for cause, (density, _) in found.items()}
     total = sum(weight.values())
     ordered = sorted(found, key=lambda cause: -weight[cause])
     return tuple(StepExplanation(cause, weight[cause] / total, found[cause][1]) for cause in ordered)
@@ -200,15 +180,17 @@ def _turned(step: TrendStep, std: float, around: StepSurroundings) -> tuple[floa
     if not around.designed:
         falls = after < step.level_before
         return (
-            (1.0 / max(step.level_before, CAUSES.kept_std), 0.0) if falls else (0.0, abs(step.size.value or 0.0) / std)
+            (1.0 / max(step.level_before, OF_FINDINGS.kept_std), 0.0)
+            if falls
+            else (0.0, abs(step.size.value or 0.0) / std)
         )
     nearest = min(around.designed, key=lambda at: abs(at - step.amplitude))
-    density, left = _normal(after - around.designed[nearest], float(np.hypot(std, CAUSES.design_std)))
+    density, left = _normal(after - around.designed[nearest], float(np.hypot(std, OF_FINDINGS.design_std)))
     apart = [
-        (one.value - around.designed[at]) / CAUSES.design_std
+        (one.value - around.designed[at]) / OF_FINDINGS.design_std
         for one in around.behind
         for at in around.designed
-        if abs(at - one.amplitude) < CAUSES.half_step
+        if abs(at - one.amplitude) < OF_FINDINGS.half_step
     ]
     shape = float(np.sqrt(np.mean(np.square(apart)))) if apart else left
     worse = max(left, shape)
@@ -217,34 +199,34 @@ def _turned(step: TrendStep, std: float, around: StepSurroundings) -> tuple[floa
 
 def _sensor(step: TrendStep, others: Sequence[TrendStep | None]) -> tuple[float, float]:
     """Return density and what is left where a sensor has another scale: wheelsets of one node change by one factor."""
-    after = max(step.level_before + (step.size.value or 0.0), CAUSES.kept_std)
+    after = max(step.level_before + (step.size.value or 0.0), OF_FINDINGS.kept_std)
     scale = _log_scale(step)
     together = [one for one in others if one is not None and _together(step, one)]
-    density, left = _normal(scale, CAUSES.scale_std)
+    density, left = _normal(scale, OF_FINDINGS.scale_std)
     if not together:
-        alone = CAUSES.alone if others else 1.0
+        alone = OF_FINDINGS.alone if others else 1.0
         return alone * density / after, 0.0
-    own = np.hypot(_log_std(step), CAUSES.same_scale_std)
+    own = np.hypot(_log_std(step), OF_FINDINGS.same_scale_std)
     same = [abs(_log_scale(one) - scale) / float(np.hypot(_log_std(one), own)) for one in together]
     left = float(np.sqrt(np.mean(np.square(same))))
-    sharper = CAUSES.scale_std / CAUSES.same_scale_std  # one factor for all is a sharp prediction
+    sharper = OF_FINDINGS.scale_std / OF_FINDINGS.same_scale_std  # one factor for all is a sharp prediction
     return sharper * len(together) / len(others) * density * float(np.exp(-0.5 * left**2)) / after, left
 
 
 def _together(first: TrendStep, second: TrendStep) -> bool:
     return (
-        first.before_ns - CAUSES.together_ns <= second.after_ns
-        and second.before_ns <= first.after_ns + CAUSES.together_ns
+        first.before_ns - OF_FINDINGS.together_ns <= second.after_ns
+        and second.before_ns <= first.after_ns + OF_FINDINGS.together_ns
     )
 
 
 def _log_scale(step: TrendStep) -> float:
-    after = max(step.level_before + (step.size.value or 0.0), CAUSES.kept_std)
-    return float(np.log(after / max(step.level_before, CAUSES.kept_std)))
+    after = max(step.level_before + (step.size.value or 0.0), OF_FINDINGS.kept_std)
+    return float(np.log(after / max(step.level_before, OF_FINDINGS.kept_std)))
 
 
 def _log_std(step: TrendStep) -> float:
-    return (step.size.std or 1.0) / max(step.level_before + (step.size.value or 0.0), CAUSES.kept_std)
+    return (step.size.std or 1.0) / max(step.level_before + (step.size.value or 0.0), OF_FINDINGS.kept_std)
 
 
 def _normal(apart: float, std: float) -> tuple[float, float]:
@@ -310,7 +292,7 @@ def limit_forecast_finding(
         reason = Reason(ReasonCode.TOO_FEW_POINTS, f"{points} points, {rule.minimum_points} needed")
     within = None if reason else probability_within(trend, rule.within_km)
     within_clear = None if reason else probability_within(trend, rule.clear_within_km)
-    over = (trend.probability_over_limit or 0.0) >= CAUSES.probably_over  # that is no mere information
+    over = (trend.probability_over_limit or 0.0) >= OF_FINDINGS.probably_over  # that is no mere information
     urgent = within is not None and (over or within >= rule.clear_probability)
     severity = Severity.WARNING if urgent else Severity.INFO
     return Finding(

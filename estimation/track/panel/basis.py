@@ -24,21 +24,10 @@ from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile
 from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
+from estimation.track.parameters import OF_TRACK
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, as_slice
 from estimation.values.track import GaugeShift
-
-
-@dataclass(frozen=True, slots=True)
-class MeasuredCurveParameters:
-    """Where the curve of a measured wheelset is taken."""
-
-    reach: float = 8e-3  # m of lateral displacement
-    step: float = 0.05e-3  # m
-    room: float = 0.2e-3  # m beyond the contact table within which a measured profile has no weight
-
-
-MEASURED_CURVE = MeasuredCurveParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +41,7 @@ class MeasuredCurve(FrozenArrays):
 
     def at(self, knots: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the displacement (k,), m, at some rL - rR (k,), m, and 1 where the profiles reach it, else 0 (k,)."""
-        reached = (knots >= self.difference[0] + MEASURED_CURVE.room) & (
-            knots <= self.difference[-1] - MEASURED_CURVE.room
-        )
+        reached = (knots >= self.difference[0] + OF_TRACK.room) & (knots <= self.difference[-1] - OF_TRACK.room)
         return np.interp(knots, self.difference, self.displacement), reached.astype(np.float64)
 
     @property
@@ -81,9 +68,7 @@ def measured_curve(
     """
     rails = rail_profile(rail)
     wheelset = WheelsetOnTrack(left, right, rails, rails, inclination, gauge)
-    x = MEASURED_CURVE.step * np.arange(
-        -round(MEASURED_CURVE.reach / MEASURED_CURVE.step), round(MEASURED_CURVE.reach / MEASURED_CURVE.step) + 1
-    )
+    x = OF_TRACK.step * np.arange(-round(OF_TRACK.reach / OF_TRACK.step), round(OF_TRACK.reach / OF_TRACK.step) + 1)
     curve = radius_difference_curve(wheelset, x, method=ContactMethod.EN15302 if at_rails else ContactMethod.RIGID)
     x, R = curve.displacement, curve.difference
     risen = np.maximum.accumulate(R)  # h(R) is the inverse of what rises: a step of R is a flat of h

@@ -22,20 +22,10 @@ from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.basis import Panel, PanelState, curve_displacement, groups_of, known_shift
 from estimation.track.panel.solution import PanelSolution, curves_of_sum
+from estimation.track.parameters import OF_TRACK
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.quantities import jackknife_std
-
-
-@dataclass(frozen=True, slots=True)
-class SlopeParameters:
-    """What flattens curves beyond the noise."""
-
-    excess_share: float = 1.4  # of 1 / r2 - 1, by which curves are too flat
-    excess_std: float = 0.5  # of 1 / r2 - 1: what is not known of that
-
-
-SLOPE = SlopeParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +51,7 @@ def slope_correction(state: PanelState, solution: PanelSolution) -> SlopeCorrect
         return SlopeCorrection(1.0, float("inf"), 0.0)
     explained = min(along**2 / (own * whole), 1.0)
     excess = 1.0 / explained - 1.0
-    return SlopeCorrection(1.0 + SLOPE.excess_share * excess, SLOPE.excess_std * excess, explained)
+    return SlopeCorrection(1.0 + OF_TRACK.excess_share * excess, OF_TRACK.excess_std * excess, explained)
 
 
 def corrected(state: PanelState, solution: PanelSolution, factor: float) -> PanelSolution:

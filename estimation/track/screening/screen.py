@@ -16,6 +16,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.sparse.linalg import spsolve
 
+from estimation.track.parameters import OF_TRACK
 from estimation.track.passes import Pass, PassOutcome, PassStatus, journeys
 from estimation.track.screening.agreement import (
     FilteredPass,
@@ -29,19 +30,6 @@ from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment
-
-
-@dataclass(frozen=True, slots=True)
-class ScreenFitParameters:
-    """How positions are brought together while passes are screened."""
-
-    rounds: int = 12
-    scale: float = 1.2e-3  # by which an odometer may differ from the fleet's
-    resolution: float = 0.3  # m: shifts that fit better than this fit
-    loose: float = 1e-6  # weight of keeping every pass where it is: what links leave open
-
-
-SCREEN_FIT = ScreenFitParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +77,11 @@ def _offsets(links: Sequence[Link], count: int) -> tuple[FloatArray, IntArray]:
     group = np.asarray(csgraph.connected_components(joined)[1], dtype=np.int64)
     weights = ones
     offset = np.zeros(count)
-    for _ in range(SCREEN_FIT.rounds):
+    for _ in range(OF_TRACK.rounds):
         weighted = sparse.diags(weights) @ design
-        normal = (weighted.T @ design + SCREEN_FIT.loose * sparse.identity(count)).tocsc()
+        normal = (weighted.T @ design + OF_TRACK.loose * sparse.identity(count)).tocsc()
         offset = np.asarray(spsolve(normal, weighted.T @ shift))
-        weights = np.reciprocal(np.maximum(np.abs(shift - design @ offset), SCREEN_FIT.resolution))
+        weights = np.reciprocal(np.maximum(np.abs(shift - design @ offset), OF_TRACK.resolution))
     return offset, group
 
 
@@ -101,7 +89,7 @@ def _parts(ordered: Sequence[int], offset: FloatArray, middle: FloatArray, toler
     parts: list[list[int]] = []
     for i in ordered:
         for part in reversed(parts):
-            allowed = tolerance + SCREEN_FIT.scale * abs(middle[i] - middle[part[-1]])
+            allowed = tolerance + OF_TRACK.scale * abs(middle[i] - middle[part[-1]])
             if abs(offset[i] - float(np.median(offset[part[-5:]]))) <= allowed:
                 part.append(i)
                 break

@@ -45,39 +45,33 @@ def parts(
 @pytest.mark.parametrize("size", [0.04, -0.15])
 def test_a_sign_that_changes_is_seen_below_the_published_std_and_only_from_three_curves(size: float) -> None:
     for seed in range(4):
-        found = newest_mirrored(parts(size, -size, seed=seed), StepModel(), IdentityParameters())
+        found = newest_mirrored(parts(size, -size, seed=seed), StepModel())
         assert found is not None
         assert (found.last, found.first) == (TURNED - 1, TURNED)
         assert found.left < 1.5
-        assert (
-            newest_mirrored(parts(size, -size, seed=seed, count=TURNED + 2), StepModel(), IdentityParameters()) is None
-        )
+        assert newest_mirrored(parts(size, -size, seed=seed, count=TURNED + 2), StepModel()) is None
 
 
 def test_wheels_that_hardly_differ_are_not_shown_and_no_other_change_is_taken_for_it() -> None:
     for seed in range(4):
         for size, after in ((0.0, 0.0), (0.01, -0.01), (0.1, 0.1)):
-            assert newest_mirrored(parts(size, after, seed=seed), StepModel(), IdentityParameters()) is None
+            assert newest_mirrored(parts(size, after, seed=seed), StepModel()) is None
 
 
 @pytest.mark.parametrize(("share", "shown"), [(0.9, True), (1.1, False)])
 def test_the_odd_part_stays_as_it_is(share: float, shown: bool) -> None:  # noqa: FBT001
     assert IdentityParameters().kept == 0.35
-    found = newest_mirrored(
-        parts(0.1, -0.1, odd=share * IdentityParameters().kept * 0.2), StepModel(), IdentityParameters()
-    )
+    found = newest_mirrored(parts(0.1, -0.1, odd=share * IdentityParameters().kept * 0.2), StepModel())
     assert (found is not None) is shown
 
 
 @pytest.mark.parametrize(("share", "shown"), [(0.8, True), (1.2, False)])
 def test_the_size_stays_the_same_but_for_what_is_common(share: float, shown: bool) -> None:  # noqa: FBT001
-    assert (IdentityParameters().same_size, IdentityParameters().common) == (0.25, 2.0)
+    assert (IdentityParameters().same_size.common) == (0.25, 2.0)
     common = 0.005 * np.abs(SHAPE).sum() / len(AT) * IdentityParameters().common
     step = 0.4
     unlike = share * (IdentityParameters().same_size * step + common)
-    found = newest_mirrored(
-        parts(0.5 * (step + unlike), -0.5 * (step - unlike), common=0.0), StepModel(), IdentityParameters()
-    )
+    found = newest_mirrored(parts(0.5 * (step + unlike), -0.5 * (step - unlike), common=0.0), StepModel())
     assert (found is not None) is shown
 
 

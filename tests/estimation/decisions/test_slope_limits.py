@@ -10,8 +10,9 @@ from test_section_limits import P, a_pass
 
 from estimation.track.gridded_pass import GriddedPass, grid_pass
 from estimation.track.panel.basis import Panel, PanelParameters, PanelState, init, pass_rows, update
-from estimation.track.panel.instrumental_slope import SLOPE, SlopeCorrection, common_slope, corrected, slope_correction
+from estimation.track.panel.instrumental_slope import SlopeCorrection, common_slope, corrected, slope_correction
 from estimation.track.panel.solution import PanelSolution, result
+from estimation.track.parameters import OF_TRACK
 from estimation.values.arrays import FloatArray
 
 PANEL = Panel.of(P.panel)
@@ -57,7 +58,7 @@ def test_the_share_explained_is_that_of_the_differences_between_the_passes(noise
     assert found.explained == pytest.approx(r2, rel=1e-4)
     assert found.factor == pytest.approx(1.0 + 1.4 * (1.0 / r2 - 1.0), rel=1e-4)
     assert found.std == pytest.approx(0.5 * (1.0 / r2 - 1.0), rel=1e-3)
-    assert (SLOPE.excess_share, SLOPE.excess_std) == (1.4, 0.5)
+    assert (OF_TRACK.excess_share, OF_TRACK.excess_std) == (1.4, 0.5)
 
 
 def test_noise_of_the_difference_flattens_the_curves_and_the_interval_of_their_slope_holds_the_truth() -> None:

@@ -6,7 +6,8 @@ import random
 
 import pytest
 
-from estimation.motion.mileage import MILEAGE, PAUSE_NS, implausible_mileages
+from estimation.motion.mileage import PAUSE_NS, implausible_mileages
+from estimation.motion.parameters import OF_MOTION
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Mounting
 from estimation.values.windows import MileageReading
@@ -46,10 +47,10 @@ def test_what_runs_on_is_believed() -> None:
 @pytest.mark.parametrize(
     ("mileage_km", "believed"),
     [
-        (100_000.0 - MILEAGE.slack_km, True),
-        (100_000.0 - MILEAGE.slack_km - 0.1, False),
-        (100_000.0 + MILEAGE.slack_km + 24 * 100 * MILEAGE.faster, True),
-        (100_000.0 + MILEAGE.slack_km + 24 * 100 * MILEAGE.faster + 0.1, False),
+        (100_000.0 - OF_MOTION.slack_km, True),
+        (100_000.0 - OF_MOTION.slack_km - 0.1, False),
+        (100_000.0 + OF_MOTION.slack_km + 24 * 100 * OF_MOTION.faster, True),
+        (100_000.0 + OF_MOTION.slack_km + 24 * 100 * OF_MOTION.faster + 0.1, False),
         (1e300, False),
         (float("nan"), False),
         (float("-inf"), False),
@@ -60,9 +61,9 @@ def test_a_mileage_is_possible_since_the_mounting(mileage_km: float, *, believed
 
 
 def test_limits_of_what_is_believed() -> None:
-    assert (MILEAGE.most_km, MILEAGE.slack_km, MILEAGE.faster, PAUSE_NS) == (1e8, 50.0, 1.25, 30 * MINUTE_NS)
+    assert (OF_MOTION.most_km, OF_MOTION.slack_km, OF_MOTION.faster, PAUSE_NS) == (1e8, 50.0, 1.25, 30 * MINUTE_NS)
     long_ago = Mounting("WS-1", "V-1", 1, -(2**62), None, 0.0, 0.0)
-    for mileage_km, refusals in ((MILEAGE.most_km, 0), (MILEAGE.most_km + 1.0, 1)):
+    for mileage_km, refusals in ((OF_MOTION.most_km, 0), (OF_MOTION.most_km + 1.0, 1)):
         assert len(implausible_mileages([MileageReading(2**62, mileage_km)], long_ago, 1e6)) == refusals
 
 

@@ -10,8 +10,9 @@ import pytest
 
 from estimation.filters import high_pass, local_cubic_kernel
 from estimation.track.panel.basis import PanelParameters
+from estimation.track.parameters import OF_TRACK
 from estimation.track.passes import Pass, ProfileLife
-from estimation.track.results import POSITIONS, position_std, shrunk
+from estimation.track.results import position_std, shrunk
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters
 from estimation.track.survey_posterior import (
@@ -215,10 +216,10 @@ def test_the_shipped_figures() -> None:
         SectionParameters().local,
         SectionParameters().local_stds,
     ) == (2.5, 6.0, 100.0, 4.0)
-    assert (SectionParameters().model_share, shipped.SURVEY_BANDS.neighbour, shipped.SURVEY_BANDS.next) == (
+    assert (SectionParameters().model_share, OF_TRACK.neighbour, OF_TRACK.next) == (
         2.0,
         0.48,
         0.06,
     )
-    assert (POSITIONS.correlated, POSITIONS.reported_std) == (20.0, 1.0)
+    assert (OF_TRACK.correlated, OF_TRACK.reported_std) == (20.0, 1.0)
     assert (shipped.STATED, SectionParameters().independent, shipped.MOST_DIFFERENCE_ERROR) == (60.0, 5.0, 0.08)

@@ -7,7 +7,7 @@ import pytest
 from estimation.values.alerts import Condition, OpenAlert, Severity, Urgency
 from estimation.values.quantities import Forecast
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.worklist.row import TURN, WORKLIST, Ahead, judged
+from estimation.worklist.row import OF_WORKLIST, TURN, Ahead, judged
 
 NOWHERE = Forecast(None, None, None)
 UNKNOWN = Ahead(NOWHERE, None, Reason(ReasonCode.CONICITY_OPEN, "the data leave it open"))
@@ -36,8 +36,8 @@ def verdict(
         (ahead(0.0, 0.0, 0.98), [], Urgency.OVER_LIMIT, [f"limit exceeded (probability 98%): {TURN}"]),
         (ahead(500.0, 900.0, 0.49), [], Urgency.DUE, ["due in 900 km (p10 500 km)"]),
         (ahead(8_049.0, 12_351.0), [], Urgency.DUE, ["due in 12,400 km (p10 8,000 km)"]),
-        (ahead(WORKLIST.due_within_km, 9e4), [], Urgency.DUE, ["due in 90,000 km (p10 30,000 km)"]),
-        (ahead(WORKLIST.due_within_km + 1, 9e4), [], Urgency.NOT_DUE, ["due in 90,000 km (p10 30,000 km)"]),
+        (ahead(OF_WORKLIST.due_within_km, 9e4), [], Urgency.DUE, ["due in 90,000 km (p10 30,000 km)"]),
+        (ahead(OF_WORKLIST.due_within_km + 1, 9e4), [], Urgency.NOT_DUE, ["due in 90,000 km (p10 30,000 km)"]),
         (ahead(2e5), [], Urgency.NOT_DUE, ["due beyond the horizon (p10 200,000 km)"]),
         (BEYOND, [], Urgency.NOT_DUE, ["beyond"]),
         (UNKNOWN, [], Urgency.UNKNOWN, ["the data leave it open"]),
