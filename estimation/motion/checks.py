@@ -23,7 +23,7 @@ from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, runs
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackLayout
 from estimation.values.units import GRAVITY
-from estimation.values.windows import Window, WindowQuality
+from estimation.values.windows import Window, WindowQuality, fast_enough
 
 
 def straight(distance: FloatArray, layout: TrackLayout, limits: SignalParameters) -> BoolArray:
@@ -92,7 +92,12 @@ def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> flo
 def straight_part(window: Window, layout: TrackLayout | None, parameters: SignalParameters) -> Window | Reason:
     """Return the window with samples in curves not valid, or why none is left; without a layout, if it shows one."""
     if layout is None:
-        return check_lateral(window, window.valid & fast_enough(window, parameters), layout, parameters) or window
+        return (
+            check_lateral(
+                window, window.valid & fast_enough(window.speed, parameters.least_speed_m_s), layout, parameters
+            )
+            or window
+        )
     left = window.valid & straight(window.distance, layout, parameters)
     if not left.any() and window.valid.any():
         return Reason(ReasonCode.IN_CURVES, "all of the window is in curves")
@@ -109,14 +114,9 @@ def check_lateral(
     return detect_uncompensated_acceleration(window, usable, parameters.max_cant_deficiency_change)
 
 
-def fast_enough(window: Window, parameters: SignalParameters) -> BoolArray:
-    """Return the samples (n,) of known speed at which the vehicle runs fast enough to be measured."""
-    return np.asarray(window.speed >= parameters.least_speed_m_s)
-
-
 def moving_samples(window: Window, parameters: SignalParameters) -> BoolArray:
     """Return the valid samples (n,) at known positions at which the vehicle runs fast enough."""
-    return window.valid & np.isfinite(window.distance) & fast_enough(window, parameters)
+    return window.valid & np.isfinite(window.distance) & fast_enough(window.speed, parameters.least_speed_m_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +140,7 @@ def usable_samples(
     tests = {
         "missing, clipped or invalid": window.valid,
         "off the known part of the section": known,
-        f"slower than {parameters.least_speed_m_s:g} m/s": fast_enough(window, parameters),
+        f"slower than {parameters.least_speed_m_s:g} m/s": fast_enough(window.speed, parameters.least_speed_m_s),
     }
     if layout is not None:
         tests["in curves"] = straight(window.distance, layout, parameters)
@@ -199,7 +199,7 @@ def check_moving(window: Window, signals: SignalParameters) -> Reason | None:
     known = window.valid & np.isfinite(window.distance)
     if not known.any():
         return Reason(ReasonCode.POSITION_UNKNOWN, "no sample has a position on the section")
-    running = known & fast_enough(window, signals)
+    running = known & fast_enough(window.speed, signals.least_speed_m_s)
     if not running.any():
         fastest = float(np.nanmax(np.where(known, window.speed, np.nan), initial=0.0))
         return Reason(

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from estimation.compiled import compiled
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.windows import NOT_HUNTING, Hunting, WindowQuality
+from estimation.values.windows import NOT_HUNTING, Hunting, WindowQuality, fast_enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interv
     blocks = (len(lateral) // size, size)
     lateral, yaw, speed = (signal[: blocks[0] * size].reshape(blocks) for signal in (lateral, yaw, speed))
     fast = np.nan_to_num(np.mean(speed, axis=1))
-    at = np.flatnonzero(fast >= HUNTS.least_speed)
+    at = np.flatnonzero(fast_enough(fast, HUNTS.least_speed))
     running = len(at)
     found = []
     for block in at[_may_hunt(lateral[at], yaw[at], fast[at], interval_s)]:

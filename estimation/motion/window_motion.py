@@ -22,7 +22,6 @@ from estimation.motion.checks import (
     check_lateral,
     check_running,
     direction,
-    fast_enough,
     gate,
     moving_samples,
     usable_samples,
@@ -43,7 +42,7 @@ from estimation.values.arrays import BoolArray, FloatArray, frozen_array, runs
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.units import SECOND_NS
-from estimation.values.windows import OF_FRAME, Motion, Window
+from estimation.values.windows import OF_FRAME, Motion, Window, fast_enough
 from estimation.vehicle.vehicle_class import VehicleParameters, displacement_noise
 
 FEWEST_POINTS = 4  # of a spline
@@ -185,7 +184,7 @@ def gauge_shift(
     more = track.findings.stiffness_ratio.get(window.vehicle, 1.0) - 1.0
     e = np.interp(window.distance, track.s, track.gauge_deviation, left=np.nan, right=np.nan)
     shift = np.full(len(window.valid), np.nan)
-    usable = window.valid & np.isfinite(e) & fast_enough(window, parameters)
+    usable = window.valid & np.isfinite(e) & fast_enough(window.speed, parameters.least_speed_m_s)
     for segment in integrate(window, usable, parameters, earlier=earlier).segments:
         part, run = segment.part, segment.run
         grid = fuse(motion_signals(segment, vehicle), vehicle)

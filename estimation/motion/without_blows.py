@@ -30,7 +30,7 @@ from scipy.special import betainc
 
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, runs
 from estimation.values.units import MAD_PER_STD
-from estimation.values.windows import ACCELERATIONS, NO_BLOWS, Hunting, TurnBlows, Window
+from estimation.values.windows import ACCELERATIONS, NO_BLOWS, Hunting, TurnBlows, Window, fast_enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +197,7 @@ def _blocks(
     for start in range(0, len(lateral) - size + 1, size):
         part = slice(start, start + size)
         known = np.isfinite(speed[part]) & np.isfinite(lateral[part])
-        if known.mean() < BLOWS.least_known or np.mean(speed[part][known]) < BLOWS.least_speed:
+        if known.mean() < BLOWS.least_known or not fast_enough(float(np.mean(speed[part][known])), BLOWS.least_speed):
             continue
         run = np.cumsum(np.nan_to_num(speed[part], nan=float(np.mean(speed[part][known])))) * interval_s
         events = _events(fast[:, part], std[:, part], interval_s, None if lost is None else lost[part])
