@@ -39,6 +39,17 @@ class FindingParameters:
     common: float = 2.0  # published standard deviations besides, of what all intervals have in common
     kept: float = 0.35  # of the change of the even part, that the odd part may change by: it is its own mirror image
     fewest_bins: int = 4
+    # rule
+    look_back: int = 5  # times the windows that a rule looks at: what was earlier raises nothing any more
+    look_back_intervals: int = 24  # intervals of mileage: what was earlier raises nothing any more
+    # sensor data
+    latest_windows: int = 20  # windows whose reasons are told by a wheelset without usable ones
+    # causes of a step: how likely each is beforehand
+    turned: float = 0.4
+    exchanged: float = 0.35
+    damaged: float = 0.15
+    sensor: float = 0.06
+    turned_end_for_end: float = 0.04
 
 
 OF_FINDINGS = FindingParameters()

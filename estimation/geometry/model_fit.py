@@ -63,9 +63,13 @@ class RollingFitParameters:
     # of the radius on file: what the motion has to exclude, as wheels worn out on file as new ones
     mistake: float = 0.10
     certain: float = 4.0  # beyond which it is another: hundreds of wheelsets are looked at every 15 minutes
+    expected: tuple[float, ...] = (1.0, 0.0, 1.0, 1.0, 1.0, 0.0)  # of the unknowns; nothing of the radius
+    # gravity and curve stand for dL - dR, 100 times as large
+    expected_std: tuple[float, ...] = (0.01, 10.0, 0.1, 0.1, 300.0, 300.0)
 
 
 ROLLING_FIT = RollingFitParameters()
+EXPECTED, EXPECTED_STD = np.array(ROLLING_FIT.expected), np.array(ROLLING_FIT.expected_std)
 
 
 def solve_with_shared_scales(
@@ -245,9 +249,6 @@ def _unexplained(fit: ModelFit, uncertainty: ParameterUncertainty) -> Contradict
     reason = Reason(ReasonCode.MOTION_UNEXPLAINED, text)
     return Contradiction(reason, fit.misfit > certain, uncertainty.misfit_share * fit.misfit**2)
 
-
-EXPECTED = np.array([1.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of the unknowns; nothing is expected of the radius
-EXPECTED_STD = np.array([0.01, 10.0, 0.1, 0.1, 300.0, 300.0])  # gravity and curve stand for dL - dR, 100 times as large
 
 _SCALE, _RADIUS, _SUSPENSION, _CURVE = (UNKNOWNS.index(name) for name in ("scale", "radius", "suspension", "curve"))
 

@@ -25,6 +25,9 @@ class PriorParameters:
     # conicity
     fewest_groups: int = 4
     largest_std: float = 0.1  # of a conicity that is published: wheelsets in service have 0.02 to 0.6
+    # relative, of the displacement of EN 15302: rail heads are no arcs of one radius; the roll of the contact is hidden
+    scale_std_seen: float = 0.006
+    scale_std_hidden: float = 0.008
 
 
 OF_GEOMETRY = PriorParameters()

@@ -22,8 +22,7 @@ from estimation.vehicle.vehicle_class import VehicleClass
 MOUNTING_STD = OF_GEOMETRY.mounting_std
 
 
-# Relative, of the displacement of EN 15302: rail heads are no arcs of one radius; the roll of the contact is hidden.
-SCALE_STDS = {ContactRoll.SEEN: 0.006, ContactRoll.HIDDEN: 0.008}
+SCALE_STDS = {ContactRoll.SEEN: OF_GEOMETRY.scale_std_seen, ContactRoll.HIDDEN: OF_GEOMETRY.scale_std_hidden}
 
 
 def quotient_widening(relative: float) -> float:

@@ -20,6 +20,7 @@ from estimation.dampers.damper import DamperParameters, gear_damper
 from estimation.dampers.parameters import OF_DAMPING
 from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.parameters import OF_STAGES
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.load_window import certain_stretches
@@ -52,8 +53,6 @@ from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of
 JOB_NAME = "refresh_adhesion"
 BESIDE = {"wheelsets", "looks", "results"}  # counts of stages that are no counts of the job
 BATCH = 32  # windows, of a megabyte each, committed together
-MOST_SPANS = 8  # of a section that are pooled in one look: the next run goes on
-MOST_WINDOWS = 600  # of a running gear that count and are kept: 10 hours of running
 KEPT_NS = 31 * 24 * HOUR_NS  # for which the sums of windows are kept, beyond the longest span that is pooled
 
 
@@ -108,7 +107,7 @@ def load_dampers(unit: UnitOfWork, vehicles: Sequence[str], _: JobContext) -> Ma
     """Return what the dampers of some vehicles are found from."""
     gears: dict[str, list[tuple[WindowDamper, ...]]] = {}
     for vehicle, first_axle in unit.dampers.gears(vehicles):
-        newest = tuple(unit.dampers.newest(vehicle, first_axle, MOST_WINDOWS))
+        newest = tuple(unit.dampers.newest(vehicle, first_axle, OF_STAGES.most_windows))
         if newest:
             gears.setdefault(vehicle, []).append(newest)
     return {vehicle: VehicleDampers(tuple(own), DamperParameters()) for vehicle, own in gears.items()}
@@ -126,7 +125,7 @@ def forget_windows(
     """Forget what windows say that do not count any more."""
     for inputs, _outcome in made.values():
         for windows in () if inputs is None else inputs.gears:
-            if len(windows) == MOST_WINDOWS:
+            if len(windows) == OF_STAGES.most_windows:
                 unit.dampers.forget(*windows[-1].gear, windows[-1].start_ns)
     return {}
 
@@ -185,7 +184,7 @@ def _of_section(
     if before is not None and before[1] != limits:
         starts.update(unit.adhesion.starts_with_sums(section, 0, before[0]))
     ends = pool_ends(starts, pooled_ns(rule))
-    chosen = ends[-MOST_SPANS:]
+    chosen = ends[-OF_STAGES.most_spans :]
     first_ns = chosen[0] - pooled_ns(rule) if chosen else 0
     return FrictionInputs(
         section=section,

@@ -19,6 +19,7 @@ from estimation.accuracy.wheel_contact import RailShare, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.parameters import OF_STAGES
 from estimation.jobs.runner import run_all
 from estimation.jobs.settings import RailsSettings
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
@@ -33,7 +34,7 @@ from estimation.rails.cell import (
     designed_wheel,
     with_refused,
 )
-from estimation.rails.published import RAIL_TREND
+from estimation.rails.parameters import OF_RAILS
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import GEOMETRY
@@ -57,8 +58,6 @@ from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import TREND, on_one_side
 from estimation.values.units import DAY_NS
 
-SAME_GAUGE = 0.3e-3  # m, within which gauges count as alike
-GAUGE_DIGITS = 4  # of a gauge in m
 OTHER_RAILS = Reason(
     ReasonCode.KNOWN_RAILS_OTHER, "named as known, with other rails, or another gauge, on file than the reference"
 )
@@ -205,12 +204,12 @@ def _at_gauge(unit: UnitOfWork, section: TrackSectionRecord) -> RailShare:
     rails, track = _rails_of(section), unit.tracks.alignment(section.code, None)
     if track is None or not track.gauge_known:
         return rails
-    return replace(rails, gauge=round(rails.gauge + float(np.mean(track.gauge_deviation)), GAUGE_DIGITS))
+    return replace(rails, gauge=round(rails.gauge + float(np.mean(track.gauge_deviation)), OF_STAGES.gauge_digits))
 
 
 def _alike(one: RailShare, other: RailShare) -> bool:
     same = (one.rail, one.inclination) == (other.rail, other.inclination)
-    return same and abs(one.gauge - other.gauge) <= SAME_GAUGE
+    return same and abs(one.gauge - other.gauge) <= OF_STAGES.same_gauge
 
 
 def _most(sections: Mapping[str, RailShare], windows: Counter[str]) -> RailShare | None:
@@ -362,7 +361,7 @@ OF_ALL = Stage(
     job=OF_WHEELSETS.job,
     kind=SubjectKind.WHEELSET,
     facets=(Facet.REGISTRY, Facet.RESTARTS, Facet.ALIGNMENT, TREND.head_facet, CELLS),
-    settings=lambda settings: (settings.rails, settings.estimation, RAIL_TREND),
+    settings=lambda settings: (settings.rails, settings.estimation, OF_RAILS),
     load=load_rails,
     compute=part_rails,
     counted=Counted(looked="looks", changed="sections", more=("known_refused",)),

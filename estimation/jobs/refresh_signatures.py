@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.parameters import OF_STAGES
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.assumptions import ClassLookup, identity_change, suspected
@@ -45,7 +46,6 @@ from estimation.values.signatures import (
 )
 from estimation.values.windows import WindowKey, text_of_key
 
-NEWEST = 12  # windows that a wheelset is judged by
 BESIDE = {"wheelsets", "windows", "looks", "results"}  # counts of stages that are no counts of the job
 NO_SIGNATURE = Reason(
     ReasonCode.NO_SIGNATURE, "there is no signature of the wheelset since it was last turned, on the track as it is now"
@@ -187,7 +187,7 @@ def _subjects(
         begin_ns = last.from_ns if change is None else max(last.from_ns, change.after_ns)
         now = [one for one in mine if one.found.start_ns >= begin_ns]
         newest = now[-1] if now else None
-        near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][-NEWEST:]
+        near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][-OF_STAGES.newest :]
         kind = _kind(near[-1]) if near else None
         pair = reader.pair(mine[-1]) if mine else NO_PAIR
         chosen = [one for one in near if _kind(one) == kind and reader.pair(one) == pair]

@@ -19,6 +19,7 @@ from estimation.geometry.estimate import GeometryParameters
 from estimation.geometry.model_fit import ROLLING_FIT
 from estimation.geometry.parameters import OF_GEOMETRY
 from estimation.geometry.sharpening import SHARPENING
+from estimation.jobs.parameters import OF_STAGES
 from estimation.motion.axle_distance import OF_AXLES
 from estimation.motion.hunting import HUNTS
 from estimation.motion.integration import Gates, SignalParameters, WindowParameters
@@ -62,7 +63,7 @@ class RailsSettings:
 # numbers that no deployment sets, and that stand beside what they steer or in ``parameters.py`` of its folder
 METHOD_NUMBERS = (
     *(OF_MOTION, BLOWS, OF_AXLES, HUNTS, FUSED, FILTERS, FAST_NOISE, OF_GEOMETRY, SHARPENING, ROLLING_FIT),
-    *(PROFILE, SPLINE, SMOOTHING, DESIGN, WORN, TOLERATED, DRAWN, OF_GEAR, OF_TRACK, WHEELS),
+    *(PROFILE, SPLINE, SMOOTHING, DESIGN, WORN, TOLERATED, DRAWN, OF_GEAR, OF_TRACK, WHEELS, OF_STAGES),
 )
 METHOD = hashlib.sha256(repr(METHOD_NUMBERS).encode()).hexdigest()[:16]
 _MOTION = ("signals", "gates", "interval_km", "method")  # settings of the motion that alignments are made from

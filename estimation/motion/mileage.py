@@ -22,8 +22,6 @@ from estimation.values.roll_up import Odometer
 from estimation.values.units import DAY_S, HOUR_S, SECOND_NS
 from estimation.values.windows import MileageReading, WindowRecord
 
-PAUSE_NS = 1800 * SECOND_NS  # between windows that begins a new journey
-
 
 def implausible_mileages(
     readings: Sequence[MileageReading], mounting: Mounting, max_speed_m_s: float
@@ -140,7 +138,9 @@ def _longest_chain(readings: Sequence[MileageReading], km_per_ns: float) -> list
 
 
 def _journeys(readings: Sequence[MileageReading]) -> int:
-    return bool(readings) + sum(second.start_ns - first.start_ns > PAUSE_NS for first, second in pairwise(readings))
+    return bool(readings) + sum(
+        second.start_ns - first.start_ns > OF_MOTION.pause_ns for first, second in pairwise(readings)
+    )
 
 
 def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:

@@ -24,6 +24,7 @@ class MotionParameters:
     alike: int = 2  # journeys that agree with each other are no garbled recording, but an odometer
     fastest_km_s: float = 0.15  # that a vehicle runs for an hour
     most_km_day: float = 3000.0  # that a vehicle runs on every day
+    pause_ns: int = 1_800_000_000_000  # between windows that begins a new journey
     # integration
     # m: of longer waves the roll is drift, which two more integrals would make grow beyond all filters
     integration_cutoff_wavelength: float = 120.0

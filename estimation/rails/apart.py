@@ -24,6 +24,7 @@ from estimation.rails.cell import (
     wheelsets_of,
 )
 from estimation.rails.component import Runs, islands
+from estimation.rails.parameters import OF_RAILS
 from estimation.rails.published import NEXT_TO_JUMP, AtAmplitude, TrendAt, on_rise
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import (
@@ -122,9 +123,6 @@ def _reasons(
     return sections, wheelsets
 
 
-SAME_AMPLITUDE = 1e-9  # m
-
-
 def rails_apart(
     cells: Sequence[SectionConicity], amplitude: FloatArray, anchors: Anchors, parameters: RailsParameters
 ) -> RailsApart:
@@ -214,7 +212,7 @@ def _trends(
     found: dict[str, RailTrend] = {}
     why: dict[str, Reason] = {}
     for amplitude, level in reversed(list(zip(amplitudes, levels, strict=True))):
-        if amplitude > most + SAME_AMPLITUDE:
+        if amplitude > most + OF_RAILS.amplitude_tolerance:
             continue
         for section in {key.section for key in level.rails} - found.keys():
             one = level.trends.get(section, TrendAt(Estimate.unknown(NOT_COVERED)))
@@ -231,7 +229,7 @@ def reported(part: tuple[Estimate, ...], amplitude: FloatArray, most: float) -> 
     known = [
         (one, float(a))
         for one, a in zip(part, amplitude, strict=True)
-        if one.value is not None and a <= most + SAME_AMPLITUDE
+        if one.value is not None and a <= most + OF_RAILS.amplitude_tolerance
     ]
     return known[-1] if known else None
 

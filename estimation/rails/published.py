@@ -18,6 +18,7 @@ from scipy.special import fdtri
 from estimation.geometry.parameters import OF_GEOMETRY
 from estimation.rails.cell import RailsParameters, ReferenceWheel
 from estimation.rails.component import Component
+from estimation.rails.parameters import OF_RAILS
 from estimation.rails.two_way import Parted, part
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.opinions import RailKey, RailsReference, WheelKey
@@ -25,16 +26,6 @@ from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
 PARAMETERS = 2  # of a line
-
-
-@dataclass(frozen=True, slots=True)
-class RailTrendParameters:
-    """When a line fits."""
-
-    doubt: float = 0.99  # share of lines whose periods are nearer to it
-
-
-RAIL_TREND = RailTrendParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +49,7 @@ class Line:
         """Whether the values are on a line, as far as their errors say."""
         if self.freedom < 1:
             return True
-        return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), RAIL_TREND.doubt))
+        return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), OF_RAILS.doubt))
 
 
 def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
@@ -96,7 +87,6 @@ def _changes(curve: FloatArray, amplitude: FloatArray, parameters: RailsParamete
 NO_REFERENCE_WHEEL = Reason(ReasonCode.PROFILE_UNKNOWN, "the conicity of the wheel as designed is not known here")
 NEXT_TO_JUMP = Reason(ReasonCode.CONTACT_JUMP_NEAR, "the wheel as designed is next to a contact jump at this amplitude")
 NOT_CONVERGED = Reason(ReasonCode.NOT_CONVERGED, "wheels and rails were not parted: the iteration did not converge")
-HALF = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,7 +282,7 @@ class _Publisher:
     def _reference(self, moved: float) -> RailsReference:
         if not self.component.two_way.anchored:
             return RailsReference.MEAN
-        by_wheels = abs(moved) > HALF or not self.component.two_way.known_rail.any()
+        by_wheels = abs(moved) > OF_RAILS.half or not self.component.two_way.known_rail.any()
         return RailsReference.MEASURED_WHEELS if by_wheels else RailsReference.KNOWN_RAILS
 
     def _systematic(self, place: int, change: float) -> float:

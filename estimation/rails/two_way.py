@@ -25,9 +25,9 @@ from scipy.optimize import brentq
 from scipy.sparse import csr_array
 
 from estimation.rails.cell import RailsParameters
+from estimation.rails.parameters import OF_RAILS
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 
-CONDITIONS = 2.0  # of the means of rho and of beta
 ROWS_AT_ONCE = 5_000
 
 
@@ -242,7 +242,7 @@ class _Solved:
         cells = self.problem.cells
         residuals = len(cells.value) + int(np.isfinite(cells.known_value).sum())
         fitted = len(cells.known_value) + 2 * int((~cells.known_rail).sum())
-        conditions = 0.0 if cells.anchored else CONDITIONS
+        conditions = 0.0 if cells.anchored else OF_RAILS.conditions
         return residuals - (fitted - float(self.problem.before @ np.diag(self.covariance)) - conditions)
 
     def parted(self) -> Parted:

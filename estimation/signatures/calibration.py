@@ -32,7 +32,7 @@ from scipy.special import ndtr
 
 from estimation.signatures.mixed_model import Likelihood, MixedModel, Rows, fitted, level_of, levels_between, likelihood
 from estimation.signatures.parameters import OF_ANSWERS
-from estimation.signatures.window_signatures import FOLDS, SignatureParameters, families
+from estimation.signatures.window_signatures import SignatureParameters, families
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
@@ -214,7 +214,7 @@ def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
     found = families(groups)
     family = {name: number for number, names in enumerate(found) for name in names}
     of_row = np.array([family[min(group)] for group in groups])
-    count = min(FOLDS, len(found))
+    count = min(OF_ANSWERS.folds, len(found))
     # families in the order of their conicity, so that every fold has all kinds
     means = np.bincount(of_row, rows.conicity, len(found)) / np.maximum(np.bincount(of_row, minlength=len(found)), 1)
     rank = np.argsort(np.argsort(means, kind="stable"), kind="stable")[of_row]
@@ -269,7 +269,7 @@ def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[Bool
         yield ~left_out, left_out
         return
     sections, section = np.unique(rows.section, return_inverse=True)
-    count = min(FOLDS, len(sections))
+    count = min(OF_ANSWERS.folds, len(sections))
     for number in range(count):
         here = section % count == number
         yield ~left_out & ~here, left_out & here

@@ -24,6 +24,9 @@ class AnswerParameters:
     ridge: float = 1e-4  # variance of a log feature that nothing is better known than
     # of the logarithm of a power, by which a track may always be rougher or smoother than known ones
     level_margin: float = 0.2
+    # window signatures
+    folds: int = 6
+    increase: float = 1e-9  # m from sample to sample at least
 
 
 OF_ANSWERS = AnswerParameters()

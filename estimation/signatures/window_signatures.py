@@ -18,6 +18,7 @@ from estimation.motion.integration import (
     integrate,
 )
 from estimation.motion.rolling_radius_difference import FUSED, fuse, motion_signals, sample_smoothed
+from estimation.signatures.parameters import OF_ANSWERS
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import POWERS, SIGNALS, AxlePosition, LibraryEntry, Place, Signature
@@ -61,9 +62,6 @@ class SignatureParameters:
         return len(self.wavelengths) - 1
 
 
-FOLDS = 6
-
-
 def families(groups: Iterable[frozenset[str]]) -> list[frozenset[str]]:
     """Return groups of wheelsets that share no data with each other, in the order of their first serials."""
     member: dict[str, set[str]] = {}
@@ -84,7 +82,7 @@ def folds(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> l
         return found
     mean = {name: sum(values) / len(values) for name, values in known.items()}
     ordered = sorted(found, key=lambda names: (min(mean[name] for name in names if name in mean), min(names)))
-    return [frozenset().union(*ordered[first::FOLDS]) for first in range(FOLDS)]
+    return [frozenset().union(*ordered[first :: OF_ANSWERS.folds]) for first in range(OF_ANSWERS.folds)]
 
 
 def sharers(entry: LibraryEntry) -> frozenset[str]:
@@ -125,9 +123,6 @@ def _peak(power: FloatArray, wavenumber: FloatArray, ends: FloatArray) -> float:
     smooth = np.convolve(power, np.ones(3) / 3, mode="same")
     chosen = (wavenumber >= ends[0]) & (wavenumber < ends[-1])
     return float(1.0 / wavenumber[chosen][np.argmax(smooth[chosen])])
-
-
-_INCREASE = 1e-9  # m from sample to sample at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +194,7 @@ def _checked(window: Window, signals: SignalParameters, layout: TrackLayout | No
 def _stretch(segment: IntegratedSegment, window: Window, parameters: WindowParameters, way: int) -> _Stretch:
     known = np.flatnonzero(segment.known)
     at = np.interp(np.arange(len(segment.known)), known, window.distance[segment.part][known])
-    run = np.maximum.accumulate(way * at) + _INCREASE * np.arange(len(at))
+    run = np.maximum.accumulate(way * at) + OF_ANSWERS.increase * np.arange(len(at))
     fused = fuse(motion_signals(segment, parameters.vehicle, run), parameters.vehicle)
     first, count = round(float(fused.run[0]) / FUSED.step), len(fused.run)
     fine = FUSED.step / FUSED.oversampling

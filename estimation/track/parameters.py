@@ -47,6 +47,10 @@ class TrackParameters:
     fewest_passes: int = 6  # at a place, to separate two functions of it
     max_cg_steps: int = 14
     cg_tolerance: float = 1e-3  # of the residual's norm, relative to the right side
+    # survey verdict
+    fewest_groups: int = 4  # of blocks along the section
+    most_error_share: float = 0.97  # of a survey's mean square that its own error may make up
+    ratio_prior_std: float = 0.15  # of the stiffness ratio of a vehicle, relative
 
 
 OF_TRACK = TrackParameters()

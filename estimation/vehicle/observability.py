@@ -40,7 +40,6 @@ CAUSES = ("noise", "dilution", "track", "creep", "stiffness", "mass", "lengths",
 
 
 SCALE_OF = "scale of "  # and the name of a sensor
-_STEP = 1e-4  # of numerical derivatives, relative
 _LENGTHS = frozenset({"nominal_radius", "half_contact_distance", "wheelbase"})
 _FREQUENCIES = 400
 _UNITS: Mapping[str, float] = {  # of the columns of theta: one unit of each is about as large as the value
@@ -217,15 +216,17 @@ def _derivatives(
 
     names = [item.name for item in fields(VehicleParameters) if getattr(p, item.name)]
     by_parameter = {
-        name: change(equations(replace(p, **{name: (1 + _STEP) * getattr(p, name)}), wheelbase, speed, at), _STEP)
+        name: change(
+            equations(replace(p, **{name: (1 + OF_GEAR.step) * getattr(p, name)}), wheelbase, speed, at), OF_GEAR.step
+        )
         for name in names
     }
     if wheelbase is not None:
-        by_parameter["wheelbase"] = change(equations(p, (1 + _STEP) * wheelbase, speed, at), _STEP)
+        by_parameter["wheelbase"] = change(equations(p, (1 + OF_GEAR.step) * wheelbase, speed, at), OF_GEAR.step)
     by_combination = {}
     for name, unit in _UNITS.items():
-        moved = replace(at, **{name: getattr(at, name) + _STEP * unit})
-        by_combination[name] = change(equations(p, wheelbase, speed, moved), _STEP * unit)
+        moved = replace(at, **{name: getattr(at, name) + OF_GEAR.step * unit})
+        by_combination[name] = change(equations(p, wheelbase, speed, moved), OF_GEAR.step * unit)
     return by_combination, by_parameter
 
 

@@ -44,6 +44,8 @@ class GearParameters:
     rail_condition_std: float = 0.10  # relative std of the coefficients on rails as they are, beside the table's
     # regressors
     smallest_factor: float = 1e-6  # N; in place of zero, with which the data say nothing of D
+    # observability
+    step: float = 1e-4  # of numerical derivatives, relative
 
 
 OF_GEAR = GearParameters()

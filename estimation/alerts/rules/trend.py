@@ -144,11 +144,11 @@ def _sentence(step: TrendStep, size: float, causes: tuple[StepExplanation, ...])
 
 
 USUAL = {
-    StepCause.TURNED: 0.4,
-    StepCause.EXCHANGED: 0.35,
-    StepCause.DAMAGED: 0.15,
-    StepCause.SENSOR: 0.06,
-    StepCause.TURNED_END_FOR_END: 0.04,
+    StepCause.TURNED: OF_FINDINGS.turned,
+    StepCause.EXCHANGED: OF_FINDINGS.exchanged,
+    StepCause.DAMAGED: OF_FINDINGS.damaged,
+    StepCause.SENSOR: OF_FINDINGS.sensor,
+    StepCause.TURNED_END_FOR_END: OF_FINDINGS.turned_end_for_end,
 }
 
 

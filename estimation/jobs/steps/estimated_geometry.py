@@ -10,6 +10,7 @@ from estimation.errors import DamagedError, NotFoundError
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import check_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.jobs.parameters import OF_STAGES
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.assumptions import Assumed, Membership
 from estimation.jobs.steps.load_window import load_window
@@ -84,8 +85,6 @@ def no_geometry(settings: EstimationSettings, parameter_key: str) -> WheelsetGeo
 
 
 CONTRADICTIONS = (ReasonCode.AXLE_DISTANCE, ReasonCode.SENSOR_TURNED, ReasonCode.AXES_REVERSED)
-BEFORE_AND_AFTER_NS = 24 * 3600 * 10**9  # of the time that is looked at
-MOST_SHARE = 0.3  # of all windows that may be refused so: of right vehicles hardly one in a thousand is
 
 
 def contradiction(
@@ -97,9 +96,9 @@ def contradiction(
         refused: Windows of the same wheelset that were refused by one of ``CONTRADICTIONS``, oldest first.
         first_ns, last_ns: Start of the first and of the last of them.
     """
-    first, last = first_ns - BEFORE_AND_AFTER_NS, last_ns + BEFORE_AND_AFTER_NS
+    first, last = first_ns - OF_STAGES.before_and_after_ns, last_ns + OF_STAGES.before_and_after_ns
     against = [one.reason for one in refused if one.vehicle in vehicles and first <= one.start_ns <= last]
-    return against[-1] if len(against) > MOST_SHARE * (len(against) + windows) else None
+    return against[-1] if len(against) > OF_STAGES.most_share * (len(against) + windows) else None
 
 
 @dataclass(frozen=True, slots=True)

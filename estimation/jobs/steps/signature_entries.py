@@ -12,6 +12,7 @@ import numpy as np
 from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelPair, wheel_contact
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
+from estimation.jobs.parameters import OF_STAGES
 from estimation.jobs.steps.assumptions import Baseline, ClassLookup, baselines, suspected
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
@@ -22,7 +23,6 @@ from estimation.values.registry import WheelsetRecord
 from estimation.values.signatures import ConicitySource, DesignPair, KnownSignatures, LibraryEntry, Place
 from estimation.values.track import TrackSectionRecord
 
-WEAR_PER_KM = 1e-6  # std of what wear changes a conicity by, between a signature and what is known of the wheelset
 AT_LIMIT = int(abs(AMPLITUDES - LIMIT_AMPLITUDE).argmin())
 
 
@@ -34,7 +34,7 @@ class _Label:
 
     def at(self, mileage_km: float) -> tuple[float, float]:
         """Return conicity and std at another mileage, whose wear is not known."""
-        return self.conicity, float(np.hypot(self.std, WEAR_PER_KM * (mileage_km - self.mileage_km)))
+        return self.conicity, float(np.hypot(self.std, OF_STAGES.wear_per_km * (mileage_km - self.mileage_km)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.jobs.job import JobContext
+from estimation.jobs.parameters import OF_STAGES
 from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.jobs.steps.epoch_inputs import Due, given
 from estimation.jobs.steps.epoch_passes import Solved, place_windows
@@ -28,9 +29,6 @@ from estimation.values.track import (
 from estimation.values.trend import SuspensionFinding
 from estimation.values.windows import WindowKey, WindowRecord
 from estimation.vehicle.vehicle_class import ClassOnFile
-
-LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of the ratio
-
 
 _UNDECIDED = {None, ReasonCode.SURVEY_NOT_ASSESSABLE, ReasonCode.MODEL_CONTRADICTED}  # a survey is judged again
 
@@ -109,7 +107,7 @@ def _store_suspensions(unit: UnitOfWork, epoch: TrackEpoch, computed: Computed, 
         return
     for code, ratio in sorted(iterated.ratios.items()):
         own = [record for record in records if record.vehicle == code]
-        if not own or code not in computed.classes or not 0.0 < ratio.std <= LEARNT * PRIOR_STD:
+        if not own or code not in computed.classes or not 0.0 < ratio.std <= OF_STAGES.learnt * PRIOR_STD:
             continue
         vehicle = computed.classes[code].vehicle_class.parameters
         finding = SuspensionFinding(

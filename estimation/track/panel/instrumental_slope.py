@@ -184,7 +184,7 @@ def _at(values: FloatArray | BoolArray, points: IntArray, panel: Panel) -> np.nd
     return values[np.clip(points, 0, panel.grid.points - 1)]
 
 
-PRIOR_STD = 0.15  # of the ratio, relative
+PRIOR_STD = OF_TRACK.ratio_prior_std
 
 
 @dataclass(frozen=True, slots=True)

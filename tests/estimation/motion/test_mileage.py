@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from estimation.motion.mileage import PAUSE_NS, implausible_mileages
+from estimation.motion.mileage import implausible_mileages
 from estimation.motion.parameters import OF_MOTION
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Mounting
@@ -61,7 +61,12 @@ def test_a_mileage_is_possible_since_the_mounting(mileage_km: float, *, believed
 
 
 def test_limits_of_what_is_believed() -> None:
-    assert (OF_MOTION.most_km, OF_MOTION.slack_km, OF_MOTION.faster, PAUSE_NS) == (1e8, 50.0, 1.25, 30 * MINUTE_NS)
+    assert (OF_MOTION.most_km, OF_MOTION.slack_km, OF_MOTION.faster, OF_MOTION.pause_ns) == (
+        1e8,
+        50.0,
+        1.25,
+        30 * MINUTE_NS,
+    )
     long_ago = Mounting("WS-1", "V-1", 1, -(2**62), None, 0.0, 0.0)
     for mileage_km, refusals in ((OF_MOTION.most_km, 0), (OF_MOTION.most_km + 1.0, 1)):
         assert len(implausible_mileages([MileageReading(2**62, mileage_km)], long_ago, 1e6)) == refusals
