@@ -12,7 +12,7 @@ import signal
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from queue import SimpleQueue
+from socket import socket, socketpair
 from threading import Event, Thread
 
 from apscheduler.events import (
@@ -38,6 +38,7 @@ CHECK_S = 1.0
 STEP_NS = 30_000_000_000
 """Between two looks the clock may go so much more or less than :data:`CHECK_S`; beyond it somebody has set it."""
 
+STOPPING = (signal.SIGTERM, signal.SIGINT)
 LONGEST_LEASE_S = 45.0
 """The place of a scheduler is free so long after its machine is lost, at most: another has it within a minute."""
 
@@ -171,15 +172,18 @@ def _report(event: JobEvent) -> None:
 def stop_on_signals(stop_event: Event) -> None:
     """Set ``stop_event`` on SIGTERM and SIGINT; for the main thread of a service.
 
-    The handler only leaves a note, in a queue that may be entered twice by one thread: it may run while the main thread
-    holds the lock of ``stop_event``, where to set it would wait for ever. A thread of its own sets the event.
+    Python runs a handler in the main thread, and not before this goes on: a signal that comes just before it waits, or
+    to another thread, would be seen when the wait is over. So a thread of its own reads what C writes at once.
     """
-    notes: SimpleQueue[int] = SimpleQueue()
+    reading, writing = socketpair()
+    writing.setblocking(False)  # noqa: FBT003 - of the library
 
-    def stop() -> None:
-        notes.get()
+    def stop(_open: socket) -> None:
+        while reading.recv(1)[0] not in STOPPING:
+            continue
         stop_event.set()
 
-    Thread(target=stop, name="stopping", daemon=True).start()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda number, _frame: notes.put(number))
+    Thread(target=stop, args=(writing,), name="stopping", daemon=True).start()
+    for number in STOPPING:
+        signal.signal(number, lambda *_: None)
+    signal.set_wakeup_fd(writing.fileno(), warn_on_full_buffer=False)

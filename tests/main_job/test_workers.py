@@ -9,6 +9,8 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -114,7 +116,7 @@ def test_what_ends_three_workers_is_set_aside_and_the_others_go_on(fleet: Deploy
     with fleet.storage.read() as unit:
         victim = unit.windows.list(WORN)[0]
     key, over = f"{WORN}@{victim.start_ns}", threading.Event()
-    with pool(fleet) as workers:
+    with pool(fleet) as workers, that_nobody_can_read(fleet, victim.content_digest):
         murderer = threading.Thread(target=kill_whoever_has, args=(fleet.storage, key, over))
         murderer.start()
         found = run(fleet, "estimate_windows", workers)
@@ -208,6 +210,20 @@ def suspend(storage: SqlStorage, workers: ProcessPool) -> None:
     others = " ".join(map(str, workers.pids()))
     script = f"kill -STOP {others} {os.getpid()}; sleep {2 * LEASE_S}; kill -CONT {os.getpid()}; sleep 0.5"
     subprocess.run(["sh", "-c", f"{script}; kill -CONT {others}"], check=True)
+
+
+@contextmanager
+def that_nobody_can_read(fleet: Deployment, digest: str) -> Iterator[None]:
+    """Let whoever reads a window stand still: it is killed there, however slow this machine is."""
+    (path,) = fleet.settings.data_dir.rglob(f"{digest}.window")
+    content = path.read_bytes()
+    path.unlink()
+    os.mkfifo(path)
+    try:
+        yield
+    finally:
+        path.unlink()
+        path.write_bytes(content)
 
 
 def kill_whoever_has(storage: SqlStorage, key: str, over: threading.Event) -> None:
