@@ -30,7 +30,8 @@ from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, profile_from_points, rail_profile, wheel_profile
 from estimation.contact.wear import HOLLOWS, RailWear, TreadWear, worn, worn_rail
 from estimation.errors import ContactError
-from estimation.trend.extrapolation import AMPLITUDES, FAMILY, TABLE
+from estimation.trend.extrapolation import AMPLITUDES, TABLE
+from estimation.trend.parameters import OF_TRENDS
 from estimation.values.arrays import FloatArray
 
 STEP = 0.2e-3  # m of depth between two searches for contact
@@ -209,7 +210,7 @@ def main() -> None:
     """Compute every pair and write the table beside its module."""
     parts = []
     for index, pair in enumerate(PAIRS):
-        rows = np.round(conicities_of(pair) / FAMILY.unit)
+        rows = np.round(conicities_of(pair) / OF_TRENDS.unit)
         parts.append(np.column_stack([np.full(len(rows), index), rows]))
     np.save(Path(wear.__file__).with_name(TABLE), np.concatenate(parts).astype(np.uint16))
 

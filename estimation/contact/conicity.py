@@ -9,7 +9,7 @@ Curves that a measurement gives: ``docs/decisions/contact-conicity-rules.md``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy.typing as npt
 from estimation.compiled import compiled
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.method import ContactMethod
+from estimation.contact.parameters import OF_PROFILES
 from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ContactError, ParameterError
 from estimation.values.arrays import FloatArray
@@ -229,17 +230,7 @@ def _from_travel(middle, amplitude, energy, points, values, potential):  # type:
     return (_ANGLES / total) ** 2
 
 
-@dataclass(frozen=True, slots=True)
-class DrawParameters:
-    """How the uncertainty of a conicity is drawn."""
-
-    draws: int = 48
-    fewest: float = 0.8  # share of the draws that must cover an amplitude
-    seed: int = 20_15302
-
-
-DRAWN = DrawParameters()
-DRAWS = DRAWN.draws
+DRAWS = OF_PROFILES.draws
 
 
 class MeasuredShapes(NamedTuple):
@@ -285,7 +276,7 @@ def conicity_std(
     wanted = np.array(amplitudes, dtype=np.float64, ndmin=1)
     if shapes.exact:
         return np.zeros(len(wanted))
-    random = np.random.default_rng(DRAWN.seed)
+    random = np.random.default_rng(OF_PROFILES.seed)
     expected = _conicity(wheelset, lateral_displacement, wanted, method)
     values = np.full((draws, len(wanted)), np.nan)
     for row in range(draws):
@@ -296,7 +287,7 @@ def conicity_std(
             continue
     covered = np.isfinite(values)
     squares = np.where(covered, (values - expected) ** 2, 0.0).sum(axis=0) / np.maximum(covered.sum(axis=0), 1)
-    return np.where(covered.mean(axis=0) >= DRAWN.fewest, np.sqrt(squares), np.nan)
+    return np.where(covered.mean(axis=0) >= OF_PROFILES.fewest, np.sqrt(squares), np.nan)
 
 
 def _conicity(

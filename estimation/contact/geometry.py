@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from estimation.contact import kernels
 from estimation.contact.method import ContactMethod
-from estimation.contact.profiles import PROFILE, Profile, Surface, rail_surface, wheel_surface
+from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.profiles import Profile, Surface, rail_surface, wheel_surface
 from estimation.errors import ContactError
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 
@@ -189,7 +190,7 @@ def search_setting(wheelset: WheelsetOnTrack, method: ContactMethod) -> Setting:
     wheels = (_plain(wheel_surface(wheelset.left_wheel)), _plain(wheel_surface(wheelset.right_wheel)))
     left_rail = _plain(rail_surface(wheelset.left_rail, wheelset.inclination, wheelset.gauge))
     right_rail = _plain(rail_surface(wheelset.right_rail, wheelset.inclination, wheelset.gauge))
-    half = wheelset.flange_back_distance / 2.0 + PROFILE.tread_datum
+    half = wheelset.flange_back_distance / 2.0 + OF_PROFILES.tread_datum
     radii = (wheelset.left_radius, wheelset.right_radius)
     return method is ContactMethod.RIGID, half, radii, wheels, (left_rail, right_rail)
 

@@ -14,40 +14,22 @@ minus nominal gauge, m; both increase strictly where they are (n,) and (g,).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from estimation.compiled import compiled
+from estimation.contact.parameters import OF_PROFILES
 
-
-@dataclass(frozen=True, slots=True)
-class ContactParameters:
-    """How closely a contact is found, and what a jump is."""
-
-    stride: int = 10  # the first scan looks at every tenth point of the wheel's grid
-    rival_margin: float = 2e-5  # m, scan minima within this of the best are refined
-    roll_tolerance: float = 1e-11  # m, difference of the two gaps
-    slope_tolerance: float = 1e-10  # of the gap, where it is smallest
-    position_tolerance: float = 1e-10  # m, of the contact
-    roll_limit: float = 0.1  # rad
-    jump_distance: float = 4e-4  # m, a contact has jumped that moves this far ...
-    jump_interval: float = 4e-6  # m, ... while the wheelset moves no farther than this
-    curve_tolerance: float = 2e-7  # m, of the radius difference half-way between two points of a refined curve
-    curve_interval: float = 1e-9  # m, a jump of a refined curve is placed to within this
-
-
-TOLERATED = ContactParameters()
-STRIDE = TOLERATED.stride
-RIVAL_MARGIN = TOLERATED.rival_margin
-ROLL_TOLERANCE = TOLERATED.roll_tolerance
-SLOPE_TOLERANCE = TOLERATED.slope_tolerance
-POSITION_TOLERANCE = TOLERATED.position_tolerance
-ROLL_LIMIT = TOLERATED.roll_limit
-JUMP_DISTANCE = TOLERATED.jump_distance
-JUMP_INTERVAL = TOLERATED.jump_interval
-CURVE_TOLERANCE = TOLERATED.curve_tolerance
-CURVE_INTERVAL = TOLERATED.curve_interval
+STRIDE = OF_PROFILES.stride
+RIVAL_MARGIN = OF_PROFILES.rival_margin
+ROLL_TOLERANCE = OF_PROFILES.roll_tolerance
+SLOPE_TOLERANCE = OF_PROFILES.slope_tolerance
+POSITION_TOLERANCE = OF_PROFILES.position_tolerance
+ROLL_LIMIT = OF_PROFILES.roll_limit
+JUMP_DISTANCE = OF_PROFILES.jump_distance
+JUMP_INTERVAL = OF_PROFILES.jump_interval
+CURVE_TOLERANCE = OF_PROFILES.curve_tolerance
+CURVE_INTERVAL = OF_PROFILES.curve_interval
 
 
 OUTSIDE = 1.0e3  # m, gap where there is no rail

@@ -18,41 +18,12 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import nnls
 
 from estimation.contact.design_curve import DesignCurve
+from estimation.contact.parameters import OF_PROFILES
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.units import STD_PER_MAD
 
 DEGREE = 5
 ORDER = 3  # of the penalised derivative
-
-
-@dataclass(frozen=True, slots=True)
-class SplineParameters:
-    """How points of a profile become a curve."""
-
-    knot_step: float = 0.5  # mm of arc, unless points are farther apart
-    noise_rounds: int = 4
-    # mm of arc, of the differences that show whether neighbours share noise
-    noise_distances: tuple[float, ...] = (0.0, 0.2, 0.4, 0.8)
-    correlation_lengths: tuple[float, ...] = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # mm
-    # squares of logarithms by which a correlation must explain the differences better
-    significant_correlation: float = 0.15
-    least_share: float = 1e-3  # of the variance that a difference keeps
-    fewest_spans: int = 12  # a difference spans 4 steps
-    farthest_alike: float = 2.0  # mm, beyond, noise is independent
-    most_alike: float = 0.98
-    least_noise: float = 0.05  # of the larger variance, height or lateral
-    first_rounds: int = 8
-    rounds: int = 15
-    # Factor on the std for what Wahba's model leaves out: the penalty is an estimate too, and joints of arcs are
-    # rounded. The bench of contact geometry (noise on every design profile) shows what it covers.
-    unknown_penalty: float = 1.3
-    first_third_derivative: float = 1e-2  # 1/mm^2, where the search for the local variance begins
-    least_third_derivative: float = 1e-5  # 1/mm^2
-    unseen: float = 1e-2  # 1/mm^3, of the noise: the third derivative that a difference from a design may have unseen
-    least_determined: float = 1e-3
-
-
-SPLINE = SplineParameters()
 
 
 NEIGHBOURS = 4  # to either side, over which the local variance is averaged
@@ -117,7 +88,7 @@ def fit_spline(
     weights = weight.copy()
     rough, length = correlated_noise(points)
     noise = noise_std**2 if noise_std is not None else max(rough**2, _TINY)
-    for rounds in (SPLINE.first_rounds, SPLINE.rounds):
+    for rounds in (OF_PROFILES.first_rounds, OF_PROFILES.penalised_spline_rounds):
         knots, basis = _basis(arc, spacing)
         rows = _whitened(points - design.at(arc)[0] if design else points, basis, weights, arc, length)
         fit = _evidence_fit(rows, noise, rounds, known=noise_std is not None, pooled=_on_design(design, knots))
@@ -126,11 +97,17 @@ def fit_spline(
             weights = weight * _relative_precision(tangent, residual, weight)
     knots, basis = _basis(arc, spacing)
     rows = _whitened(points - design.at(arc)[0] if design else points, basis, weights, arc, length)
-    fit = _evidence_fit(rows, fit.noise, SPLINE.rounds, known=noise_std is not None, pooled=_on_design(design, knots))
+    fit = _evidence_fit(
+        rows,
+        fit.noise,
+        OF_PROFILES.penalised_spline_rounds,
+        known=noise_std is not None,
+        pooled=_on_design(design, knots),
+    )
     if design is None:
         fit = _levelled(rows, fit, known=noise_std is not None)
     _, residual, _ = _projected(points, arc, knots, fit.coefficients, design)
-    root = np.asarray(np.linalg.cholesky(fit.covariance * SPLINE.unknown_penalty**2), dtype=np.float64)
+    root = np.asarray(np.linalg.cholesky(fit.covariance * OF_PROFILES.unknown_penalty**2), dtype=np.float64)
     return PenalisedSpline(fit.coefficients, knots, root, float(np.sqrt(fit.noise)), residual, design)
 
 
@@ -149,20 +126,20 @@ def correlated_noise(points: FloatArray) -> tuple[float, float]:
     with the distance. The correlation is taken as exponential.
     """
     spacing = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
-    steps = sorted({max(1, round(distance / max(spacing, _TINY))) for distance in SPLINE.noise_distances})
-    steps = [step for step in steps if step == 1 or SPLINE.fewest_spans * step < len(points)]
+    steps = sorted({max(1, round(distance / max(spacing, _TINY))) for distance in OF_PROFILES.noise_distances})
+    steps = [step for step in steps if step == 1 or OF_PROFILES.fewest_spans * step < len(points)]
     found = np.log([max(rough_noise(points, step) ** 2, _TINY) for step in steps])
     best = (np.inf, 0.0, 0.0)
     white = np.inf
-    for length in SPLINE.correlation_lengths:
+    for length in OF_PROFILES.correlation_lengths:
         alike = np.exp(-np.outer(np.array(steps) * spacing, np.arange(1, 5)) / length) if length else np.zeros((1, 4))
-        expected = np.log(np.maximum(1.0 + alike @ np.array(_PRODUCTS), SPLINE.least_share))
+        expected = np.log(np.maximum(1.0 + alike @ np.array(_PRODUCTS), OF_PROFILES.least_share))
         level = float(np.mean(found - expected))
         cost = float(((found - expected - level) ** 2).sum())
         white = cost if length == 0.0 else white
         best = min(best, (cost, length, level))
     cost, length, level = best
-    if white - cost < SPLINE.significant_correlation:
+    if white - cost < OF_PROFILES.significant_correlation:
         return float(np.exp(0.5 * np.mean(found))), 0.0
     return float(np.exp(0.5 * level)), length
 
@@ -195,7 +172,7 @@ def _first_arc(points: FloatArray) -> tuple[FloatArray, float]:
 
 def _basis(arc: FloatArray, spacing: float) -> tuple[FloatArray, FloatArray]:
     first, last = float(arc.min()), float(arc.max())
-    count = max(2 * DEGREE, round((last - first) / max(SPLINE.knot_step, spacing)))
+    count = max(2 * DEGREE, round((last - first) / max(OF_PROFILES.knot_step, spacing)))
     knots: FloatArray = first + (last - first) / count * np.arange(-DEGREE, count + DEGREE + 1, dtype=np.float64)
     inside = np.clip(arc, knots[DEGREE], knots[-DEGREE - 1])
     return knots, np.asarray(BSpline.design_matrix(inside, knots, DEGREE).toarray())
@@ -212,7 +189,7 @@ def _whitened(points: FloatArray, basis: FloatArray, weights: FloatArray, arc: F
     if length == 0.0:
         return design, target
     gap = np.abs(np.diff(arc[kept]))
-    alike = np.where(gap > SPLINE.farthest_alike, 0.0, np.minimum(np.exp(-gap / length), SPLINE.most_alike))[
+    alike = np.where(gap > OF_PROFILES.farthest_alike, 0.0, np.minimum(np.exp(-gap / length), OF_PROFILES.most_alike))[
         :, np.newaxis
     ]
     own = np.sqrt(1.0 - alike**2)
@@ -224,18 +201,18 @@ def _whitened(points: FloatArray, basis: FloatArray, weights: FloatArray, arc: F
 
 def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool, pooled: BoolArray | None = None) -> _Fit:
     """Return the fit whose variance of third differences, local or ``pooled``, explains points best (MacKay)."""
-    local = np.full(rows[0].shape[1] - ORDER, (SPLINE.first_third_derivative * SPLINE.knot_step**ORDER) ** 2)
-    least = (SPLINE.least_third_derivative * SPLINE.knot_step**ORDER) ** 2
+    local = np.full(rows[0].shape[1] - ORDER, (OF_PROFILES.first_third_derivative * OF_PROFILES.knot_step**ORDER) ** 2)
+    least = (OF_PROFILES.least_third_derivative * OF_PROFILES.knot_step**ORDER) ** 2
     normal = rows[0].T @ rows[0], rows[0].T @ rows[1]
     fit = _posterior(normal, noise, local)
     for _ in range(rounds):
         third = np.diff(fit.coefficients, n=ORDER, axis=0)
         variance = np.diff(np.diff(fit.covariance, n=ORDER, axis=0), n=ORDER, axis=1).diagonal()
-        determined = np.clip(1.0 - variance / fit.local, SPLINE.least_determined, 1.0)
+        determined = np.clip(1.0 - variance / fit.local, OF_PROFILES.least_determined, 1.0)
         squares = (third**2).sum(axis=1)
         local = np.maximum(_over_neighbours(squares) / _over_neighbours(determined), least)
         if pooled is not None:
-            unseen = (SPLINE.unseen * np.sqrt(noise) * SPLINE.knot_step**ORDER) ** 2
+            unseen = (OF_PROFILES.unseen * np.sqrt(noise) * OF_PROFILES.knot_step**ORDER) ** 2
             local[pooled] = max(float(squares[pooled].sum() / determined[pooled].sum()), unseen)
         noise = fit.noise if known else _noise(rows, fit)
         fit = _posterior(normal, noise, local)
@@ -307,9 +284,9 @@ def _relative_precision(tangent: FloatArray, residual: FloatArray, weight: Float
     """Return weights (n,), geometric mean 1: noise has one variance in height (cos^2) and one laterally (sin^2)."""
     share = tangent**2 / np.maximum((tangent**2).sum(axis=1), _TINY)[:, np.newaxis]  # cos^2, sin^2
     variance = np.full(len(residual), max(float((weight @ residual**2) / weight.sum()), _TINY))
-    for _ in range(SPLINE.noise_rounds):
+    for _ in range(OF_PROFILES.noise_rounds):
         scaled = np.sqrt(weight) / variance
         found, _ = nnls(share * scaled[:, np.newaxis], residual**2 * scaled)
-        found = np.maximum(found, max(SPLINE.least_noise * float(found.max()), _TINY))
+        found = np.maximum(found, max(OF_PROFILES.least_noise * float(found.max()), _TINY))
         variance = share @ found
     return np.asarray(np.exp(np.log(variance).mean()) / variance)

@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
+from estimation.contact.parameters import OF_PROFILES
 from estimation.contact.wheel_definitions import (
     RAIL_DEFINITIONS,
     S1002_THROAT,
@@ -173,25 +174,6 @@ class MeasuredProfiles:
 ProfileKind = Literal["wheel", "rail"]
 
 
-@dataclass(frozen=True, slots=True)
-class ProfileParameters:
-    """Where a profile is looked at, and what it must reach."""
-
-    tread_datum: float = 0.070  # distance of a wheel's tread datum from its flange back, m
-    sampling_step_mm: float = 0.05  # distance between the points of an analytic profile, along its surface
-    grid_step: float = 2e-5  # distance between grid points, m
-    gauge_depth: float = 0.014  # depth below the top of the rail down to which the gauge is measured, m (EN 13848-1)
-    tip: float = 2e-3  # m, part of the flange that counts as its tip
-    least_flange: float = 15e-3  # m, a wheel profile flatter than this has no flange
-    steepest: float = math.tan(math.radians(82.0))
-    notch: float = 1e-3  # m of height that may be steeper without ending the surface
-    flange_face_end: float = -20e-3  # m from the tread datum
-    wall: float = math.tan(math.radians(70.0))  # a gauge face at least this steep may be continued straight down
-
-
-PROFILE = ProfileParameters()
-
-
 _FEWEST_POINTS = 4
 
 
@@ -275,7 +257,7 @@ def _named(kind: ProfileKind, name: str, definitions: Mapping[str, tuple[Segment
 
 
 def _sampled(kind: ProfileKind, name: str, segments: tuple[Segment, ...]) -> Profile:
-    y, z, slope = sample(segments, PROFILE.sampling_step_mm)
+    y, z, slope = sample(segments, OF_PROFILES.sampling_step_mm)
     return Profile(kind, name, y * MILLIMETRE, z * MILLIMETRE, slope)
 
 
@@ -305,9 +287,9 @@ def wheel_surface(wheel: Profile) -> Surface:
     Raises:
         ContactError: Nothing of it can touch: it ends in its flange.
     """
-    margin = PROFILE.tip if np.ptp(wheel.z) > PROFILE.least_flange else 0.0
+    margin = OF_PROFILES.tip if np.ptp(wheel.z) > OF_PROFILES.least_flange else 0.0
     start = int(np.flatnonzero(wheel.z >= wheel.z.max() - margin)[-1])
-    face = int(np.searchsorted(wheel.y, PROFILE.flange_face_end))  # a worn flange face may be as steep as it likes
+    face = int(np.searchsorted(wheel.y, OF_PROFILES.flange_face_end))  # a worn flange face may be as steep as it likes
     keep = slice(start, _run(wheel.slope, wheel.z, min(max(start, face), len(wheel.y) - 1), 1) + 1)
     if keep.stop - keep.start < _FEWEST_GRIDDED:
         raise ContactError(f"wheel {wheel.name!r} ends in its flange: it has no tread that can touch", field="wheel")
@@ -330,10 +312,10 @@ def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
     z = rail.z * math.cos(angle) - rail.y * math.sin(angle)
     forward = math.cos(angle) + rail.slope * math.sin(angle)
     rise = rail.slope * math.cos(angle) - math.sin(angle)
-    slope = np.divide(rise, forward, out=np.full_like(rise, np.inf), where=forward > 1.0 / PROFILE.steepest)
+    slope = np.divide(rise, forward, out=np.full_like(rise, np.inf), where=forward > 1.0 / OF_PROFILES.steepest)
     top = int(np.argmin(z))
     edge = _gauge_edge(
-        rail.name, y[: top + 1], z[: top + 1] - z[top], wall=bool(forward[0] * PROFILE.wall < abs(rise[0]))
+        rail.name, y[: top + 1], z[: top + 1] - z[top], wall=bool(forward[0] * OF_PROFILES.wall < abs(rise[0]))
     )
     first, last = _run(slope, z, top, -1), _run(slope, z, top, 1)
     outwards = (
@@ -344,24 +326,26 @@ def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
     before = top - np.flatnonzero(np.diff(outwards[1], prepend=np.inf) < 0)
     keep = np.concatenate([before[:0:-1], beyond])
     return _gridded(
-        y[keep] - edge + gauge / 2.0, z[keep] - z[top], np.clip(slope[keep], -PROFILE.steepest, PROFILE.steepest)
+        y[keep] - edge + gauge / 2.0,
+        z[keep] - z[top],
+        np.clip(slope[keep], -OF_PROFILES.steepest, OF_PROFILES.steepest),
     )
 
 
 def _gauge_edge(name: str, y: FloatArray, depth: FloatArray, *, wall: bool) -> float:
     """Return the smallest y within `GAUGE_DEPTH` below the top; the last point of the arrays is the top."""
     # `wall`: the rail ends in a face so steep that its last point stands for what is below
-    below = np.flatnonzero(depth > PROFILE.gauge_depth)
+    below = np.flatnonzero(depth > OF_PROFILES.gauge_depth)
     if len(below) == 0 and wall:
         return float(y.min())
     if len(below) == 0:
         raise ContactError(
             f"rail {name!r} ends {depth.max() * 1e3:.2f} mm below its top on the gauge side; the gauge is measured "
-            f"{PROFILE.gauge_depth * 1e3:.0f} mm below",
+            f"{OF_PROFILES.gauge_depth * 1e3:.0f} mm below",
             field="rail",
         )
     last = int(below[-1])
-    share = (PROFILE.gauge_depth - depth[last]) / (depth[last + 1] - depth[last])
+    share = (OF_PROFILES.gauge_depth - depth[last]) / (depth[last + 1] - depth[last])
     crossing = y[last] + share * (y[last + 1] - y[last])
     return float(min(crossing, y[last + 1 :].min()))
 
@@ -369,16 +353,16 @@ def _gauge_edge(name: str, y: FloatArray, depth: FloatArray, *, wall: bool) -> f
 def _run(slope: FloatArray, z: FloatArray, start: int, direction: int) -> int:
     """Return the last index from ``start`` in ``direction`` (+1, -1) up to which the surface can be touched."""
     # it ends where the surface is too steep over more than `_NOTCH` of height; a point or two of noise do not end it
-    steep = np.abs(slope[start::direction]) >= PROFILE.steepest
+    steep = np.abs(slope[start::direction]) >= OF_PROFILES.steepest
     height = z[start::direction]
     for first, behind in runs(steep):
         before, after = max(first - 1, 0), min(behind, len(steep) - 1)
-        if abs(height[after] - height[before]) > PROFILE.notch or behind == len(steep):
+        if abs(height[after] - height[before]) > OF_PROFILES.notch or behind == len(steep):
             return start + direction * int(before)
     return start + direction * (len(steep) - 1)
 
 
 def _gridded(y: FloatArray, z: FloatArray, slope: FloatArray) -> Surface:
     curve = CubicHermiteSpline(y, z, slope)
-    grid = y[0] + PROFILE.grid_step * np.arange(int((y[-1] - y[0]) / PROFILE.grid_step) + 1)
-    return Surface(float(y[0]), PROFILE.grid_step, curve(grid), curve(grid, nu=1))
+    grid = y[0] + OF_PROFILES.grid_step * np.arange(int((y[-1] - y[0]) / OF_PROFILES.grid_step) + 1)
+    return Surface(float(y[0]), OF_PROFILES.grid_step, curve(grid), curve(grid, nu=1))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.contact.design_curve import DesignCurve, explains, nearest_design
+from estimation.contact.parameters import OF_PROFILES
 from estimation.contact.penalised_spline import DEGREE, PenalisedSpline, correlated_noise, fit_spline
 from estimation.contact.profiles import Profile, ProfileKind, profile_from_points
 from estimation.errors import ProfileError
@@ -30,25 +31,6 @@ def thinned(points: FloatArray) -> IntArray:
     share = (arc - arc[0]) / max(float(arc[-1] - arc[0]), np.finfo(np.float64).tiny)
     cell = np.minimum((share * MOST_POINTS).astype(np.int64), MOST_POINTS - 1)
     return np.unique(cell, return_index=True)[1].astype(np.int64)
-
-
-@dataclass(frozen=True, slots=True)
-class SmoothingParameters:
-    """Which points of a profile are used."""
-
-    exact_below: float = 1e-4  # mm: points with less noise are taken as they are
-    sampling_step: float = 0.05  # mm of arc between the points of a smoothed profile
-    closest: float = 1e-3  # mm across, nearer neighbours are one point
-    steepest: float = 50.0  # slope up to which a surface has one height per lateral position
-    outlier: float = 5.0  # times the local noise, across the curve
-    least_outlier: float = 0.02  # mm across the curve, no point nearer to it is an outlier
-    outlier_rounds: int = 5
-    alone: int = 3  # points to either side, of which only the farthest is left out at a time
-    neighbourhood: int = 40  # points to either side that show the local noise
-    near: int = 15  # points to either side, whose noise is that of the point between them
-
-
-SMOOTHING = SmoothingParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +75,7 @@ def smoothed_profile(
         noise_std: Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
     """
     level = correlated_noise(points)[0] if noise_std is None else noise_std
-    if level < SMOOTHING.exact_below:
+    if level < OF_PROFILES.exact_below:
         kept = advancing(points[:, 0], _peak(kind, points[:, 1]))
         y, z = points[kept].T * MILLIMETRE
         return SmoothedProfile(datum_at_zero(profile_from_points(kind, name, y, z)), 0.0)
@@ -108,7 +90,7 @@ def smoothed_profile(
         ) from error
     counted = weight > 0.0
     design = nearest_design(kind, points[chosen][counted])
-    local = np.sqrt(np.nanmean(_windows(spline.residual[counted] ** 2, SMOOTHING.near), axis=1))
+    local = np.sqrt(np.nanmean(_windows(spline.residual[counted] ** 2, OF_PROFILES.near), axis=1))
     if design and explains(design, points[chosen][counted], local, correlated_noise(points[chosen])[1]):
         spline = fit_spline(points[chosen], weight, noise_std, design)
     profile = _profile(kind, name, spline, spline.coefficients)
@@ -119,10 +101,10 @@ def smoothed_profile(
 def _without_outliers(points: FloatArray, level: float, noise_std: float | None) -> tuple[PenalisedSpline, FloatArray]:
     weight = without_spikes(points, level)
     spline = fit_spline(points, weight, noise_std)
-    for _ in range(SMOOTHING.outlier_rounds):
+    for _ in range(OF_PROFILES.outlier_rounds):
         limit = _limit(spline.residual, weight)
         magnitude = np.where(weight > 0.0, np.abs(spline.residual), 0.0)
-        farthest = magnitude >= np.nanmax(_windows(magnitude, SMOOTHING.alone), axis=1)
+        farthest = magnitude >= np.nanmax(_windows(magnitude, OF_PROFILES.alone), axis=1)
         far = (weight > 0.0) & (np.abs(spline.residual) > limit) & farthest
         if not far.any():
             break
@@ -159,7 +141,7 @@ def advancing(y: FloatArray, peak: int) -> IntArray:
 def _beyond_all_before(y: FloatArray) -> IntArray:
     """Return the indices of the points beyond all before them, and not too close to the last of these."""
     kept = np.flatnonzero(np.concatenate([[True], y[1:] > np.maximum.accumulate(y)[:-1]]))
-    while len(close := np.flatnonzero(np.diff(y[kept]) <= SMOOTHING.closest)):
+    while len(close := np.flatnonzero(np.diff(y[kept]) <= OF_PROFILES.closest)):
         kept = np.delete(kept, close[np.concatenate([[True], np.diff(close) > 1])] + 1)
     return kept.astype(np.int64)
 
@@ -170,11 +152,11 @@ def _peak(kind: ProfileKind, z: FloatArray) -> int:
 
 def _profile(kind: ProfileKind, name: str, spline: PenalisedSpline, coefficients: FloatArray) -> Profile:
     first, last = float(spline.knots[DEGREE]), float(spline.knots[-DEGREE - 1])
-    arc = np.linspace(first, last, 2 + int((last - first) / SMOOTHING.sampling_step))
+    arc = np.linspace(first, last, 2 + int((last - first) / OF_PROFILES.sampling_step))
     point, derivative = spline.at(arc, coefficients)
     (y, z), (across, down) = point.T, derivative.T
     kept = advancing(y, _peak(kind, z))
-    kept = kept[across[kept] * SMOOTHING.steepest > np.abs(down[kept])]
+    kept = kept[across[kept] * OF_PROFILES.smoothed_profile_steepest > np.abs(down[kept])]
     profile = Profile(kind, name, y[kept] * MILLIMETRE, z[kept] * MILLIMETRE, down[kept] / across[kept])
     return datum_at_zero(profile)
 
@@ -186,13 +168,13 @@ def without_spikes(points: FloatArray, level: float) -> FloatArray:
     middle = np.median(points[index], axis=1)
     distance = np.hypot(*(points - middle).T)
     reach = np.hypot(*np.median(np.abs(points[index] - middle[:, np.newaxis]), axis=1).T)
-    return np.where(distance > np.maximum(8.0 * level, SMOOTHING.least_outlier) + 3.0 * reach, 0.0, 1.0)
+    return np.where(distance > np.maximum(8.0 * level, OF_PROFILES.least_outlier) + 3.0 * reach, 0.0, 1.0)
 
 
 def _limit(residual: FloatArray, weight: FloatArray) -> FloatArray:
     magnitude = np.where(weight > 0.0, np.abs(residual), np.nan)
-    local = STD_PER_MAD * np.nanmedian(_windows(magnitude, SMOOTHING.neighbourhood), axis=1)
-    return np.maximum(SMOOTHING.outlier * local, SMOOTHING.least_outlier)
+    local = STD_PER_MAD * np.nanmedian(_windows(magnitude, OF_PROFILES.neighbourhood), axis=1)
+    return np.maximum(OF_PROFILES.outlier * local, OF_PROFILES.least_outlier)
 
 
 def _windows(values: FloatArray, reach: int) -> FloatArray:

@@ -20,32 +20,11 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.contact.profiles import PROFILE, Profile
+from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.profiles import Profile
 from estimation.errors import ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
 from estimation.values.fields import in_mm
-
-
-@dataclass(frozen=True, slots=True)
-class WearParameters:
-    """Where wear of a wheel is looked for."""
-
-    deepest_hollow: float = 6e-3  # largest depth that the form is meant for, m
-    # largest flange wear for which the moved flange still is one height per lateral position, m
-    most_flange_wear: float = 4e-3
-    # m, the flange moves fully at the first, the tread not at all from the second on
-    root: tuple[float, float] = (-0.040, -0.032)
-    # m, the tip stays up to the first, the face moves fully from the second on
-    tip: tuple[float, float] = (-0.058, -0.048)
-    face_below_tread: float = 10e-3  # m, where the flange thickness is measured
-    face_above_tip: float = 2e-3  # m, upper point of the flange gradient
-    tread_from: float = -0.030  # m, field side of the flange root
-    rim_margin: float = 5e-3  # m, the outermost part belongs to the chamfer
-    fine: float = 2e-5  # m
-    deepest_band: float = 4e-3  # largest depth that the form is meant for, m
-
-
-WORN = WearParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +37,8 @@ class TreadWear:
     flange_wear: float = 0.0  # reduction of the flange thickness
 
     def __post_init__(self) -> None:
-        _within("depth", self.depth, WORN.deepest_hollow)
-        _within("flange_wear", self.flange_wear, WORN.most_flange_wear)
+        _within("depth", self.depth, OF_PROFILES.deepest_hollow)
+        _within("flange_wear", self.flange_wear, OF_PROFILES.most_flange_wear)
         _check_band(self)
 
 
@@ -83,7 +62,7 @@ def worn(wheel: Profile, wear: TreadWear) -> Profile:
     """Return the wheel profile after it has lost that material; the new profile is not touched."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear is applied to wheels", field="kind")
-    (root, root_rate), (tip, tip_rate) = _blend(wheel.y, *WORN.root), _blend(wheel.y, *WORN.tip)
+    (root, root_rate), (tip, tip_rate) = _blend(wheel.y, *OF_PROFILES.root), _blend(wheel.y, *OF_PROFILES.wear_tip)
     moved = wear.flange_wear * (1.0 - root) * tip  # from how far field-wards the surface at y came
     rate = wear.flange_wear * ((1.0 - root) * tip_rate - root_rate * tip)
     source = np.clip(wheel.y + moved, wheel.y[0], wheel.y[-1])
@@ -143,17 +122,17 @@ def wear_measures(wheel: Profile) -> WearMeasures:
     """Return the wear measures of a whole wheel whose origin is the tread datum, 70 mm from the flange back."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear measures are a wheel's", field="kind")
-    if not wheel.y[0] < WORN.tread_from or not wheel.y[-1] > 0.0:
+    if not wheel.y[0] < OF_PROFILES.tread_from or not wheel.y[-1] > 0.0:
         raise ProfileError(f"{wheel.name!r} does not reach from the flange to the tread datum", field="y")
-    y = np.arange(wheel.y[0], wheel.y[-1], WORN.fine)
+    y = np.arange(wheel.y[0], wheel.y[-1], OF_PROFILES.fine)
     z = wheel.height(y)
     tip = int(np.argmax(z))
     tread = float(wheel.height(np.zeros(1))[0])
-    thick = _face(y[tip:], z[tip:], tread + WORN.face_below_tread)
-    high = _face(y[tip:], z[tip:], float(z[tip]) - WORN.face_above_tip)
-    part = z[(y >= WORN.tread_from) & (y <= y[-1] - WORN.rim_margin)]
+    thick = _face(y[tip:], z[tip:], tread + OF_PROFILES.face_below_tread)
+    high = _face(y[tip:], z[tip:], float(z[tip]) - OF_PROFILES.face_above_tip)
+    part = z[(y >= OF_PROFILES.tread_from) & (y <= y[-1] - OF_PROFILES.rim_margin)]
     hollow = float((np.maximum.accumulate(part[::-1])[::-1] - part).max())  # below the highest point farther out
-    return WearMeasures(float(z[tip]) - tread, thick + PROFILE.tread_datum, thick - high, hollow)
+    return WearMeasures(float(z[tip]) - tread, thick + OF_PROFILES.tread_datum, thick - high, hollow)
 
 
 def _face(y: FloatArray, z: FloatArray, level: float) -> float:
@@ -173,7 +152,7 @@ class RailWear:
     half_width: float = 0.030  # from the middle to where the band ends
 
     def __post_init__(self) -> None:
-        _within("depth", self.depth, WORN.deepest_band)
+        _within("depth", self.depth, OF_PROFILES.deepest_band)
         _check_band(self)
 
 

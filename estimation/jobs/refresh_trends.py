@@ -12,16 +12,16 @@ from estimation.jobs.runner import run
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.assumptions import identity_changes
 from estimation.storage import UnitOfWork
-from estimation.trend.extrapolation import FAMILY, conicity_points
+from estimation.trend.extrapolation import conicity_points
+from estimation.trend.parameters import OF_TRENDS
 from estimation.trend.trend import TrendParameters, behind_step, newest_step, refresh, with_step
-from estimation.trend.wear_curve import WEAR_CURVE
 from estimation.values.geometry import GEOMETRY, IntervalConicities
 from estimation.values.registry import VehicleRecord
 from estimation.values.runs import Facet
 from estimation.values.trend import TREND as TRENDS
 from estimation.values.trend import WearTrend, baseline_part, since_change
 
-METHOD = made_from(FAMILY, WEAR_CURVE)[:16]
+METHOD = made_from(OF_TRENDS)[:16]
 
 
 @dataclass(frozen=True, slots=True)

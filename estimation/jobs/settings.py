@@ -7,13 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
 from estimation.alerts.rule_book import RuleBook
-from estimation.contact.conicity import DRAWN
-from estimation.contact.design_curve import DESIGN
-from estimation.contact.kernels import TOLERATED
-from estimation.contact.penalised_spline import SPLINE
-from estimation.contact.profiles import PROFILE
-from estimation.contact.smoothed_profile import SMOOTHING
-from estimation.contact.wear import WORN
+from estimation.contact.parameters import OF_PROFILES
 from estimation.filters import FILTERS
 from estimation.geometry.estimate import GeometryParameters
 from estimation.geometry.model_fit import ROLLING_FIT
@@ -63,7 +57,7 @@ class RailsSettings:
 # numbers that no deployment sets, and that stand beside what they steer or in ``parameters.py`` of its folder
 METHOD_NUMBERS = (
     *(OF_MOTION, BLOWS, OF_AXLES, HUNTS, FUSED, FILTERS, FAST_NOISE, OF_GEOMETRY, SHARPENING, ROLLING_FIT),
-    *(PROFILE, SPLINE, SMOOTHING, DESIGN, WORN, TOLERATED, DRAWN, OF_GEAR, OF_TRACK, WHEELS, OF_STAGES),
+    *(OF_PROFILES, OF_GEAR, OF_TRACK, WHEELS, OF_STAGES),
 )
 METHOD = hashlib.sha256(repr(METHOD_NUMBERS).encode()).hexdigest()[:16]
 _MOTION = ("signals", "gates", "interval_km", "method")  # settings of the motion that alignments are made from

@@ -22,6 +22,7 @@ from typing import Annotated
 
 import numpy as np
 
+from estimation.trend.parameters import OF_TRENDS
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.geometry import IntervalConicities, KnownConicity, WheelsetGeometry, known_conicities
 from estimation.values.mixture import NormalMixture
@@ -29,40 +30,8 @@ from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.trend import TrendPoint
 
-
-@dataclass(frozen=True, slots=True)
-class FamilyParameters:
-    """How a conicity at smaller amplitudes is extrapolated by what worn wheels do."""
-
-    limit_amplitude: float = 3e-3  # m, of every conicity limit (EN 15302, TSI)
-    same_amplitude: float = 1e-6  # m
-    # m, from which anything is extrapolated; from less, intervals of known pairs do not cover
-    least_amplitude: float = 1.5e-3
-    # m, from the largest amplitude covered to those that show how it rises
-    below: tuple[float, float, float] = (0.25e-3, 0.5e-3, 1.0e-3)
-    alike: float = 0.06  # relative difference of conicities that are alike
-    least_alike: float = 0.012  # and the least difference that counts
-    slope_alike: float = 0.7  # of that, for the difference between two amplitudes
-    wider: tuple[float, ...] = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # times that, until enough members are alike
-    shared: float = 0.5  # part of the errors that all amplitudes have in common
-    near: float = 0.5e-3  # m, within which the rest of them is alike
-    ridge: float = 2.0  # members' weight with which the fit is held flat
-    least_members: float = 25.0  # weight of members that are like the wheelset
-    no_weight: float = 1e-6  # of a member that does not count, which most are
-    next_amplitude: float = 0.25e-3  # m, to the amplitude that is not covered
-    flat: float = 0.02  # conicity below which nothing holds a wheelset
-    # least and most weight by where the motion ends, of a conicity that stays as it is
-    stopped: tuple[float, float] = (0.3, 2.0)
-    largest_std: float = 0.15  # of an extrapolated conicity
-    smooth: float = 0.2  # std about each of them, in that of all
-    wanted_share: float = 0.75  # of the latest intervals that must cover an amplitude
-    latest: int = 8  # intervals: an amplitude that a little worn wheelset did not reach long ago may be covered now
-    unit: float = 1e-4  # of a stored conicity
-
-
-FAMILY = FamilyParameters()
-LIMIT_AMPLITUDE = FAMILY.limit_amplitude
-SAME_AMPLITUDE = FAMILY.same_amplitude
+LIMIT_AMPLITUDE = OF_TRENDS.limit_amplitude
+SAME_AMPLITUDE = OF_TRENDS.same_amplitude
 
 
 SHOWN = 40  # values that show how the changes of members are spread
@@ -86,7 +55,7 @@ class Extrapolation:
     def mixture(self) -> NormalMixture:
         """Return the distribution, which is skewed: conicity rises steeply beyond, or stays as it is."""
         count, around = len(self.beyond), np.array(self.beyond)
-        rest = float(np.hypot(self.measured_std, FAMILY.smooth * self.spread))
+        rest = float(np.hypot(self.measured_std, OF_TRENDS.smooth * self.spread))
         return NormalMixture(np.full(count, 1.0 / count), self.value + around, np.full(count, rest))
 
 
@@ -141,7 +110,7 @@ def _of_design_pairs(known: tuple[KnownConicity, ...]) -> Extrapolation | None:
 
 def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extrapolation | None:
     largest = known[-1]
-    if largest.amplitude < FAMILY.least_amplitude - SAME_AMPLITUDE:
+    if largest.amplitude < OF_TRENDS.least_amplitude - SAME_AMPLITUDE:
         return None
     shown = [largest, *_below(known, family.amplitude[0])]
     if len(shown) == 1:
@@ -153,24 +122,24 @@ def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extra
     error = (members - [one.value for one in shown]) @ steps.T
     covariance = steps @ _covariance(shown) @ steps.T
     # by how much level and slopes of a member may differ
-    alike = max(FAMILY.least_alike, FAMILY.alike * largest.value) * np.array(
-        [1.0] + [FAMILY.slope_alike] * (len(shown) - 1)
+    alike = max(OF_TRENDS.least_alike, OF_TRENDS.alike * largest.value) * np.array(
+        [1.0] + [OF_TRENDS.slope_alike] * (len(shown) - 1)
     )
     weighed = _alike(error, covariance, alike, _stopped(family, largest.amplitude, members[:, 0]))
     if weighed is None:
         return None
     weight, width = weighed
-    counts = weight > FAMILY.no_weight
+    counts = weight > OF_TRENDS.no_weight
     weight, change = weight[counts], (_at(family, LIMIT_AMPLITUDE) - members[:, 0])[counts]
     level, measured_std, left = _local_fit(error[counts], covariance, width, weight, change)
     spread = float(np.sqrt(weight @ left**2 / weight.sum()))
     result = Extrapolation(largest.value + level, measured_std, spread, _quantiles(left, weight))
-    return result if result.std <= FAMILY.largest_std and result.value > 0.0 else None
+    return result if result.std <= OF_TRENDS.largest_std and result.value > 0.0 else None
 
 
 def _below(known: Sequence[KnownConicity], least: float) -> list[KnownConicity]:
     lower = [one for one in known[:-1] if one.amplitude >= least - SAME_AMPLITUDE]
-    wanted = [known[-1].amplitude - below for below in FAMILY.below] if lower else []
+    wanted = [known[-1].amplitude - below for below in OF_TRENDS.below] if lower else []
     nearest = {min(lower, key=lambda one: abs(one.amplitude - amplitude)) for amplitude in wanted}
     return sorted(nearest, key=lambda one: -one.amplitude)
 
@@ -184,15 +153,15 @@ def _at(family: WornFamily, amplitude: float) -> FloatArray:
 
 def _covariance(shown: Sequence[KnownConicity]) -> FloatArray:
     amplitude, std = (np.array([getattr(one, name) for one in shown]) for name in ("amplitude", "std"))
-    near = np.exp(-np.abs(np.subtract.outer(amplitude, amplitude)) / FAMILY.near)
-    return np.asarray(np.outer(std, std) * (FAMILY.shared + (1.0 - FAMILY.shared) * near))
+    near = np.exp(-np.abs(np.subtract.outer(amplitude, amplitude)) / OF_TRENDS.near)
+    return np.asarray(np.outer(std, std) * (OF_TRENDS.shared + (1.0 - OF_TRENDS.shared) * near))
 
 
 def _stopped(family: WornFamily, amplitude: float, conicity: FloatArray) -> FloatArray:
     """Return how likely (m,) the motion of the members ends before the next amplitude (m); 1 where conicity is even."""
-    beyond = np.maximum(_at(family, amplitude + FAMILY.next_amplitude), FAMILY.flat)
-    ratio = 2.0 * np.log1p(FAMILY.next_amplitude / amplitude)
-    return np.asarray(np.clip(1.0 + np.log(beyond / np.maximum(conicity, FAMILY.flat)) / ratio, *FAMILY.stopped))
+    beyond = np.maximum(_at(family, amplitude + OF_TRENDS.next_amplitude), OF_TRENDS.flat)
+    ratio = 2.0 * np.log1p(OF_TRENDS.next_amplitude / amplitude)
+    return np.asarray(np.clip(1.0 + np.log(beyond / np.maximum(conicity, OF_TRENDS.flat)) / ratio, *OF_TRENDS.stopped))
 
 
 def _alike(
@@ -204,10 +173,10 @@ def _alike(
     errors of the estimate and the width of what is alike, and by how likely their motion ends there (m,). That all of
     them lie to one side is no reason to say nothing: the fit is carried on to the wheelset.
     """
-    for wider in FAMILY.wider:
+    for wider in OF_TRENDS.wider:
         inverse = np.linalg.inv(covariance + np.diag((wider * width) ** 2))
         weight = stopped * np.exp(-0.5 * ((error @ inverse) * error).sum(axis=1))
-        if weight.sum() >= FAMILY.least_members:
+        if weight.sum() >= OF_TRENDS.least_members:
             return weight, wider * width
     return None
 
@@ -218,7 +187,7 @@ def _local_fit(
     """Return the change up to the limit's amplitude, its std from the estimate's error, and what is left (m,)."""
     # the changes (m,) are fitted as linear in level and slopes (m, n), by the weights (m,)
     design = np.column_stack([np.ones(len(error)), error / width])
-    normal = (design * weight[:, np.newaxis]).T @ design + FAMILY.ridge * np.diag([0.0] + [1.0] * len(width))
+    normal = (design * weight[:, np.newaxis]).T @ design + OF_TRENDS.ridge * np.diag([0.0] + [1.0] * len(width))
     level, *slopes = np.linalg.solve(normal, design.T @ (weight * change))
     left = change - design @ np.array([level, *slopes])
     gradient = np.array(slopes) / width
@@ -295,7 +264,7 @@ def _extrapolated_points(having: Sequence[_Covered], chosen: int, notes: Sequenc
         smaller = [covered[key]._replace(amplitude=key * SAME_AMPLITUDE) for key in sorted(covered) if key <= chosen]
         found.append((record, extrapolated(smaller)))
     known = [(record, one) for record, one in found if one is not None]
-    if not known or found[-1][1] is None or len(known) < FAMILY.wanted_share * len(found):
+    if not known or found[-1][1] is None or len(known) < OF_TRENDS.wanted_share * len(found):
         return None
     points = tuple(_point(record, one) for record, one in known)
     note = combined([extrapolated_from(chosen * SAME_AMPLITUDE), *notes])
@@ -307,8 +276,8 @@ def _amplitude(covered: Sequence[Mapping[int, KnownConicity]]) -> int:
     keys = sorted({key for c in covered for key in c})
     keys = [key for key in keys if key <= _PREFERRED] or keys
     counts = {key: sum(key in c for c in covered) for key in keys}
-    latest = covered[-FAMILY.latest :]
-    enough = [key for key in keys if sum(key in c for c in latest) >= FAMILY.wanted_share * len(latest)]
+    latest = covered[-OF_TRENDS.latest :]
+    enough = [key for key in keys if sum(key in c for c in latest) >= OF_TRENDS.wanted_share * len(latest)]
     return max(enough) if enough else max(counts, key=lambda key: (counts[key], key))
 
 
@@ -339,4 +308,4 @@ def worn_family() -> WornFamily:
     """Return all pairs, as they are kept beside this module."""
     with as_file(files("estimation.contact") / TABLE) as path:
         stored = np.load(path, allow_pickle=False)
-    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * FAMILY.unit), stored[:, 0].astype(np.int64))
+    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * OF_TRENDS.unit), stored[:, 0].astype(np.int64))

@@ -21,32 +21,12 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from estimation.trend.parameters import OF_TRENDS
 from estimation.values.arrays import FloatArray
 from estimation.values.mixture import NormalMixture
 from estimation.values.units import STD_PER_MAD
 
-
-@dataclass(frozen=True, slots=True)
-class WearCurveParameters:
-    """What a wear curve may do."""
-
-    most_knots: int = 8
-    pairs_limit: int = 500  # points up to which all pairs enter the pilot slope
-    outlier_share: float = 0.05
-    outlier_width: float = 10.0
-    points_for_outliers: int = 5  # with fewer, an outlier cannot be identified
-    scatter_nodes: int = 12
-    extra_scatter: float = 1.0  # half-Cauchy scale of tau, in median standard deviations
-    wandering: float = 0.3  # of the bend's standard deviation
-    smallest_std: float = 1e-3  # in median standard deviations: a better point cannot make the others count for nothing
-    jitter: float = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
-    rounds: int = 25
-    nearly: float = 1e-9  # of a probability, far more than rounding: what comes as near is computed again by itself
-    share_tolerance: float = 1e-7  # far below what a result shows
-
-
-WEAR_CURVE = WearCurveParameters()
-POINTS_FOR_OUTLIERS = WEAR_CURVE.points_for_outliers
+POINTS_FOR_OUTLIERS = OF_TRENDS.points_for_outliers
 
 
 BEND_NODES = np.array([0.01, 0.15, 0.4, 1.0])  # change of slope over the observed span, in slopes
@@ -102,7 +82,7 @@ class WearCurve:
         if short(0.0) >= 0.0:
             return 0.0
         distances = horizon * np.linspace(0.0, 1.0, LOOKED_AT + 1) ** 2
-        for i in np.flatnonzero(self._above_after(distances, limit) >= probability - WEAR_CURVE.nearly):
+        for i in np.flatnonzero(self._above_after(distances, limit) >= probability - OF_TRENDS.nearly):
             before, distance = float(distances[i - 1]), float(distances[i])
             if i > 0 and short(distance) >= 0.0:
                 return float(brentq(short, before, distance, xtol=1e-6 * horizon))
@@ -140,12 +120,12 @@ def fit_wear_curve(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCur
     scatter, scatter_prior = _scatter_grid(residual)
     bend = BEND_NODES * float(np.hypot(pilot_slope, pilot_std))
     converged = False
-    for _ in range(WEAR_CURVE.rounds):
+    for _ in range(OF_TRENDS.rounds):
         nodes = _solve(points, share, scatter, bend, np.outer(scatter_prior, BEND_PRIOR).ravel())
         weight, beta, _, node_scatter, _ = nodes
         residual = points.z - points.design @ (weight @ beta)
         update = _shares(residual, points.variance + float(weight @ node_scatter**2))
-        converged = bool(np.max(np.abs(update - share)) < WEAR_CURVE.share_tolerance)
+        converged = bool(np.max(np.abs(update - share)) < OF_TRENDS.share_tolerance)
         share = update
         if converged:
             break
@@ -156,7 +136,7 @@ def fit_wear_curve(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCur
 def _scale(x: FloatArray, value: FloatArray, std: FloatArray) -> _Scaled:
     span, unit, shift = float(x[-1] - x[0]), float(np.median(std)), float(np.median(value))
     u = (x - x[-1]) / span
-    knots = max(0, min(WEAR_CURVE.most_knots, len(x) - 2))
+    knots = max(0, min(OF_TRENDS.most_knots, len(x) - 2))
     spacing = 1.0 / (knots + 1)
     at = -spacing * np.arange(1, knots + 1)
     # a hinge is zero after its knot, so level and slope keep their meaning at the last point
@@ -165,7 +145,7 @@ def _scale(x: FloatArray, value: FloatArray, std: FloatArray) -> _Scaled:
     return _Scaled(
         u,
         (value - shift) / unit,
-        np.maximum(std / unit, WEAR_CURVE.smallest_std) ** 2,
+        np.maximum(std / unit, OF_TRENDS.smallest_std) ** 2,
         design,
         spacing,
         span,
@@ -182,7 +162,7 @@ def _damped(u: FloatArray) -> FloatArray:
 def _pilot(points: _Scaled) -> tuple[float, float, FloatArray]:
     k = len(points.x)
     first, second = (
-        np.triu_indices(k, 1) if k <= WEAR_CURVE.pairs_limit else (np.arange(k // 2), np.arange(k // 2) + k - k // 2)
+        np.triu_indices(k, 1) if k <= OF_TRENDS.pairs_limit else (np.arange(k // 2), np.arange(k // 2) + k - k // 2)
     )
     run = points.x[second] - points.x[first]
     keep = run > 0.0
@@ -210,18 +190,18 @@ def _shares(residual: FloatArray, variance: FloatArray) -> FloatArray:
         return np.ones(len(residual))
     square = residual**2 / variance
     odds = (
-        WEAR_CURVE.outlier_share / (1.0 - WEAR_CURVE.outlier_share) / WEAR_CURVE.outlier_width
-        * np.exp(np.minimum(0.5 * square * (1.0 - WEAR_CURVE.outlier_width**-2), 500.0))
+        OF_TRENDS.outlier_share / (1.0 - OF_TRENDS.outlier_share) / OF_TRENDS.outlier_width
+        * np.exp(np.minimum(0.5 * square * (1.0 - OF_TRENDS.outlier_width**-2), 500.0))
     )  # fmt: skip
     good = 1.0 / (1.0 + odds)
-    return good + (1.0 - good) / WEAR_CURVE.outlier_width**2
+    return good + (1.0 - good) / OF_TRENDS.outlier_width**2
 
 
 def _scatter_grid(residual: FloatArray) -> tuple[FloatArray, FloatArray]:
     largest = max(4.0, 3.0 * float(np.sqrt(np.mean(residual**2))))
-    nodes = np.concatenate([[0.0], np.geomspace(0.1, largest, WEAR_CURVE.scatter_nodes - 1)])
+    nodes = np.concatenate([[0.0], np.geomspace(0.1, largest, OF_TRENDS.scatter_nodes - 1)])
     edges = np.concatenate([[0.0], [0.05], np.sqrt(nodes[1:-1] * nodes[2:]), [largest * 1.2]])
-    prior = np.diff(np.arctan(edges / WEAR_CURVE.extra_scatter))  # half-Cauchy mass of each node's cell
+    prior = np.diff(np.arctan(edges / OF_TRENDS.extra_scatter))  # half-Cauchy mass of each node's cell
     return nodes, prior / prior.sum()
 
 
@@ -238,11 +218,11 @@ def _solve(points: _Scaled, share: FloatArray, scatter: FloatArray, bend: FloatA
     energy = information @ z**2  # (s,)
     ridge = np.zeros((len(bend), width))
     ridge[:, 2] = 1.0 / bend**2
-    ridge[:, 3:] = (1.0 / ((WEAR_CURVE.wandering * bend) ** 2 * points.spacing))[:, None]
+    ridge[:, 3:] = (1.0 / ((OF_TRENDS.wandering * bend) ** 2 * points.spacing))[:, None]
     A = (gram[:, None] + np.eye(width) * ridge[None, :, None, :]).reshape(-1, width, width)
     b = np.repeat(moment, len(bend), axis=0)
     size = np.sqrt(np.diagonal(A, axis1=1, axis2=2))  # scaled to a unit diagonal before it is factored
-    L = np.linalg.cholesky(A / (size[:, :, None] * size[:, None, :]) + WEAR_CURVE.jitter * np.eye(width))
+    L = np.linalg.cholesky(A / (size[:, :, None] * size[:, None, :]) + OF_TRENDS.jitter * np.eye(width))
     inverse = np.linalg.inv(L)
     half = np.einsum("mij,mj->mi", inverse, b / size)
     beta = np.einsum("mji,mj->mi", inverse, half) / size
@@ -269,7 +249,7 @@ def _unscale(points: _Scaled, nodes: _Nodes, share: FloatArray) -> WearCurve:
         slope=rise * beta[:, 1],
         damped=rise * beta[:, 2],
         covariance=covariance * np.outer(units, units),
-        wandering=WEAR_CURVE.wandering * bend * rise / np.sqrt(points.span),
+        wandering=OF_TRENDS.wandering * bend * rise / np.sqrt(points.span),
         span=points.span,
         share=share,
     )

@@ -23,7 +23,6 @@ from estimation.alerts.rules.rule import (
     too_few_windows,
 )
 from estimation.trend.extrapolation import (
-    FAMILY,
     LIMIT_AMPLITUDE,
     QUANTITY,
     SAME_AMPLITUDE,
@@ -32,6 +31,7 @@ from estimation.trend.extrapolation import (
     conicity_at_limit_amplitude,
     extrapolated,
 )
+from estimation.trend.parameters import OF_TRENDS
 from estimation.trend.trend import probability_above
 from estimation.values.alerts import DecidingEvidence, Finding, Severity, number_evidence, unknown_evidence
 from estimation.values.fields import Served
@@ -119,7 +119,7 @@ def limit_state(facts: WheelsetFacts) -> LimitState | None:
     fitted = None if trend is None or trend.fitted.status is not Status.ESTIMATED else trend.fitted
     conicity = conicity_at_limit_amplitude(geometry) if fitted is None else fitted
     amplitude = geometry.reported_amplitude
-    reaches = FAMILY.least_amplitude - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
+    reaches = OF_TRENDS.least_amplitude - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
     known = reaches and geometry.equivalent_conicity.status is Status.ESTIMATED
     beyond = extrapolated(below_limit(geometry)) if known else None
     last: list[Estimate] = []
@@ -131,7 +131,7 @@ def limit_state(facts: WheelsetFacts) -> LimitState | None:
         )
         last = [with_interval(value, std) for value, std in pairs]
     left_open = any(
-        FAMILY.least_amplitude - SAME_AMPLITUDE < at < LIMIT_AMPLITUDE + SAME_AMPLITUDE
+        OF_TRENDS.least_amplitude - SAME_AMPLITUDE < at < LIMIT_AMPLITUDE + SAME_AMPLITUDE
         and code_of(one.reason) is ReasonCode.CONICITY_OPEN
         for at, one in zip(geometry.amplitude.tolist(), geometry.conicity, strict=True)
     )
