@@ -26,7 +26,7 @@ from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseRea
 from estimation.values.geometry import GEOMETRY
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import TREND
-from estimation.worklist.row import FACETS, FORM, OF_WORKLIST, STAGE
+from estimation.worklist.row import FACETS, STAGE
 
 
 def make_all(unit: UnitOfWork, _: JobContext, __: Mapping[str, tuple[None, Outcome[None]]]) -> Mapping[str, int]:
@@ -40,7 +40,7 @@ WORKLIST: AnyStage = Stage(
     job="evaluate_alerts",
     kind=SubjectKind.WHEELSET,
     facets=FACETS,
-    settings=lambda _: (FORM, OF_WORKLIST),
+    settings=lambda _: FORM,
     load=lambda *_: {},
     compute=lambda _: Outcome(),
     counted=Counted(looked="looked_at", changed="changed"),

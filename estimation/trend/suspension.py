@@ -19,7 +19,7 @@ from annotated_types import Interval
 from estimation.trend.change_point import Series, StepModel, newest_change
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.trend import SuspensionChange, SuspensionFinding
-from estimation.values.units import DAY_NS, STD_PER_MAD
+from estimation.values.units import DAY_NS, MEDIAN_VARIANCE, STD_PER_MAD
 
 STEP = StepModel(
     slope=0.0,
@@ -48,7 +48,6 @@ class SuspensionParameters:
     together_days: Annotated[float, Interval(ge=0.01, le=365.0)] = 1.0  # between passes that have friction in common
     common_creep_std: RelativeStd = 0.15  # relative, of a section and time, where no other vehicle shows it
     own_creep_std: RelativeStd = 0.04  # of a vehicle against the others on one section: other wheels, other hours
-    median_variance: float = np.pi / 2.0  # of that of a mean, of normal values
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +181,7 @@ def _common(shifts: Sequence[float], p: SuspensionParameters) -> tuple[float, fl
     if not shifts:
         return 0.0, prior
     middle = float(np.median(shifts))
-    own = max(2.0 * p.own_creep_std**2, _scatter(shifts, middle, p) ** 2) * p.median_variance / len(shifts)
+    own = max(2.0 * p.own_creep_std**2, _scatter(shifts, middle, p) ** 2) * MEDIAN_VARIANCE / len(shifts)
     worth = prior / (prior + own)
     return worth * middle, worth * own
 

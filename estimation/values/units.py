@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 SECOND_NS = 1_000_000_000
 HOUR_NS = 3_600 * SECOND_NS
 DAY_NS = 24 * HOUR_NS
@@ -23,3 +25,4 @@ STD_PER_MAD = 1.4826  # std of a normal variable over its median absolute deviat
 MAD_PER_STD = 0.6745
 MEDIAN_SQUARE = 0.4549  # median of the square of a standard normal variable
 MEDIAN_ERROR = 1.2533  # std of a median over that of a mean
+MEDIAN_VARIANCE = math.pi / 2.0  # variance of a median over that of a mean

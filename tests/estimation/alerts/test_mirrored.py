@@ -10,7 +10,6 @@ import pytest
 from wheelset_life import geometry_of
 
 from estimation.alerts.identity import (
-    IdentityParameters,
     Mistake,
     Observation,
     Parts,
@@ -18,6 +17,7 @@ from estimation.alerts.identity import (
     newest_mirrored,
     reversed_between,
 )
+from estimation.alerts.parameters import OF_FINDINGS
 from estimation.trend.change_point import StepModel
 
 AT = np.arange(0.125, 3.5, 0.25)
@@ -60,17 +60,17 @@ def test_wheels_that_hardly_differ_are_not_shown_and_no_other_change_is_taken_fo
 
 @pytest.mark.parametrize(("share", "shown"), [(0.9, True), (1.1, False)])
 def test_the_odd_part_stays_as_it_is(share: float, shown: bool) -> None:  # noqa: FBT001
-    assert IdentityParameters().kept == 0.35
-    found = newest_mirrored(parts(0.1, -0.1, odd=share * IdentityParameters().kept * 0.2), StepModel())
+    assert OF_FINDINGS.kept == 0.35
+    found = newest_mirrored(parts(0.1, -0.1, odd=share * OF_FINDINGS.kept * 0.2), StepModel())
     assert (found is not None) is shown
 
 
 @pytest.mark.parametrize(("share", "shown"), [(0.8, True), (1.2, False)])
 def test_the_size_stays_the_same_but_for_what_is_common(share: float, shown: bool) -> None:  # noqa: FBT001
-    assert (IdentityParameters().same_size.common) == (0.25, 2.0)
-    common = 0.005 * np.abs(SHAPE).sum() / len(AT) * IdentityParameters().common
+    assert (OF_FINDINGS.same_size, OF_FINDINGS.common) == (0.25, 2.0)
+    common = 0.005 * np.abs(SHAPE).sum() / len(AT) * OF_FINDINGS.common
     step = 0.4
-    unlike = share * (IdentityParameters().same_size * step + common)
+    unlike = share * (OF_FINDINGS.same_size * step + common)
     found = newest_mirrored(parts(0.5 * (step + unlike), -0.5 * (step - unlike), common=0.0), StepModel())
     assert (found is not None) is shown
 

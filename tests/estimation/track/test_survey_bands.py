@@ -222,4 +222,8 @@ def test_the_shipped_figures() -> None:
         0.06,
     )
     assert (OF_TRACK.correlated, OF_TRACK.reported_std) == (20.0, 1.0)
-    assert (shipped.STATED, SectionParameters().independent, shipped.MOST_DIFFERENCE_ERROR) == (60.0, 5.0, 0.08)
+    assert (shipped.STATED, SectionParameters().independent, SectionParameters().most_difference_error) == (
+        60.0,
+        5.0,
+        0.08,
+    )
