@@ -9,9 +9,9 @@ COPY ingest ingest
 RUN python -m venv /opt/treadwatch \
     && /opt/treadwatch/bin/pip install --no-cache-dir --disable-pip-version-check --constraint constraints.txt '.[otel,dask,kafka,s3]'
 
-# machine code of every kernel, so that a container whose file system cannot be written starts without compiling
+# numba keeps the machine code of what runs, so that a container whose file system cannot be written need not compile
 ENV TREADWATCH_COMPILED_DIR=/opt/treadwatch/compiled TREADWATCH_COMPILED_CPU=portable
-RUN /opt/treadwatch/bin/treadwatch compile
+RUN /opt/treadwatch/bin/treadwatch demo --once --scenario mems --folder /tmp/demo && rm -r /tmp/demo
 
 FROM python:3.11-slim
 RUN useradd --system --uid 10001 --home-dir /var/lib/treadwatch --create-home treadwatch \

@@ -9,9 +9,11 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: demo test test-all check lint bench bench-estimation bench-world bench-vehicles bench-api bench-page bench-fleet bench-rivals mutants chaos house clean bench-adhesion bench-rails bench-signatures bench-dampers bench-steps bench-limits
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
-	@echo "building the virtual environment in $(VENV) (about a minute)"
+	@echo "building the virtual environment in $(VENV) (about two minutes)"
 	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt --editable .
+	@$(BIN)/treadwatch demo --once --scenario mems --folder $(VENV)/compiling > /dev/null # numba keeps what it compiles
+	@rm -r $(VENV)/compiling
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime

@@ -20,16 +20,17 @@ def app() -> FastAPI:
     asked for here is to give what the scheduler and its workers give.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is loaded
-    from api import factory, logs  # noqa: PLC0415 - not before that
+    from api import logs  # noqa: PLC0415 - not before that
     from api.cli import choose_compiled_code  # noqa: PLC0415 - the same
     from api.http_server import keep_what_is_loaded  # noqa: PLC0415 - the same
     from api.logs import start_tracing  # noqa: PLC0415 - the same
+    from api.serving import create_app  # noqa: PLC0415 - the same
     from api.settings import load_settings  # noqa: PLC0415 - the same
 
     choose_compiled_code(os.environ)
     settings = load_settings()
     logs.configure(settings)
     start_tracing()
-    found = factory.create_app(settings)
+    found = create_app(settings)
     keep_what_is_loaded()
     return found

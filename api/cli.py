@@ -6,6 +6,7 @@ wait for the numerics or the web server.
 
 from __future__ import annotations
 
+import gc
 import os
 import platform
 import sys
@@ -36,21 +37,24 @@ class Command:
     module: str
     summary: str
     reads_settings: bool = True
+    short: tuple[str, ...] = ()  # commands of it that take a second, of which the search for garbage is a fifth
 
 
 COMMANDS = (
     Command("demo", "studies", "Run the main job end to end on the embedded default."),
     Command("simulate", "studies", "Simulate a fleet that sends CAN frames.", reads_settings=False),
     Command("ingest", "receiving", "Receive CAN frames from log files or a live bus."),
-    Command("registry", "registry", "Load, void, restore and list records of the registry."),
+    Command(
+        "registry", "registry", "Load, void, restore and list records of the registry.", short=("check", "history")
+    ),
     Command("reassemble", "receiving", "Make the windows of a vehicle again."),
-    Command("recordings", "receiving", "List and correct what was received."),
+    Command("recordings", "receiving", "List and correct what was received.", short=("list", "show")),
     Command("chunk", "receiving", "Watch a drop folder, decode what is received, scrub raw files."),
     Command("quarantine", "receiving", "List and retry what failed by itself."),
     Command("estimate", "deployment", "Run the scheduled jobs once, now, in order."),
     Command("serve", "deployment", "Serve the REST API."),
-    Command("keys", "clients", "Make, list and revoke keys of the REST API."),
-    Command("webhooks", "clients", "Make, list, try out and move webhooks."),
+    Command("keys", "clients", "Make, list and revoke keys of the REST API.", short=("create", "list", "revoke")),
+    Command("webhooks", "clients", "Make, list, try out and move webhooks.", short=("list",)),
     Command("schedule", "deployment", "Run the jobs on schedule; one per deployment."),
     Command("worker", "deployment", "Work for a Dask scheduler, on any machine."),
     Command("feed", "clients", "Print what happens to alerts, or follow it.", reads_settings=False),
@@ -59,7 +63,6 @@ COMMANDS = (
     Command("vehicle", "registry", "List, show and check vehicle classes.", reads_settings=False),
     Command("compare", "studies", "Compare estimators on a simulated section.", reads_settings=False),
     Command("reproduce", "studies", "Reproduce the published figures.", reads_settings=False),
-    Command("compile", "deployment", "Compile every kernel, so that the first start need not."),
     Command("db", "deployment", "Upgrade, check, measure or purge the database."),
     Command("backup", "deployment", "Back up database and files while everything runs."),
     Command("restore", "deployment", "Restore a backup into an empty database."),
@@ -89,6 +92,11 @@ def _not_imported() -> None:
     """Stand for a subcommand that was not called."""
 
 
+def _chosen(arguments: Sequence[str]) -> Command | None:
+    name = next((word for word in arguments if not word.startswith("-")), None)
+    return next((command for command in COMMANDS if command.name == name), None)
+
+
 def build(arguments: Sequence[str]) -> typer.Typer:
     """Return the command line with the subcommand named in ``arguments`` loaded; the others only as their summary."""
     app = typer.Typer(
@@ -99,9 +107,9 @@ def build(arguments: Sequence[str]) -> typer.Typer:
         epilog=EPILOG,
     )
     app.callback()(_root)
-    chosen = next((word for word in arguments if not word.startswith("-")), None)
+    chosen = _chosen(arguments)
     for command in COMMANDS:
-        if command.name != chosen:
+        if command is not chosen:
             app.command(command.name, help=command.summary)(_not_imported)
             continue
         epilog = EPILOG if command.reads_settings else None
@@ -165,6 +173,9 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     choose_compiled_code(os.environ)
     arguments = sys.argv[1:]
+    command = _chosen(arguments)
+    if command is not None and not set(command.short).isdisjoint(arguments[1:2]):
+        gc.disable()
     try:
         build(arguments or _being_completed())(arguments, prog_name="treadwatch")
     except TreadwatchError as error:

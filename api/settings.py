@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, ValidationError, create_model, model
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from estimation.errors import ParameterError
-from estimation.rails.cell import RailsParameters
+from estimation.rails.parameters import RailsParameters
 from estimation.values.units import SECOND_NS
 from fleet_db.keeping.retention import Kept, Retention
 from ingest.input_file import InputTable, read_toml
@@ -254,6 +254,11 @@ class Settings(BaseSettings):
             who = f"{quote(self.database_user, safe='')}{password}"
             return f"postgresql://{who}@{where}:{self.database_port}/{quote(self.database_name, safe='')}"
         return f"sqlite:///{(self.data_dir / 'treadwatch.sqlite').resolve()}"
+
+    @property
+    def window_length_ns(self) -> int:
+        """Length of a window, ns."""
+        return round(self.window_length_s * SECOND_NS)
 
     @property
     def worker_count(self) -> int:

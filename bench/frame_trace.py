@@ -101,7 +101,7 @@ async def _answers(trace: Trace, wheelset: str) -> None:
     import httpx  # noqa: PLC0415 - what is imported here is no part of the product's path
 
     settings = import_module("api.settings").load_settings()
-    app = import_module("api.factory").create_app(settings)
+    app = import_module("api.serving").create_app(settings)
     at = f"/v1/wheelsets/{wheelset}"
     async with (
         app.router.lifespan_context(app),

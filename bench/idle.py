@@ -17,7 +17,8 @@ from statistics import median
 
 from sqlalchemy import Engine, event, func, select
 
-from api.factory import job_context, open_store, scheduled_jobs
+from api.factory import open_store
+from api.pipeline import job_context, scheduled_jobs
 from api.settings import Settings
 from bench.idle_fleet import FleetSize, fill
 from bench.idle_opinions import note_opinions

@@ -13,7 +13,8 @@ import numpy as np
 from bench.worn_family import DISPLACEMENT, Running, worn_by_contact
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
-from estimation.contact.profiles import Profile, profile_from_points, rail_profile, wheel_profile
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.smoothed_profile import profile_from_points
 from estimation.contact.wear import RailWear, TreadWear, worn, worn_rail
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray

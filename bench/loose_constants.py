@@ -57,7 +57,7 @@ SIZES = {  # how many of what there are, and grids on which something is tabulat
     "values/signatures": "SIGNALS POWERS CROSSES",
     "vehicle/linear_model": "SIGNALS",
     "vehicle/observability": "_FREQUENCIES",
-    "vehicle/plausibility": "_ROWS",
+    "vehicle/kalker": "_ROWS",
     "vehicle/regressors": "YAW_TARGET_COLUMNS REGRESSORS SHARED_IN_BOGIE",
     "vehicle/vehicle_class": "AXLES_OF_A_BOGIE",
 }
@@ -67,7 +67,7 @@ VERSIONS = {  # of what is stored
     "jobs/steps/signature_windows": "VERSION",
     "tables/bin_table": "TABLE_VERSION",
     "vehicle/vehicle_class": "SHIPPED_VERSION",
-    "worklist/row": "FORM",
+    "worklist/stored": "FORM",
 }
 KEPT = {  # in memory, or worked on at once
     "adhesion/stationary_filter": "KEPT",
@@ -100,10 +100,11 @@ SHOWN = {  # at most, and digits of it
     "values/alerts": "number_evidence(digits) forecast_evidence(digits)",
     "values/roll_up": "MOST_CHOSEN",
     "values/runs": "MOST_ENDED ERROR_LENGTH",
-    "worklist/row": "FAR_KM BAND_KM REFUSALS_NAMED",
+    "worklist/row": "REFUSALS_NAMED",
+    "worklist/stored": "FAR_KM BAND_KM",
 }
 OPERATION = {  # who works when on what
-    "compiled": "DIGEST_BYTES OTHERS_MAY_WRITE",
+    "compiled": "OTHERS_MAY_WRITE",
     "jobs/estimate_windows": "APART_NS",
     "jobs/job": "LEASE_S",
     "jobs/runner": "CLAIMED_TOGETHER",

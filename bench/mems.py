@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from api.factory import SystemClock, job_context, open_store, raw_store
+from api.factory import SystemClock, open_store, raw_store
+from api.pipeline import job_context
 from api.settings import Settings
 from estimation.jobs.catalogue import run_all
 from estimation.values.geometry import WheelsetGeometry

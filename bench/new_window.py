@@ -15,7 +15,8 @@ from statistics import median
 
 from sqlalchemy import Engine, event, select
 
-from api.factory import job_context, open_store
+from api.factory import open_store
+from api.pipeline import job_context
 from api.settings import Settings
 from bench.report import BenchRow
 from bench.wheelset_year import SERIAL, At, Original, WheelsetYear

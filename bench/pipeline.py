@@ -24,7 +24,7 @@ from pathlib import Path
 from sqlalchemy import Engine, event
 
 from api.comparison.trial import Recorded, opened, receive
-from api.terminal.store import executor_of
+from api.terminal.processes import executor_of
 from bench.pipeline_rival import rival_s_per_frame
 from bench.process_tree import cpu_of_tree, tree
 from bench.report import BenchRow, printed

@@ -15,7 +15,8 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from api.factory import job_context, open_store, raw_store
+from api.factory import open_store, raw_store
+from api.pipeline import job_context
 from api.settings import Settings
 from bench.digests import SCENARIOS
 from bench.fleet_sizes import copies, register

@@ -16,7 +16,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 
-from api.factory import job_context, open_store
+from api.factory import open_store
+from api.pipeline import job_context
 from api.settings import Settings
 from bench.report import BenchRow
 from bench.wheelset_recording import recorded

@@ -11,7 +11,8 @@ from statistics import median
 
 from sqlalchemy import insert, select
 
-from api.factory import job_context, open_store
+from api.factory import open_store
+from api.pipeline import job_context
 from api.settings import Settings
 from bench.report import BenchRow
 from bench.wheelset_recording import recorded

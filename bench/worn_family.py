@@ -27,7 +27,8 @@ from estimation.contact import wear
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
-from estimation.contact.profiles import Profile, profile_from_points, rail_profile, wheel_profile
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.smoothed_profile import profile_from_points
 from estimation.contact.wear import HOLLOWS, RailWear, TreadWear, worn, worn_rail
 from estimation.errors import ContactError
 from estimation.trend.extrapolation import AMPLITUDES, TABLE

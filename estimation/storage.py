@@ -1,7 +1,7 @@
 """Storage in transactions and the time, as the jobs get them.
 
-`fleet_db` has the storage and `api/factory.py` hands it over: the names are here for types only, at run time nothing of
-`fleet_db` is imported.
+`fleet_db` has the storage and `api/pipeline.py` hands it over: the names are here for types only, at run time nothing
+of `fleet_db` is imported.
 """
 
 from __future__ import annotations

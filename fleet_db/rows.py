@@ -33,10 +33,8 @@ V = TypeVar("V")
 
 
 def table_of(row: type[Base]) -> Table:
-    """Return the table behind a mapped class."""
-    table = row.__table__
-    assert isinstance(table, Table)
-    return table
+    """Return the table that a class describes."""
+    return row.table
 
 
 @cache

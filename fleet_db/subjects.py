@@ -18,7 +18,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from estimation.values.opinions import GEAR_DAMPERS
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import SUSPENSION, TREND
-from estimation.worklist.row import FACETS as SHOWN
+from estimation.worklist.stored import FACETS as SHOWN
 from fleet_db.rows import table_of
 from fleet_db.tables.alerts import FeedBranchRow
 from fleet_db.tables.operation import ResultRow, SubjectVersionRow

@@ -17,11 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from estimation.compiled import compiled
 from estimation.errors import DamagedError, StorageError
-from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.fields import JsonValue
 from estimation.values.windows import ACCELERATIONS, NO_BLOWS, NOT_HUNTING, Hunting, TurnBlows, Window, WindowQuality
 from fleet_db.atomic_files import passing_fault, passing_faults, write_atomically
@@ -29,7 +27,6 @@ from fleet_db.fields import Array, from_json, pack, to_json, unpack
 
 KIND = "window"
 MISSING, LARGEST_COUNT = -32768, 32767
-NAN_BITS = int(np.array(np.nan).view(np.int64))
 SMOOTH = ("speed", "distance")
 PLAIN = ("wheelset", "vehicle", "axle", "start_ns", "length_ns", "track_section")
 QUALITY = tuple(item.name for item in fields(WindowQuality) if item.name not in ("hunting", "blows"))
@@ -125,28 +122,12 @@ def unpack_window(blob: bytes, *, where: str) -> Window:
 
 
 def _counts(values: FloatArray, step: float) -> Array:
-    """Return whole counts where they give back the same bits, else the values as they are."""
-    counts, same = whole_counts(values, values.view(np.int64), step)
-    return counts if same else values
-
-
-@compiled(nogil=True)
-def whole_counts(values: FloatArray, bits: IntArray, step: float) -> tuple[npt.NDArray[np.int16], bool]:
-    """Return values (n,) as counts of ``step``, NaN as missing, and whether those give back the same bits."""
-    counts = np.full(len(values), MISSING, np.int16)
-    same = True
-    for i in range(len(values)):
-        if np.isnan(values[i]):
-            same = same and bits[i] == NAN_BITS
-            continue
-        count = np.rint(values[i] / step)
-        if abs(count) <= LARGEST_COUNT:
-            counts[i] = np.int16(count)
-            back = counts[i] * step
-            same = same and back == values[i] and np.signbit(back) == np.signbit(values[i])
-        else:
-            same = False
-    return counts, same
+    """Return whole counts, NaN as missing, where they give back the same bits, else the values as they are."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        counts = np.rint(values / step)
+        packed = np.where(np.abs(counts) <= LARGEST_COUNT, counts, MISSING).astype(np.int16)
+        back = _from_counts(packed, step)
+    return packed if np.array_equal(back.view(np.int64), values.view(np.int64)) else values
 
 
 def _from_counts(packed: Array, step: float) -> FloatArray:

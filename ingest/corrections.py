@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
-from estimation.errors import ConflictError, NotFoundError, PassingFaultError
+from estimation.errors import ConflictError, PassingFaultError
 from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import SubjectKind, resolved
@@ -94,10 +94,10 @@ class RecordingCorrections:
         our_clock_was_behind: bool = False,
     ) -> ChunkRecord:
         with self.storage.write() as unit:
-            before = receipt_of(unit, digest)
+            before = unit.chunks.receipt(digest)
             for code in sorted({before.vehicle, vehicle or before.vehicle}):
                 unit.assemble_alone(code)
-            before = receipt_of(unit, digest)  # as nobody else assembles it now
+            before = unit.chunks.receipt(digest)  # as nobody else assembles it now
             if vehicle is not None and unit.registry.vehicle(vehicle).code == before.vehicle:
                 raise _conflict(before, f"is of vehicle {vehicle} already")
             if before.state not in ALLOWED[action]:
@@ -117,16 +117,6 @@ class RecordingCorrections:
             change = RecordingChange(before.digest, action, now_ns, author.actor, author.why, *states)
             unit.recording_changes.add(change)
             return after
-
-
-def receipt_of(unit: SqlUnitOfWork, digest: str) -> ChunkRecord:
-    """Return the receipt of a recording by its digest, or the begin of it that no other recording has."""
-    found = unit.chunks.beginning(digest)
-    if not found:
-        raise NotFoundError("recording", digest)
-    if len(found) > 1:
-        raise ConflictError(f"several recordings have a digest that begins {digest!r}", kind="recording", key=digest)
-    return found[0]
 
 
 def _after(before: ChunkRecord, action: RecordingAction, author: Author, vehicle: str, now_ns: int) -> ChunkRecord:

@@ -37,7 +37,6 @@ from fleet_db.records import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.file_value import Inline, read_value, table_of
 from ingest.input_file import InputFile, InputTable, Location, NotNegative, Positive, Text, field_error, read_json
-from ingest.profiles.files import read_wheel_profile
 from ingest.registry_entry.contents import Entry, LoadedRegistry, Refusal, RegistryContents, RegistryRefusedError
 from ingest.registry_entry.enter import enter
 from ingest.track_file import (
@@ -252,6 +251,8 @@ def _measured_profiles(file: InputFile, entry: MeasurementEntry, location: Locat
 
 
 def _wheel(file: InputFile, name: str, location: Location) -> Profile:
+    from ingest.profiles.files import read_wheel_profile  # noqa: PLC0415 - few registries wait for what smooths points
+
     try:
         return read_wheel_profile(file.path.parent / name)
     except ProfileError as error:

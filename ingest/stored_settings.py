@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 
 from estimation.errors import CatalogueError, ParameterError
-from estimation.values.units import SECOND_NS
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.estimated_again import decode_undecoded
+from fleet_db.stores.installation import LENGTH
 from ingest.catalogue import Catalogue
 from ingest.own_bus.bus import OwnBus
 
-LENGTH, BUSES = "window_length_ns", "buses"
+BUSES = "buses"
 OTHERS = ""  # stands for the classes without a bus of their own
 CHANGED = "the catalogue of its bus has changed"
 
@@ -74,18 +74,6 @@ class StoredBus:
     own: bool
 
 
-def check_window_length(unit: SqlUnitOfWork, length_ns: int) -> None:
-    """Refuse a window length that is not the one with which data are stored."""
-    text = unit.settings.get(LENGTH)
-    stored = None if text is None else int(text)
-    if stored is not None and stored != length_ns and unit.settings.in_use():
-        raise ParameterError(
-            f"is {length_ns / SECOND_NS:g} s, and the windows in this database have {stored / SECOND_NS:g} s: set it to"
-            f" {stored / SECOND_NS:g}, or begin a database and a data directory of their own",
-            field="window_length_s",
-        )
-
-
 def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) -> BusChoice:
     """Store what this process assembles windows with; return its buses, without those that are not to be guessed.
 
@@ -93,7 +81,7 @@ def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) ->
     process has none for it, recordings of its vehicles are left to a process that has.
     """
     with storage.read() as unit:
-        check_window_length(unit, length_ns)
+        unit.settings.check_window_length(length_ns)
         found = _stored_buses(unit) if unit.settings.get(LENGTH) == str(length_ns) else None
     chosen: dict[str, Catalogue] = {OTHERS: buses.others, **buses.by_class}
     given = {
@@ -103,7 +91,7 @@ def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) ->
     if found is None or _changed(found, given):
         with storage.write() as unit:
             unit.settings.alone()
-            check_window_length(unit, length_ns)
+            unit.settings.check_window_length(length_ns)
             found = (_stored_buses(unit) or {}) if unit.settings.in_use() else {}
             changed = _changed(found, given)
             if found:

@@ -19,14 +19,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from estimation.errors import InputError, NotFoundError, ParameterError
 from estimation.values.fields import JsonValue
 from estimation.values.units import GRAVITY, STEEL_POISSON_RATIO, STEEL_SHEAR_MODULUS
-from estimation.vehicle.plausibility import (
-    RAIL_CONDITION_STD,
-    ContactRadii,
-    ContactRadiiStd,
-    check_plausible,
-    creep_coefficient_std,
-    creep_coefficients,
-)
+from estimation.vehicle.plausibility import check_plausible
 from estimation.vehicle.vehicle_class import (
     Arrangement,
     BogieParameters,
@@ -241,6 +234,8 @@ class VehicleClassEntry(InputTable):
 
     def _kalker(self) -> dict[str, tuple[float, float]]:
         """Return value and relative std of Kalker's coefficients by field of ``VehicleParameters``."""
+        from estimation.vehicle import kalker  # noqa: PLC0415 - only classes described by radii wait for scipy
+
         creep = self.creep
         assert creep.rail_head_radius_mm is not None
         load, load_std = self._axle_load()
@@ -248,7 +243,7 @@ class VehicleClassEntry(InputTable):
         rolling, rolling_std = _number("nominal_radius", rolling_radius, "nominal_radius_mm")
         across = creep.wheel_transverse_radius_mm
         try:
-            radii = ContactRadii(
+            radii = kalker.ContactRadii(
                 wheel_rolling_radius=rolling,
                 rail_head_radius=_metres(creep.rail_head_radius_mm.value),
                 wheel_load=load / WHEELS_OF_AN_AXLE,
@@ -256,17 +251,17 @@ class VehicleClassEntry(InputTable):
                 shear_modulus=creep.shear_modulus_pa or STEEL_SHEAR_MODULUS,
                 poisson_ratio=STEEL_POISSON_RATIO if creep.poisson_ratio is None else creep.poisson_ratio,
             )
-            values = creep_coefficients(radii)
+            values = kalker.creep_coefficients(radii)
         except ParameterError as error:
             raise field_error(error.reason, "creep", "rail_head_radius_mm") from error
-        radii_std = ContactRadiiStd(
+        radii_std = kalker.ContactRadiiStd(
             wheel_rolling_radius=rolling_std,
             rail_head_radius=creep.rail_head_radius_mm.relative_std or 0.0,
             wheel_load=load_std,
             wheel_transverse_radius=(across.relative_std or 0.0) if across else 0.0,
         )
-        rail_std = RAIL_CONDITION_STD if creep.relative_std is None else creep.relative_std
-        std = creep_coefficient_std(radii, radii_std, rail_std)
+        rail_std = kalker.RAIL_CONDITION_STD if creep.relative_std is None else creep.relative_std
+        std = kalker.creep_coefficient_std(radii, radii_std, rail_std)
         return {field: (getattr(values, name), getattr(std, name)) for field, name in _CREEP_FIELDS.items()}
 
 

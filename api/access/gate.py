@@ -19,7 +19,8 @@ from fastapi.routing import APIRoute
 from starlette import types
 from starlette.datastructures import Headers
 
-from api.access.key_ring import ANYONE, Caller, KeyRing, Tokens, prefix_of
+from api.access.key_ring import ANYONE, Caller, KeyRing, Tokens
+from api.access.keys import prefix_of
 from api.problems import ProblemError
 from estimation.errors import TreadwatchError
 

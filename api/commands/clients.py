@@ -20,7 +20,7 @@ def create_key(
     days: Annotated[float | None, typer.Option(help="It expires after so many days; left out, never.")] = None,
 ) -> None:
     """Make a key and print it, this once: what is stored is its digest."""
-    from api.terminal.clients import create_and_print
+    from api.terminal.keys import create_and_print
 
     create_and_print(owner, scope, fleet or [], days, all_fleets=all_fleets)
 
@@ -28,7 +28,7 @@ def create_key(
 @keys.command("list")
 def list_keys() -> None:
     """List the keys: prefix, owner, scopes, fleets, and when they were used last."""
-    from api.terminal.clients import key_list
+    from api.terminal.keys import key_list
 
     typer.echo(key_list())
 
@@ -36,7 +36,7 @@ def list_keys() -> None:
 @keys.command("revoke")
 def revoke_key(prefix: Annotated[str, typer.Argument(help="Prefix of the key.")]) -> None:
     """Revoke a key for ever; a running service refuses it after at most 5 s."""
-    from api.terminal.clients import revoke_and_print
+    from api.terminal.keys import revoke_and_print
 
     revoke_and_print(prefix)
 
@@ -57,7 +57,7 @@ def add_webhook(
     ] = None,
 ) -> None:
     """Make a webhook of all fleets and print its secret, this once."""
-    from api.terminal.clients import add_and_print
+    from api.terminal.webhooks import add_and_print
 
     add_and_print(url, description, fleet or [], kind or [], severity or [])
 
@@ -65,7 +65,7 @@ def add_webhook(
 @webhooks.command("list")
 def list_webhooks() -> None:
     """List the webhooks: number, state and since when, what waits, and where to."""
-    from api.terminal.clients import webhook_list
+    from api.terminal.webhooks import webhook_list
 
     typer.echo(webhook_list())
 
@@ -73,7 +73,7 @@ def list_webhooks() -> None:
 @webhooks.command("test")
 def try_webhook(number: Number) -> None:
     """Send one signed event that only tries it out; exit 1 where it is not taken."""
-    from api.terminal.clients import try_and_print
+    from api.terminal.webhooks import try_and_print
 
     if not try_and_print(number):
         raise typer.Exit(1)
@@ -82,7 +82,7 @@ def try_webhook(number: Number) -> None:
 @webhooks.command("pause")
 def pause_webhook(number: Number) -> None:
     """Send nothing more for now; it waits where it stands."""
-    from api.terminal.clients import put_and_print
+    from api.terminal.webhooks import put_and_print
 
     put_and_print(number, active=False)
 
@@ -90,7 +90,7 @@ def pause_webhook(number: Number) -> None:
 @webhooks.command("activate")
 def activate_webhook(number: Number) -> None:
     """Go on where it stood when it was paused or disabled."""
-    from api.terminal.clients import put_and_print
+    from api.terminal.webhooks import put_and_print
 
     put_and_print(number, active=True)
 
@@ -105,7 +105,7 @@ def replay_webhook(
     ] = None,
 ) -> None:
     """Go on from another place of the feed; what was sent already is sent again, under the same ids."""
-    from api.terminal.clients import replay_and_print
+    from api.terminal.webhooks import replay_and_print
 
     replay_and_print(number, after, from_time)
 
@@ -113,7 +113,7 @@ def replay_webhook(
 @webhooks.command("delete")
 def delete_webhook(number: Number) -> None:
     """Delete it with its secrets and the records of its deliveries."""
-    from api.terminal.clients import delete_and_print
+    from api.terminal.webhooks import delete_and_print
 
     delete_and_print(number)
 

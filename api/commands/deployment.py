@@ -1,16 +1,13 @@
-"""Subcommands of a deployment: its processes, database, backups, compiled code, settings, and the OpenAPI document."""
+"""Subcommands of a deployment: its processes, database, backups, settings, and the OpenAPI document."""
 
 from __future__ import annotations
 
-import json
-import time
-from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from estimation.errors import ParameterError, StorageError
+from estimation.errors import ParameterError
 
 db = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
@@ -102,54 +99,6 @@ def restore(
     restore_and_report(folder, name)
 
 
-def compile() -> None:  # noqa: A001 - the name of the command
-    """Compile every kernel into TREADWATCH_COMPILED_DIR, or load what is already there."""
-    from estimation.compiled import COUNTS, directories
-
-    started = time.process_time()
-    compile_kernels()
-    if COUNTS.not_kept:
-        raise StorageError(f"{directories()[0]}: {COUNTS.not_kept} compiled functions could not be written")
-    typer.echo(
-        f"{COUNTS.compiled} compiled, {COUNTS.loaded} already there, {time.process_time() - started:.1f} s of CPU"
-    )
-
-
-SIGNATURES = Path(__file__).parents[1] / "kernel_signatures.json"
-"""A test compares it with runs of every kernel."""
-
-
-def compile_kernels() -> None:
-    """Compile every kernel with every type of arguments, or load what is already there."""
-    for name, signatures in json.loads(SIGNATURES.read_text(encoding="utf-8")).items():
-        kernel = _named(name)
-        for signature in signatures:
-            kernel.compile(tuple(_type_of(described) for described in signature))
-
-
-def _named(path: str) -> Any:  # noqa: ANN401 - a compiled function, or a class
-    module, _, name = path.rpartition(".")
-    return getattr(import_module(module), name)
-
-
-def _type_of(described: Any) -> Any:  # noqa: ANN401 - JSON, and a type of numba
-    """Return a type: a scalar, an array with its dimensions, a tuple of types, or a named tuple by its class."""
-    import numba
-    import numpy as np
-
-    types: Any = numba.types
-    if isinstance(described, dict):
-        ((name, parts),) = described.items()
-        return types.BaseTuple.from_types([_type_of(part) for part in parts], pyclass=_named(name))
-    if isinstance(described, list):
-        return types.BaseTuple.from_types([_type_of(part) for part in described])
-    kind, *dimensions = described.split()
-    scalar = numba.from_dtype(np.dtype(kind))
-    if not dimensions:
-        return scalar
-    return types.Array(scalar, int(dimensions[0]), "C", readonly="readonly" in dimensions)
-
-
 def settings() -> None:
     """List the environment variables of a deployment with their defaults; no value that is set is shown."""
     from api.terminal.settings import print_settings
@@ -201,14 +150,14 @@ def serve(
     ] = None,
 ) -> None:
     """Serve the REST API; its documentation is on /docs."""
-    from api import factory, logs
+    from api import logs, serving
     from api.settings import load_settings
-    from api.terminal.store import begun
+    from api.terminal.processes import begun
 
     settings = load_settings(host=host, port=port)
     stopping = begun(settings)  # the server hands its signal on when it has stopped
     with logs.in_background():
-        factory.serve(settings, stopping)
+        serving.serve(settings, stopping)
 
 
 def schedule(
@@ -223,9 +172,10 @@ def schedule(
     from contextlib import closing
     from dataclasses import replace
 
-    from api.factory import job_context, process_name, scheduled_jobs, upkeep_jobs
+    from api.factory import process_name
+    from api.pipeline import job_context, scheduled_jobs, upkeep_jobs
     from api.settings import load_settings
-    from api.terminal.store import begun, executor_of, store_once_it_answers
+    from api.terminal.processes import begun, executor_of, store_once_it_answers
     from estimation.jobs.scheduler import serve_jobs
 
     settings = load_settings(workers=workers, dask_scheduler=dask_scheduler)
@@ -245,7 +195,7 @@ def worker(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -> 
 
     from api import logs
     from api.settings import load_settings
-    from api.terminal.store import store_once_it_answers
+    from api.terminal.processes import store_once_it_answers
     from api.workers.on_dask import serve_dask
     from estimation.jobs.scheduler import stop_on_signals
 

@@ -236,7 +236,7 @@ def retry_recording(
     actor: _Actor = "",
 ) -> None:
     """Decode a recording again that was rejected, or that failed before; its time of receipt stays."""
-    from api.terminal.recordings import correct_and_report
+    from api.terminal.corrections import correct_and_report
 
     correct_and_report(RecordingAction.RETRY, digest, actor, why, our_clock_was_behind=clock_was_behind)
 
@@ -244,7 +244,7 @@ def retry_recording(
 @recordings.command("set-aside")
 def set_aside_recording(digest: _Digest, *, why: _Why, actor: _Actor = "") -> None:
     """Let a recording count for no window any more; its bytes stay."""
-    from api.terminal.recordings import correct_and_report
+    from api.terminal.corrections import correct_and_report
 
     correct_and_report(RecordingAction.SET_ASIDE, digest, actor, why)
 
@@ -252,7 +252,7 @@ def set_aside_recording(digest: _Digest, *, why: _Why, actor: _Actor = "") -> No
 @recordings.command("restore")
 def restore_recording(digest: _Digest, *, why: _Why, actor: _Actor = "") -> None:
     """Let a recording count again that was set aside."""
-    from api.terminal.recordings import correct_and_report
+    from api.terminal.corrections import correct_and_report
 
     correct_and_report(RecordingAction.RESTORE, digest, actor, why)
 
@@ -266,7 +266,7 @@ def reassign_recording(
     actor: _Actor = "",
 ) -> None:
     """Give a recording to the vehicle that it is of; the windows of both are made again."""
-    from api.terminal.recordings import correct_and_report
+    from api.terminal.corrections import correct_and_report
 
     correct_and_report(RecordingAction.REASSIGN, digest, actor, why, vehicle)
 
@@ -274,7 +274,7 @@ def reassign_recording(
 @recordings.command("delete")
 def delete_recording(digest: _Digest, *, why: _Why, actor: _Actor = "") -> None:
     """Make everything as if a recording had never come: its bytes and windows go, its receipt stays and says so."""
-    from api.terminal.recordings import correct_and_report
+    from api.terminal.corrections import correct_and_report
 
     correct_and_report(RecordingAction.DELETE, digest, actor, why)
 
@@ -299,6 +299,6 @@ def retry_quarantine(
     key: Annotated[str | None, typer.Argument(help="Only this one of that kind.")] = None,
 ) -> None:
     """Decode recordings in quarantine now, and let the next run of the jobs try the rest."""
-    from api.terminal.recordings import retry_and_report
+    from api.terminal.corrections import retry_and_report
 
     retry_and_report(kind, key)

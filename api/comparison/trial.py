@@ -11,7 +11,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from api.factory import SystemClock, job_context, open_store, raw_store
+from api.factory import SystemClock, open_store, raw_store
+from api.pipeline import job_context
 from api.settings import Settings
 from estimation.errors import PurgedError, TreadwatchError
 from estimation.estimators.catalogue import SHIPPED, estimator_named

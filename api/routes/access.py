@@ -10,7 +10,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field, Strict, StringConstraints
 
 from api.access.gate import CallerDep, Scope, requires
-from api.access.key_ring import NOBODY_NAMED, Wanted, make_key
+from api.access.keys import NOBODY_NAMED, Wanted, make_key
 from api.answers import answer
 from api.asking import CODE, AskedDep, AskedListDep, require_order
 from api.problems import described

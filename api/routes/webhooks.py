@@ -13,7 +13,8 @@ from starlette.concurrency import run_in_threadpool
 
 from api import cursors
 from api.access.gate import CallerDep, Scope, requires
-from api.access.key_ring import NOBODY_NAMED, Caller
+from api.access.key_ring import Caller
+from api.access.keys import NOBODY_NAMED
 from api.answers import IfMatch, answer, require_match
 from api.asking import CODE, AskedDep, AskedListDep
 from api.feed.watch import TRY_AGAIN

@@ -14,24 +14,14 @@ import typer
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 from api import logs
-from api.factory import (
-    RECEIPT_PATIENCE_S,
-    SystemClock,
-    backlog_watch,
-    open_store,
-    process_name,
-    publishing,
-    raw_store,
-    receiver,
-    topic_of,
-    with_named_setting,
-)
+from api.factory import SystemClock, open_store, process_name, raw_store
 from api.measures import counter, gauge
+from api.pipeline import RECEIPT_PATIENCE_S, backlog_watch, publishing, receiver, topic_of, with_named_setting
 from api.settings import PREFIX, Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.ingest import vehicle_in_name
+from api.terminal.processes import begun, store_once_it_answers
 from api.terminal.progress import counted
-from api.terminal.store import begun, store_once_it_answers
 from estimation.errors import InputError, MigrationError, ParameterError, PassingFaultError, StoppedError, StorageError
 from estimation.jobs.scheduler import stop_on_signals
 from fleet_db.keeping.checks import ScrubFault, ScrubPlan, scrub

@@ -18,11 +18,13 @@ from rich.console import Console
 from rich.table import Table
 
 from api import logs
-from api.access.key_ring import EVERYTHING, Wanted
+from api.access.keys import EVERYTHING, Wanted
 from api.demo.findings import ServiceAddress, get, lines, second_opinions, tables, to_do, track_lines, true_campaigns
-from api.factory import create_server, job_context, open_store, raw_store, scheduled_jobs
+from api.factory import open_store, raw_store
+from api.pipeline import job_context, scheduled_jobs
+from api.serving import create_server
 from api.settings import Settings, load_settings
-from api.terminal.clients import make_stored_key
+from api.terminal.keys import make_stored_key
 from api.terminal.progress import bar
 from api.terminal.simulate import simulate_with_progress
 from estimation.errors import StorageError

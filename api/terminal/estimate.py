@@ -13,12 +13,13 @@ from rich.progress import TaskID
 from rich.table import Table
 
 from api import logs
-from api.factory import job_context, open_store, process_name, scheduled_jobs
+from api.factory import open_store, process_name
 from api.logs import start_tracing
+from api.pipeline import job_context, scheduled_jobs
 from api.schemas.windows import SHOWN, WindowReasons, together
 from api.settings import Settings
+from api.terminal.processes import executor_of
 from api.terminal.progress import bar
-from api.terminal.store import executor_of
 from api.times import to_rfc3339
 from estimation.errors import ParameterError
 from estimation.jobs.estimate_windows import REFUSED, refusals

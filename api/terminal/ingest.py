@@ -12,22 +12,24 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from api import factory, logs
-from api.factory import SystemClock, open_store, publishing
+from api import logs
+from api.factory import SystemClock, open_store
 from api.logs import start_tracing
+from api.pipeline import publishing
+from api.pipeline import receiver as receiver_of
 from api.schemas.windows import WindowReasons
 from api.settings import load_settings
 from api.terminal.estimate import line_of
 from api.terminal.progress import bar
+from api.terminal.registry import registry_lines
 from api.terminal.store import print_line, user_name
-from api.times import to_rfc3339
 from estimation.errors import InputError, ParameterError, TreadwatchError
 from fleet_db.records import Decision
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.assembled import EARLIEST_NS, LATEST_NS
 from ingest.logs import SUFFIXES
 from ingest.receiver import ChunkReceipt, Receiver
-from ingest.registry_entry.contents import Entry, LoadedRegistry
+from ingest.registry_entry.contents import Entry
 from ingest.registry_file import load_registry
 from ingest.span_commit import SpanChanges
 
@@ -56,7 +58,7 @@ def ingest_and_report(
         if registry is not None:
             load_and_say(registry, storage, console)
         taken_by = user_name() if take_deleted else None
-        receiver = factory.receiver(
+        receiver = receiver_of(
             settings, storage, SystemClock(), catalogues, deleted_taken_by=taken_by, announce=announce
         )
         outcomes: list[Outcome] = []
@@ -172,23 +174,6 @@ def summary(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def registry_lines(loaded: LoadedRegistry) -> list[str]:
-    """Return what people must know of a registry that was loaded: what is estimated again, and what is not at all."""
-    lines = []
-    for one in loaded.again:
-        whose = ", ".join(one.subjects)
-        if one.windows and one.from_ns is not None:
-            since = to_rfc3339(one.from_ns)
-            sections = f", and the alignment of {', '.join(one.sections)}" if one.sections else ""
-            lines.append(f"estimated again: {one.windows:,} windows of {whose} since {since}{sections}")
-        elif one.from_ns is not None:
-            lines.append(f"estimated again: geometries of {whose}, with other standard deviations")
-    for code in sorted({vehicle.vehicle_class for vehicle in loaded.without_class}):
-        vehicles = ", ".join(item.code for item in loaded.without_class if item.vehicle_class == code)
-        lines.append(f"warning: class {code!r} is not on file: {vehicles} will not be estimated until it is")
-    return lines
-
-
 def load_and_say(registry: Path, storage: SqlStorage, console: Console) -> None:
     """Load a registry file, and print what people must know of it."""
     with storage.write() as unit:
@@ -225,7 +210,7 @@ def reassemble_and_report(vehicle: str, begin: datetime | None, end: datetime | 
     settings = load_settings()
     console = Console(stderr=True)
     with closing(open_store(settings)) as storage:
-        receiver = factory.receiver(settings, storage, SystemClock())
+        receiver = receiver_of(settings, storage, SystemClock())
         with storage.read() as unit:
             waiting = [record for record in unit.chunks.of_known_vehicles() if record.vehicle == vehicle]
         for outcome in receiver.decode(waiting):

@@ -15,10 +15,12 @@ from pathlib import Path
 from prometheus_client.core import Metric
 from rich.console import Console
 
-from api import factory, logs
-from api.factory import SystemClock, open_store, publisher
+from api import logs
+from api.factory import SystemClock, open_store
 from api.logs import start_tracing
 from api.measures import counter, gauge, reference_measures
+from api.pipeline import publisher
+from api.pipeline import receiver as receiver_of
 from api.settings import Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes
@@ -111,7 +113,7 @@ class _Stores:
                 load_and_say(self._registry, self._storage, self._console)
                 self._registry = None
             announce = to_nobody if self.references is None else self.references.publish
-            return factory.receiver(self._settings, self._storage, SystemClock(), self._catalogues, announce=announce)
+            return receiver_of(self._settings, self._storage, SystemClock(), self._catalogues, announce=announce)
 
     def check(self) -> None:
         if self._storage is not None:

@@ -9,14 +9,13 @@ from pathlib import Path
 import typer
 
 from api.factory import SystemClock
-from api.terminal.ingest import registry_lines
 from api.terminal.store import reading, user_name, writing
 from api.times import from_rfc3339, to_rfc3339
 from estimation.errors import InputError, ParameterError, TreadwatchError
 from estimation.values.fields import JsonValue
 from fleet_db.records import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.stores.registry_history import RecordKey
-from ingest.registry_entry.contents import Entry, RegistryRefusedError, Rule
+from ingest.registry_entry.contents import Entry, LoadedRegistry, RegistryRefusedError, Rule
 from ingest.registry_entry.enter import refuse_contradicted
 from ingest.registry_export import write_export
 from ingest.registry_file import load_registry
@@ -100,6 +99,23 @@ def load_and_report(file: Path, confirmed: Sequence[Rule], actor: str, why: str)
     for line in registry_lines(loaded):
         typer.echo(line)
     typer.echo(f"loaded {file}; {spans_line(spans)}")
+
+
+def registry_lines(loaded: LoadedRegistry) -> list[str]:
+    """Return what people must know of a registry that was loaded: what is estimated again, and what is not at all."""
+    lines = []
+    for one in loaded.again:
+        whose = ", ".join(one.subjects)
+        if one.windows and one.from_ns is not None:
+            since = to_rfc3339(one.from_ns)
+            sections = f", and the alignment of {', '.join(one.sections)}" if one.sections else ""
+            lines.append(f"estimated again: {one.windows:,} windows of {whose} since {since}{sections}")
+        elif one.from_ns is not None:
+            lines.append(f"estimated again: geometries of {whose}, with other standard deviations")
+    for code in sorted({vehicle.vehicle_class for vehicle in loaded.without_class}):
+        vehicles = ", ".join(item.code for item in loaded.without_class if item.vehicle_class == code)
+        lines.append(f"warning: class {code!r} is not on file: {vehicles} will not be estimated until it is")
+    return lines
 
 
 def check_and_report(file: Path, confirmed: Sequence[Rule]) -> None:

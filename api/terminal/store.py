@@ -1,55 +1,23 @@
-"""What commands share: the database of this deployment, who uses it, how a process begins and who works for it."""
+"""What commands share: the database of this deployment, who uses it, and how its lines are written."""
 
 from __future__ import annotations
 
 import getpass
-import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
-from functools import partial
+from typing import TYPE_CHECKING
 
-from rich.console import Console
+from api.factory import open_store
+from api.settings import load_settings
+from api.times import to_rfc3339
+from fleet_db.records import AuditEntry
+from fleet_db.storage import SqlUnitOfWork
 
-from api import logs
-from api.factory import once_the_database_answers, open_store
-from api.logs import start_tracing
-from api.settings import Settings, load_settings
-from estimation.jobs.job import WorkExecutor
-from estimation.jobs.scheduler import stop_on_signals
-from fleet_db.storage import SqlStorage, SqlUnitOfWork
+if TYPE_CHECKING:
+    from rich.console import Console
 
 NAMELESS = "command line"  # who is recorded where the user of the system has no name, as in a container
-
-
-def begun(settings: Settings) -> threading.Event:
-    """Begin a process that runs until it is asked to stop: logs, tracing, signals; return what is set then."""
-    logs.configure(settings)
-    start_tracing()
-    stopping = threading.Event()
-    stop_on_signals(stopping)
-    return stopping
-
-
-def store_once_it_answers(settings: Settings, stopping: threading.Event) -> SqlStorage | None:
-    """Return the opened database as soon as it answers; None when a stop is asked for before."""
-    return once_the_database_answers(partial(open_store, settings), settings, stopping)
-
-
-@contextmanager
-def executor_of(settings: Settings) -> Iterator[WorkExecutor | None]:
-    """Yield what does the units of work of this deployment: None for this process itself."""
-    if settings.dask_scheduler is not None:
-        from api.workers.on_dask import DaskExecutor  # noqa: PLC0415 - an extra
-
-        with DaskExecutor(settings) as on_dask:
-            yield on_dask
-    elif settings.worker_count > 1:
-        from api.workers.pool import ProcessPool  # noqa: PLC0415 - most commands work alone
-
-        with ProcessPool(settings, settings.worker_count) as pool:
-            yield pool
-    else:
-        yield None
 
 
 @contextmanager
@@ -91,3 +59,14 @@ def columns(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(
         "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows
     )
+
+
+def second_text(at_ns: int | None) -> str:
+    """Return a time to the second; None is never."""
+    return "never" if at_ns is None else to_rfc3339(at_ns - at_ns % 1_000_000_000)
+
+
+def note(unit: SqlUnitOfWork, kind: str, what: str, name: str) -> None:
+    """Record in the audit log what the command line did."""
+    now_ns, path = time.time_ns(), f"/v1/{kind}/{name}"
+    unit.audit.add([AuditEntry(now_ns, user_here(), None, kind, what, 0, path, None, None)])

@@ -26,7 +26,8 @@ from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from api import logs
-from api.factory import job_context, open_store, process_name
+from api.factory import open_store, process_name
+from api.pipeline import job_context
 from api.settings import Settings
 from estimation.errors import StorageError, TreadwatchError, WorkFailedError
 from estimation.jobs.catalogue import stage_named

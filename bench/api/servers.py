@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from api.access.key_ring import EVERYTHING, Wanted, make_key
+from api.access.keys import EVERYTHING, Wanted, make_key
 from fleet_db.storage import SqlStorage
 
 WORKERS = 2

@@ -18,7 +18,9 @@ from pathlib import Path
 import httpx
 
 from api import logs
-from api.factory import create_server, job_context, open_store, process_name, scheduled_jobs
+from api.factory import open_store, process_name
+from api.pipeline import job_context, scheduled_jobs
+from api.serving import create_server
 from api.settings import Settings
 from bench.chaos.part import ChaosSettings
 from bench.chaos.small_deployment import Databases, databases, faults, fork, ingest, recordings, state, wait_for

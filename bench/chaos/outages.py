@@ -16,7 +16,8 @@ import httpx
 import numpy as np
 
 from api import logs
-from api.factory import create_server, open_store
+from api.factory import open_store
+from api.serving import create_server
 from api.settings import Settings
 from bench.chaos.kills import LEASE_S, estimate, free_port, schedule
 from bench.chaos.part import ChaosSettings

@@ -14,7 +14,7 @@ import psycopg
 import sqlalchemy
 from psycopg import sql
 
-from api.factory import job_context, receiver, scheduled_jobs
+from api.pipeline import job_context, receiver, scheduled_jobs
 from api.settings import Settings
 from bench.chaos.part import ChaosSettings
 from bench.chaos.registry_mistakes import MISTAKES, RESTORED

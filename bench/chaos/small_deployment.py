@@ -17,7 +17,8 @@ import psycopg
 import sqlalchemy
 from psycopg import sql
 
-from api.factory import SystemClock, open_store, raw_store, receiver
+from api.factory import SystemClock, open_store, raw_store
+from api.pipeline import receiver
 from api.settings import Settings
 from estimation.values.runs import JobOutcome
 from fleet_db.keeping.checks import check_deep

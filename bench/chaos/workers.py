@@ -12,7 +12,8 @@ from contextlib import closing
 from dataclasses import dataclass, field
 
 from api.comparison.trial import Recorded, receive
-from api.factory import job_context, open_store, raw_store
+from api.factory import open_store, raw_store
+from api.pipeline import job_context
 from bench.chaos.part import ChaosSettings
 from bench.chaos.small_deployment import PASSWORD
 from bench.chaos.worker_faults import HERE, ON_DASK, ON_SERVER, Strike

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from estimation.contact import kernels
 from estimation.contact.method import ContactMethod
 from estimation.contact.parameters import OF_PROFILES
-from estimation.contact.profiles import Profile, Surface, rail_surface, wheel_surface
+from estimation.contact.profiles import Profile
+from estimation.contact.surfaces import Surface, rail_surface, wheel_surface
 from estimation.errors import ContactError
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 

@@ -5,14 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from estimation.contact.design_curve import DesignCurve, explains, nearest_design
 from estimation.contact.parameters import OF_PROFILES
 from estimation.contact.penalised_spline import DEGREE, PenalisedSpline, correlated_noise, fit_spline
-from estimation.contact.profiles import Profile, ProfileKind, profile_from_points
+from estimation.contact.profiles import Profile, ProfileKind
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.units import MILLIMETRE, STD_PER_MAD
+
+
+def profile_from_points(kind: ProfileKind, name: str, y: FloatArray, z: FloatArray) -> Profile:
+    """Return the profile through points, its slopes those of the cubic spline through them."""
+    checked = Profile(kind, name, y, z, np.zeros(len(y)))
+    return Profile(kind, name, checked.y, checked.z, CubicSpline(checked.y, checked.z)(checked.y, nu=1))
+
 
 MOST_POINTS = 4000  # one in 0.05 mm of a wheel's arc: the spacing at which smoothed profiles are given
 

@@ -26,7 +26,7 @@ from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseRea
 from estimation.values.geometry import GEOMETRY
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import TREND
-from estimation.worklist.row import FACETS, FORM, STAGE
+from estimation.worklist.stored import FACETS, FORM, STAGE
 
 
 def make_all(unit: UnitOfWork, _: JobContext, __: Mapping[str, tuple[None, Outcome[None]]]) -> Mapping[str, int]:

@@ -28,13 +28,12 @@ from estimation.jobs.steps.rail_cells import CELL_VERSION, WheelsetCells, wheels
 from estimation.rails.apart import exceeds, rails_apart, reported
 from estimation.rails.cell import (
     Anchors,
-    RailsParameters,
     ReferenceWheel,
     conicity_on_rails,
     designed_wheel,
     with_refused,
 )
-from estimation.rails.parameters import OF_RAILS
+from estimation.rails.parameters import OF_RAILS, RailsParameters
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import GEOMETRY

@@ -8,11 +8,11 @@ and none is ever dropped for being late.
 from __future__ import annotations
 
 import logging
+import os
 import signal
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from socket import socket, socketpair
 from threading import Event, Thread
 
 from apscheduler.events import (
@@ -175,15 +175,15 @@ def stop_on_signals(stop_event: Event) -> None:
     Python runs a handler in the main thread, and not before this goes on: a signal that comes just before it waits, or
     to another thread, would be seen when the wait is over. So a thread of its own reads what C writes at once.
     """
-    reading, writing = socketpair()
-    writing.setblocking(False)  # noqa: FBT003 - of the library
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
 
-    def stop(_open: socket) -> None:
-        while reading.recv(1)[0] not in STOPPING:
+    def stop() -> None:
+        while os.read(reading, 1)[0] not in STOPPING:
             continue
         stop_event.set()
 
-    Thread(target=stop, args=(writing,), name="stopping", daemon=True).start()
+    Thread(target=stop, name="stopping", daemon=True).start()
     for number in STOPPING:
         signal.signal(number, lambda *_: None)
-    signal.set_wakeup_fd(writing.fileno(), warn_on_full_buffer=False)
+    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)

@@ -20,7 +20,7 @@ from estimation.motion.integration import Gates, SignalParameters, WindowParamet
 from estimation.motion.parameters import OF_MOTION
 from estimation.motion.rolling_radius_difference import FUSED
 from estimation.motion.without_blows import BLOWS
-from estimation.rails.cell import RailsParameters
+from estimation.rails.parameters import RailsParameters
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.tables.bin_table import FAST_NOISE
 from estimation.track.gauge.wheel_functions import WHEELS

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.rails.cell import Anchors, CellTable, RailsParameters, ReferenceWheel
+from estimation.rails.cell import Anchors, CellTable, ReferenceWheel
 from estimation.rails.component import Component, Runs, component, connected, islands
+from estimation.rails.parameters import RailsParameters
 from estimation.rails.published import AtAmplitude, RailAt, TrendAt, WheelAt, parted, refusal
 from estimation.rails.two_way import Parted, part, with_known
 from estimation.values.arrays import BoolArray, FloatArray, IntArray

@@ -13,18 +13,9 @@ import numpy as np
 
 from estimation.errors import ParameterError
 from estimation.rails.amplitude import NOT_COVERED, NOTHING, Check, at_amplitude, wheel_checks
-from estimation.rails.cell import (
-    Anchors,
-    CellTable,
-    RailsParameters,
-    cell_table,
-    extent,
-    grouped,
-    sections_of,
-    wheelsets_of,
-)
+from estimation.rails.cell import Anchors, CellTable, cell_table, extent, grouped, sections_of, wheelsets_of
 from estimation.rails.component import Runs, islands
-from estimation.rails.parameters import OF_RAILS
+from estimation.rails.parameters import OF_RAILS, RailsParameters
 from estimation.rails.published import NEXT_TO_JUMP, AtAmplitude, TrendAt, on_rise
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import (

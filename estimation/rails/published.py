@@ -16,9 +16,9 @@ import numpy as np
 from scipy.special import fdtri
 
 from estimation.geometry.parameters import OF_GEOMETRY
-from estimation.rails.cell import RailsParameters, ReferenceWheel
+from estimation.rails.cell import ReferenceWheel
 from estimation.rails.component import Component
-from estimation.rails.parameters import OF_RAILS
+from estimation.rails.parameters import OF_RAILS, RailsParameters
 from estimation.rails.two_way import Parted, part
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.opinions import RailKey, RailsReference, WheelKey

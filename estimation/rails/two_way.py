@@ -24,8 +24,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
 
-from estimation.rails.cell import RailsParameters
-from estimation.rails.parameters import OF_RAILS
+from estimation.rails.parameters import OF_RAILS, RailsParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 
 ROWS_AT_ONCE = 5_000

@@ -6,8 +6,8 @@ What is not known is never taken for good: a wheelset without a number to trust 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from estimation.alerts.rule_book import ALERT_RULES
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
@@ -18,42 +18,19 @@ from estimation.values.alerts import (
     AxlePosition,
     BogiePlace,
     Condition,
-    MileageNow,
     OpenAlert,
     Severity,
     Urgency,
     WorklistRow,
     WorklistState,
 )
-from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, utc_text
-from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.runs import Facet, JobOutcome, JobRun, Quarantined
+from estimation.values.runs import JobOutcome, JobRun, Quarantined
 from estimation.values.track import AlignmentRecord, AlignmentSource
-from estimation.values.trend import TREND, TrendRecord
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
-
-FORM = 1  # grows with every change of what a row says, so that all rows are made again
-STAGE = "worklist"
-FACETS = (Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, GEOMETRY.stage, TREND.stage)
-"""What a row is made from: whoever raises one of these makes it again in the same transaction."""
-
-
-@dataclass(frozen=True, slots=True)
-class WorklistInputs:
-    """All that is stored of a wheelset and decides how urgent it is."""
-
-    wheelset: WheelsetRecord
-    vehicle: VehicleRecord | None  # None where it is not mounted
-    vehicle_class: VehicleClass | None  # None where it is not on file
-    geometry: GeometryRecord | None  # current
-    trend: TrendRecord | None  # latest
-    last_window_ns: int | None  # end of its newest window that was estimated or waits for it
-    mileage: MileageNow | None  # last reading that is believed
-    alerts: Sequence[OpenAlert] = ()  # open ones, in any order
-    failure: Reason | None = None  # why its geometry or trend cannot be read or understood; None where they can
-    refused: Mapping[ReasonCode, int] = field(default_factory=dict)  # newest windows, the most frequent first
+from estimation.values.trend import TrendRecord
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
+from estimation.worklist.stored import WorklistInputs
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,29 +89,6 @@ def judged(
         return Urgency.NOT_MOUNTED, tuple(reason for _, reason in found)
     ordered = sorted(found, key=lambda pair: pair[0].rank)
     return ordered[0][0], tuple(reason for _, reason in ordered)
-
-
-def urgency_key(state: WorklistState) -> float:
-    """Return the number that orders wheelsets by urgency, the most urgent first."""
-    # within a class the one comes first whose limit may be reached first (p10); over the limit, the most certain one
-    within = FAR_KM if state.distance_to_limit_km.p10 is None else state.distance_to_limit_km.p10
-    if state.urgency is Urgency.OVER_LIMIT:
-        within = 1.0 - (state.probability_over_limit or 0.0)
-    return state.urgency.rank * BAND_KM + min(within, FAR_KM)
-
-
-def distance_key(state: WorklistState) -> float | None:
-    """Return the number that orders wheelsets by their distance to the limit: its median; None where it is not known.
-
-    A median beyond the horizon comes behind all others, those first whose limit may be reached within it (p10).
-    """
-    distance = state.distance_to_limit_km
-    if distance.p50 is not None:
-        return distance.p50
-    if distance.p10 is not None:
-        return FAR_KM + distance.p10
-    beyond = state.forecast_reason is not None and state.forecast_reason.code is ReasonCode.BEYOND_HORIZON
-    return 2.0 * FAR_KM if beyond else None
 
 
 def _of_limit(ahead: Ahead, alerts: Sequence[OpenAlert]) -> list[tuple[Urgency, Reason]]:

@@ -22,7 +22,7 @@ from sqlalchemy import (
     update,
 )
 
-from estimation.errors import NotFoundError
+from estimation.errors import ConflictError, NotFoundError
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.windows import WindowState
@@ -173,10 +173,17 @@ class ChunkStore:
         """Return the receipts of a vehicle's recordings that wait for a TIME frame beside them, oldest first."""
         return self._stored(ReasonCode.WAITS_FOR_TIME, CHUNKS.c.vehicle == vehicle)
 
-    def beginning(self, digest: str) -> Sequence[ChunkRecord]:
-        """Return the receipts whose digest begins so, at most two."""
+    def receipt(self, digest: str) -> ChunkRecord:
+        """Return the receipt of a recording by its digest, or the begin of it that no other recording has."""
         begins = func.substr(CHUNKS.c.digest, 1, len(digest)) == digest
-        return self._read(select(CHUNKS).where(begins).limit(2))
+        found = self._read(select(CHUNKS).where(begins).limit(2))
+        if not found:
+            raise NotFoundError("recording", digest)
+        if len(found) > 1:
+            raise ConflictError(
+                f"several recordings have a digest that begins {digest!r}", kind="recording", key=digest
+            )
+        return found[0]
 
     def page(
         self, chosen: ChosenChunks, limit: int, before: tuple[int, str] | None = None

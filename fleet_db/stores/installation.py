@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, delete, func, insert, select, update
 
-from estimation.errors import StorageError
+from estimation.errors import ParameterError, StorageError
 from estimation.values.units import DAY_NS
 from fleet_db.locks import Subject, serialise
 from fleet_db.records import ChunkState
@@ -18,6 +18,10 @@ from fleet_db.tables.operation import ResultRow, StoredSettingRow
 from fleet_db.tables.recordings import ChunkRow, RawMarkRow
 
 SETTINGS, CHUNKS = table_of(StoredSettingRow), table_of(ChunkRow)
+
+
+LENGTH = "window_length_ns"
+SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +46,17 @@ class StoredSettingStore:
     def in_use(self) -> bool:
         """Return whether a recording was stored: before that every setting may change."""
         return self.connection.execute(select(CHUNKS.c.digest).limit(1)).first() is not None
+
+    def check_window_length(self, length_ns: int) -> None:
+        """Refuse a window length that is not the one with which data are stored."""
+        text = self.get(LENGTH)
+        stored = None if text is None else int(text)
+        if stored is not None and stored != length_ns and self.in_use():
+            raise ParameterError(
+                f"is {length_ns / SECOND_NS:g} s, and the windows in this database have {stored / SECOND_NS:g} s: set"
+                f" it to {stored / SECOND_NS:g}, or begin a database and a data directory of their own",
+                field="window_length_s",
+            )
 
 
 MARKS = table_of(RawMarkRow)

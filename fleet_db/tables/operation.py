@@ -1,34 +1,44 @@
 """Runs of jobs and what they make: claims, what stages have seen, results, worklist; settings, keys, audit, answers."""
 
-from __future__ import annotations
-
 from sqlalchemy import CheckConstraint, ForeignKey, Index, String, Text, text
-from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.alerts import Severity, Urgency
 from estimation.values.quantities import Status
 from estimation.values.runs import JobOutcome
-from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Packed, Real, Serial, one_of, partial_index
+from fleet_db.tables.base import (
+    Base,
+    Code,
+    Count,
+    Json,
+    Name,
+    Nanoseconds,
+    Packed,
+    Real,
+    Serial,
+    column,
+    one_of,
+    partial_index,
+)
 
 
 class JobRunRow(Base, table="job_runs", numbered=True):
     """One run; ``finished_ns`` is null until its end is recorded. ``owner`` is the lease of its process."""
 
-    __table_args__ = (
+    constraints = (
         one_of("outcome", JobOutcome),
         CheckConstraint("(outcome = 'running') = (finished_ns IS NULL)", name="running_until_finished"),
         Index(None, "job", "run_id"),
     )
 
-    run_id: Mapped[Serial]
-    job: Mapped[str] = mapped_column(String(64))
-    trigger: Mapped[str] = mapped_column(String(16))
-    started_ns: Mapped[Nanoseconds]
-    finished_ns: Mapped[Nanoseconds | None]
-    outcome: Mapped[str] = mapped_column(String(16))
-    counts: Mapped[Json]
-    error: Mapped[Name | None]
-    owner: Mapped[Count | None]
+    run_id: Serial
+    job: str = column(String(64))
+    trigger: str = column(String(16))
+    started_ns: Nanoseconds
+    finished_ns: Nanoseconds | None
+    outcome: str = column(String(16))
+    counts: Json
+    error: Name | None
+    owner: Count | None
 
 
 class WorkLeaseRow(Base, table="work_leases", numbered=True):
@@ -38,17 +48,17 @@ class WorkLeaseRow(Base, table="work_leases", numbered=True):
     process that runs the job, where this one ends with it; ``unit`` the number of the unit of work.
     """
 
-    __table_args__ = (
+    constraints = (
         CheckConstraint("length_ns > 0", name="length_positive"),
         Index(None, "until_ns"),
     )
 
-    lease_id: Mapped[Serial]
-    holder: Mapped[Name]
-    owner: Mapped[Count | None] = mapped_column(ForeignKey("work_leases.lease_id", ondelete="CASCADE"))
-    unit: Mapped[str | None] = mapped_column(String(32))
-    length_ns: Mapped[Nanoseconds]
-    until_ns: Mapped[Nanoseconds]
+    lease_id: Serial
+    holder: Name
+    owner: Count | None = column(ForeignKey("work_leases.lease_id", ondelete="CASCADE"))
+    unit: str | None = column(String(32))
+    length_ns: Nanoseconds
+    until_ns: Nanoseconds
 
 
 class WorkClaimRow(Base, table="work_claims"):
@@ -57,22 +67,22 @@ class WorkClaimRow(Base, table="work_claims"):
     The row goes when work on it ends in order. ``attempts`` counts how often work on it has begun since then.
     """
 
-    __table_args__ = (CheckConstraint("attempts >= 1", name="begun"), Index(None, "lease_id"))
+    constraints = (CheckConstraint("attempts >= 1", name="begun"), Index(None, "lease_id"))
 
-    stage: Mapped[str] = mapped_column(String(64), primary_key=True)
-    key: Mapped[str] = mapped_column(String(128), primary_key=True)
-    lease_id: Mapped[Count | None] = mapped_column(ForeignKey("work_leases.lease_id", ondelete="SET NULL"))
-    attempts: Mapped[Count]
-    begun_ns: Mapped[Nanoseconds]
+    stage: str = column(String(64), primary_key=True)
+    key: str = column(String(128), primary_key=True)
+    lease_id: Count | None = column(ForeignKey("work_leases.lease_id", ondelete="SET NULL"))
+    attempts: Count
+    begun_ns: Nanoseconds
 
 
 class SubjectVersionRow(Base, table="subject_versions"):
     """How often a facet of a wheelset, vehicle or section has changed; section '' is what is on none."""
 
-    kind: Mapped[str] = mapped_column(String(16), primary_key=True)
-    subject: Mapped[str] = mapped_column(String(64), primary_key=True)
-    facet: Mapped[str] = mapped_column(String(32), primary_key=True)
-    version: Mapped[Count]
+    kind: str = column(String(16), primary_key=True)
+    subject: str = column(String(64), primary_key=True)
+    facet: str = column(String(32), primary_key=True)
+    version: Count
 
 
 class StageMarkRow(Base, table="stage_marks"):
@@ -82,62 +92,62 @@ class StageMarkRow(Base, table="stage_marks"):
     else.
     """
 
-    stage: Mapped[str] = mapped_column(String(32), primary_key=True)
-    subject: Mapped[str] = mapped_column(String(64), primary_key=True)
-    seen: Mapped[Count]
-    common: Mapped[Code]
-    made_from: Mapped[Code]
-    again_ns: Mapped[Nanoseconds | None]
+    stage: str = column(String(32), primary_key=True)
+    subject: str = column(String(64), primary_key=True)
+    seen: Count
+    common: Code
+    made_from: Code
+    again_ns: Nanoseconds | None
 
 
 class StoredSettingRow(Base, table="stored_settings"):
     """One setting, as text, since the first recording was received with it."""
 
-    name: Mapped[str] = mapped_column(String(64), primary_key=True)
-    value: Mapped[Name]
-    recorded_ns: Mapped[Nanoseconds]
+    name: str = column(String(64), primary_key=True)
+    value: Name
+    recorded_ns: Nanoseconds
 
 
 class ApiKeyRow(Base, table="api_keys"):
     """One key; only the digest of its secret is kept. ``fleets`` null is all fleets."""
 
-    prefix: Mapped[str] = mapped_column(String(8), primary_key=True)
-    digest: Mapped[Code]
-    owner: Mapped[Name]
-    scopes: Mapped[Json]
-    fleets: Mapped[Json | None]
-    created_ns: Mapped[Nanoseconds]
-    created_by: Mapped[Name]
-    expires_ns: Mapped[Nanoseconds | None]
-    revoked_ns: Mapped[Nanoseconds | None]
-    last_used_ns: Mapped[Nanoseconds | None]
+    prefix: str = column(String(8), primary_key=True)
+    digest: Code
+    owner: Name
+    scopes: Json
+    fleets: Json | None
+    created_ns: Nanoseconds
+    created_by: Name
+    expires_ns: Nanoseconds | None
+    revoked_ns: Nanoseconds | None
+    last_used_ns: Nanoseconds | None
 
 
 class AuditRow(Base, table="audit_entries", numbered=True):
     """One change or refusal; rows are only added, and purged when they are old."""
 
-    __table_args__ = (Index(None, "at_ns"), Index(None, "key_prefix", "entry_id"))
+    constraints = (Index(None, "at_ns"), Index(None, "key_prefix", "entry_id"))
 
-    entry_id: Mapped[Serial]
-    at_ns: Mapped[Nanoseconds]
-    owner: Mapped[Name | None]
-    key_prefix: Mapped[str | None] = mapped_column(String(64))
-    method: Mapped[str] = mapped_column(String(16))
-    path: Mapped[Name]
-    status: Mapped[int]
-    object: Mapped[Name | None]
-    address: Mapped[Name | None]
-    request_id: Mapped[str | None] = mapped_column(String(64))
+    entry_id: Serial
+    at_ns: Nanoseconds
+    owner: Name | None
+    key_prefix: str | None = column(String(64))
+    method: str = column(String(16))
+    path: Name
+    status: int
+    object: Name | None
+    address: Name | None
+    request_id: str | None = column(String(64))
 
 
 class IdempotencyRow(Base, table="idempotency_keys"):
     """The answer to one request that carried an ``Idempotency-Key``."""
 
-    key: Mapped[str] = mapped_column(String(255), primary_key=True)
-    request_digest: Mapped[Code]
-    status_code: Mapped[int]
-    body: Mapped[Name]
-    recorded_ns: Mapped[Nanoseconds]
+    key: str = column(String(255), primary_key=True)
+    request_digest: Code
+    status_code: int
+    body: Name
+    recorded_ns: Nanoseconds
 
 
 IN_FORCE, PAST = text("superseded_ns IS NULL"), text("superseded_ns IS NOT NULL")
@@ -149,7 +159,7 @@ class ResultRow(Base, table="results", numbered=True):
     ``value`` holds the whole value, bit for bit; ``head`` what is read of many results without it.
     """
 
-    __table_args__ = (
+    constraints = (
         one_of("status", Status),
         partial_index("ix_results_in_force", "stage", "subject", "part", where=IN_FORCE, unique=True),
         partial_index("ix_results_put_last", "stage", "subject", "result_id", where=IN_FORCE),
@@ -158,21 +168,21 @@ class ResultRow(Base, table="results", numbered=True):
         Index(None, "superseded_ns"),
     )
 
-    result_id: Mapped[Serial]
-    stage: Mapped[str] = mapped_column(String(32))
-    kind: Mapped[str] = mapped_column(String(16))
-    subject: Mapped[Code]
-    part: Mapped[Code]
-    made_from: Mapped[Code]
-    numerics: Mapped[Name]
-    status: Mapped[str] = mapped_column(String(16))
-    reason: Mapped[Name]
-    reason_code: Mapped[Code | None]
-    head: Mapped[str | None] = mapped_column(Text)
-    value: Mapped[Packed | None]
-    parameters: Mapped[Json]
-    recorded_ns: Mapped[Nanoseconds]
-    superseded_ns: Mapped[Nanoseconds | None]
+    result_id: Serial
+    stage: str = column(String(32))
+    kind: str = column(String(16))
+    subject: Code
+    part: Code
+    made_from: Code
+    numerics: Name
+    status: str = column(String(16))
+    reason: Name
+    reason_code: Code | None
+    head: str | None = column(Text)
+    value: Packed | None
+    parameters: Json
+    recorded_ns: Nanoseconds
+    superseded_ns: Nanoseconds | None
 
 
 SORT_KEYS = ("urgency_key", "distance_key", "conicity_key", "trend_key", "mileage_key", "last_data_ns")
@@ -181,7 +191,7 @@ SORT_KEYS = ("urgency_key", "distance_key", "conicity_key", "trend_key", "mileag
 class WorklistEntryRow(Base, table="worklist_entries"):
     """One wheelset that is not voided. ``document`` is the whole row as JSON."""
 
-    __table_args__ = (
+    constraints = (
         one_of("status", Status),
         one_of("urgency", Urgency),
         one_of("worst_severity", Severity),
@@ -195,26 +205,26 @@ class WorklistEntryRow(Base, table="worklist_entries"):
         Index(None, "worst_severity", "wheelset"),
     )
 
-    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
-    fleet: Mapped[Code]
-    vehicle: Mapped[Code | None]
-    vehicle_class: Mapped[Name | None]
-    status: Mapped[str] = mapped_column(String(16))
-    urgency: Mapped[str] = mapped_column(String(16))
-    worst_severity: Mapped[str | None] = mapped_column(String(16))
-    urgency_key: Mapped[Real]
-    distance_key: Mapped[Real | None]
-    conicity_key: Mapped[Real | None]
-    trend_key: Mapped[Real | None]
-    mileage_key: Mapped[Real | None]
-    last_data_ns: Mapped[Nanoseconds | None]
-    document: Mapped[Name]
+    wheelset: str = column(ForeignKey("wheelsets.serial"), primary_key=True)
+    fleet: Code
+    vehicle: Code | None
+    vehicle_class: Name | None
+    status: str = column(String(16))
+    urgency: str = column(String(16))
+    worst_severity: str | None = column(String(16))
+    urgency_key: Real
+    distance_key: Real | None
+    conicity_key: Real | None
+    trend_key: Real | None
+    mileage_key: Real | None
+    last_data_ns: Nanoseconds | None
+    document: Name
 
 
 class WorklistAlertRow(Base, table="worklist_alerts"):
     """One kind of alert that is open of a wheelset."""
 
-    __table_args__ = (Index(None, "wheelset"),)
+    constraints = (Index(None, "wheelset"),)
 
-    kind: Mapped[str] = mapped_column(String(32), primary_key=True)
-    wheelset: Mapped[str] = mapped_column(ForeignKey("worklist_entries.wheelset", ondelete="CASCADE"), primary_key=True)
+    kind: str = column(String(32), primary_key=True)
+    wheelset: str = column(ForeignKey("worklist_entries.wheelset", ondelete="CASCADE"), primary_key=True)

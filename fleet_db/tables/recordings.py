@@ -1,15 +1,12 @@
 """Chunks of recordings, what was done to them, quarantine, purges, and spans to be assembled again."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from sqlalchemy import CheckConstraint, Index, String, TextClause, text
-from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.runs import QuarantineState, SubjectKind
 from fleet_db.records import ChunkState, RecordingAction
-from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Serial, one_of, partial_index
+from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Serial, column, one_of, partial_index
 
 UNDECODED = text("reason_code = 'waits_for_decoding'")
 MINUTE_NS, HOUR_NS = 60_000_000_000, 3_600_000_000_000
@@ -44,7 +41,7 @@ OF_UNDECODED = ("recorded_ns", "digest", "size_bytes")
 class ChunkRow(Base, table="chunks"):
     """The receipt of one recording. ``vehicle`` is the sender's: a recording of an unknown one is kept too."""
 
-    __table_args__ = (
+    constraints = (
         one_of("state", ChunkState),
         CheckConstraint("(first_ns IS NULL) = (last_ns IS NULL)", name="both_ends_or_none"),
         CheckConstraint("last_ns >= first_ns", name="ends_after_start"),
@@ -55,31 +52,31 @@ class ChunkRow(Base, table="chunks"):
         partial_index("ix_chunks_undecoded", *OF_UNDECODED, where=UNDECODED),
     )
 
-    digest: Mapped[str] = mapped_column(String(64), primary_key=True)
-    vehicle: Mapped[str] = mapped_column(String(64))
-    suffix: Mapped[str] = mapped_column(String(16))
-    size_bytes: Mapped[Count]
-    state: Mapped[str] = mapped_column(String(16))
-    reason: Mapped[Name]
-    reason_code: Mapped[Code | None]
-    first_ns: Mapped[Nanoseconds | None]
-    last_ns: Mapped[Nanoseconds | None]
-    frames: Mapped[Count]
-    counts: Mapped[Json]
-    received_ns: Mapped[Nanoseconds]
-    recorded_ns: Mapped[Nanoseconds]
-    purged_ns: Mapped[Nanoseconds | None]
-    clock_checked_ns: Mapped[Nanoseconds | None]
-    file_name: Mapped[Name | None]
-    sender: Mapped[Name | None]
-    recorder_first_ns: Mapped[Nanoseconds | None]
-    recorder_last_ns: Mapped[Nanoseconds | None]
+    digest: str = column(String(64), primary_key=True)
+    vehicle: str = column(String(64))
+    suffix: str = column(String(16))
+    size_bytes: Count
+    state: str = column(String(16))
+    reason: Name
+    reason_code: Code | None
+    first_ns: Nanoseconds | None
+    last_ns: Nanoseconds | None
+    frames: Count
+    counts: Json
+    received_ns: Nanoseconds
+    recorded_ns: Nanoseconds
+    purged_ns: Nanoseconds | None
+    clock_checked_ns: Nanoseconds | None
+    file_name: Name | None
+    sender: Name | None
+    recorder_first_ns: Nanoseconds | None
+    recorder_last_ns: Nanoseconds | None
 
 
 class QuarantineRow(Base, table="quarantine"):
     """One thing at which one stage failed; the row stays when it succeeds later."""
 
-    __table_args__ = (
+    constraints = (
         one_of("kind", SubjectKind),
         one_of("state", QuarantineState),
         CheckConstraint("attempts >= 1", name="tried"),
@@ -87,86 +84,86 @@ class QuarantineRow(Base, table="quarantine"):
         Index(None, "state", "last_ns"),
     )
 
-    kind: Mapped[str] = mapped_column(String(16), primary_key=True)
-    key: Mapped[str] = mapped_column(String(128), primary_key=True)
-    stage: Mapped[str] = mapped_column(String(64), primary_key=True)
-    code: Mapped[Code]
-    error: Mapped[Name]
-    inputs: Mapped[Name]
-    first_ns: Mapped[Nanoseconds]
-    last_ns: Mapped[Nanoseconds]
-    due_ns: Mapped[Nanoseconds]
-    attempts: Mapped[Count]
-    state: Mapped[str] = mapped_column(String(16))
+    kind: str = column(String(16), primary_key=True)
+    key: str = column(String(128), primary_key=True)
+    stage: str = column(String(64), primary_key=True)
+    code: Code
+    error: Name
+    inputs: Name
+    first_ns: Nanoseconds
+    last_ns: Nanoseconds
+    due_ns: Nanoseconds
+    attempts: Count
+    state: str = column(String(16))
 
 
 class RecordingChangeRow(Base, table="recording_changes", numbered=True):
     """What was done to a recording by hand."""
 
-    __table_args__ = (
+    constraints = (
         one_of("action", RecordingAction),
         one_of("state_before", ChunkState),
         one_of("state_after", ChunkState),
         Index(None, "digest", "id"),
     )
 
-    id: Mapped[Serial]
-    digest: Mapped[Code]
-    action: Mapped[str] = mapped_column(String(16))
-    recorded_ns: Mapped[Nanoseconds]
-    actor: Mapped[Name]
-    why: Mapped[Name]
-    vehicle_before: Mapped[Code]
-    state_before: Mapped[str] = mapped_column(String(16))
-    vehicle_after: Mapped[Code]
-    state_after: Mapped[str] = mapped_column(String(16))
+    id: Serial
+    digest: Code
+    action: str = column(String(16))
+    recorded_ns: Nanoseconds
+    actor: Name
+    why: Name
+    vehicle_before: Code
+    state_before: str = column(String(16))
+    vehicle_after: Code
+    state_after: str = column(String(16))
 
 
 class RawMarkRow(Base, table="raw_marks"):
     """The mark that the folder of raw recordings of this database holds."""
 
-    mark: Mapped[str] = mapped_column(String(64), primary_key=True)
-    recorded_ns: Mapped[Nanoseconds]
+    mark: str = column(String(64), primary_key=True)
+    recorded_ns: Nanoseconds
 
 
 class RawScrubRow(Base, table="raw_scrubs"):
     """One reading of all raw files in the order of their digests; ``finished_ns`` is None until its end."""
 
-    scrub_id: Mapped[Serial]
-    started_ns: Mapped[Nanoseconds]
-    finished_ns: Mapped[Nanoseconds | None]
-    after_digest: Mapped[str] = mapped_column(String(64))
-    files: Mapped[Count]
-    file_bytes: Mapped[Count]
-    faults: Mapped[Count]
+    scrub_id: Serial
+    started_ns: Nanoseconds
+    finished_ns: Nanoseconds | None
+    after_digest: str = column(String(64))
+    files: Count
+    file_bytes: Count
+    faults: Count
 
 
 class PurgeRow(Base, table="purges", numbered=True):
     """What one purge deleted of one kind: everything of it from before ``before_ns`` is gone."""
 
-    __table_args__ = (
+    constraints = (
         CheckConstraint("items >= 0", name="items_counted"),
         Index(None, "kind", "before_ns"),
     )
 
-    purge_id: Mapped[Serial]
-    kind: Mapped[str] = mapped_column(String(32))
-    before_ns: Mapped[Nanoseconds]
-    items: Mapped[Count]
-    item_bytes: Mapped[Count]
-    purged_ns: Mapped[Nanoseconds]
+    purge_id: Serial
+    kind: str = column(String(32))
+    before_ns: Nanoseconds
+    items: Count
+    item_bytes: Count
+    purged_ns: Nanoseconds
 
 
 class StaleSpanRow(Base, table="stale_spans", numbered=True):
     """A span ``[from_ns, to_ns)`` and what made it stale; the row goes in the transaction that stores its windows."""
 
-    __table_args__ = (
+    constraints = (
         CheckConstraint("to_ns > from_ns", name="ends_after_start"),
         Index(None, "vehicle", "from_ns"),
     )
 
-    id: Mapped[Serial]
-    vehicle: Mapped[Code]
-    from_ns: Mapped[Nanoseconds]
-    to_ns: Mapped[Nanoseconds]
-    cause: Mapped[Name]
+    id: Serial
+    vehicle: Code
+    from_ns: Nanoseconds
+    to_ns: Nanoseconds
+    cause: Name

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from pathlib import Path
-from typing import Literal, TypedDict, Unpack
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -15,10 +14,11 @@ from estimation.contact.profiles import Profile, ProfileKind
 from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ProfileError
 from estimation.values.units import MILLIMETRE
-from ingest.input_file import PROFILE_BYTES, InputTable, Text, read_json, read_text_within
+from ingest.input_file import PROFILE_BYTES, read_text_within
 from ingest.profiles.formats import FORMATS
 from ingest.profiles.orientation import oriented
 from ingest.profiles.points import FilePoints, Origin, number, points_of
+from ingest.profiles.stored import SUFFIX, read_stored_profile
 
 _DECIMAL_COMMAS = re.compile(r"^[+-]?\d+,\d+(\s*;\s*|\s+)[+-]?\d+(,\d+)?$")
 
@@ -99,37 +99,6 @@ def _refuse_lists(file: Path) -> None:
             "names it",
             file=file,
         )
-
-
-FORMAT = "treadwatch-profile-1"
-SUFFIX = ".json"
-
-
-class StoredProfile(InputTable):
-    """The whole file; metres, z down, y to the field side from the tread datum."""
-
-    format: Literal["treadwatch-profile-1"]
-    name: Text
-    y_m: list[float]
-    z_m: list[float]
-    slope_1: list[float]
-
-
-def read_stored_profile(path: Path) -> Profile:
-    """Return the wheel profile of a file."""
-    file = read_json(path, ProfileError)
-    found = file.parse(StoredProfile)
-    for name in ("z_m", "slope_1"):
-        if len(getattr(found, name)) != len(found.y_m):
-            raise file.error(f"{len(getattr(found, name))} numbers for {len(found.y_m)} of y_m", (name,))
-    return Profile("wheel", found.name, np.array(found.y_m), np.array(found.z_m), np.array(found.slope_1))
-
-
-def stored_profile_text(profile: Profile) -> str:
-    """Return the content of the file of a profile."""
-    columns = {"y_m": profile.y, "z_m": profile.z, "slope_1": profile.slope}
-    named = {key: values.tolist() for key, values in columns.items()}
-    return json.dumps({"format": FORMAT, "name": profile.name, **named})
 
 
 FLANGE_END = -0.045  # m from the tread datum: contact in flanging comes 2 mm nearer to the tip at most

@@ -12,7 +12,7 @@ import api_fleet
 import httpx
 from running_service import running
 
-from api.access.key_ring import Wanted, make_key
+from api.access.keys import Wanted, make_key
 from api.factory import open_store
 from api.settings import Settings
 from estimation.values.registry import FleetRecord, WheelsetRecord

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import httpx
 import uvicorn
 
-from api.factory import create_server
+from api.serving import create_server
 from api.settings import Settings
 from fleet_db.storage import SqlStorage
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import sqlite3
@@ -74,14 +75,15 @@ HEAVY = frozenset({
 })  # fmt: skip
 
 
-def imported_by(*arguments: str) -> set[str]:
-    """Return the packages that one run of the command imports."""
+def imported_by(*arguments: str, **settings: str) -> set[str]:
+    """Return the packages that one run of the command imports, which must end without a refusal."""
     program = (
         "import sys\nfrom api import cli\nsys.argv = ['treadwatch', *sys.argv[1:]]\n"
-        "try:\n    cli.main()\nexcept SystemExit:\n    pass\n"
+        "try:\n    cli.main()\nexcept SystemExit as end:\n    assert not end.code\n"
         "print('imported:', *{name.partition('.')[0] for name in sys.modules})"
     )
-    done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True)
+    line = [sys.executable, "-c", program, *arguments]
+    done = subprocess.run(line, env=os.environ | settings, capture_output=True, text=True, check=True)
     return set(done.stdout.rpartition("imported:")[2].split())
 
 
@@ -95,6 +97,36 @@ def test_help_of_a_subcommand_does_not_import_what_the_subcommand_runs(command: 
 def test_help_imports_neither_numerics_nor_tables_for_the_terminal() -> None:
     assert imported_by("--help") & (HEAVY | {"numpy", "rich"}) == set()
     assert imported_by("serve", "--help") & {"numpy", "rich"} == set()
+
+
+RUNNING = {"max_speed_km_h": 120.0, "axle_offsets_m": [2.0, 4.5]}
+REGISTRY = {
+    "format": "treadwatch-registry-1",
+    "fleets": [{"code": "F", "name": "F"}],
+    "vehicles": [{"code": "V", "fleet": "F", "vehicle_class": "paper", "axles": 2, **RUNNING}],
+    "wheelsets": [{"serial": "W", "fleet": "F", "wheel_profile": "P8", "nominal_radius_mm": 450.0}],
+    "mountings": [
+        {
+            "wheelset": "W",
+            "vehicle": "V",
+            "axle": 1,
+            "from": "2024-01-08T05:30:00Z",
+            "vehicle_odometer_km": 1000.0,
+            "wheelset_mileage_km": 1000.0,
+        }
+    ],
+}
+WEIGHTY = {"numba", "scipy", "fastapi", "alembic", "rich", "structlog", "apscheduler", "can", "cantools", "httpx"}
+
+
+@pytest.mark.parametrize("line", ["keys list", "recordings list", "registry check registry.json"])
+def test_lists_and_a_check_of_the_registry_wait_for_no_numerics(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    upgrade(load_settings(data_dir=tmp_path).url)
+    Path("registry.json").write_text(json.dumps(REGISTRY), encoding="utf-8")
+    assert imported_by(*line.split(), TREADWATCH_DATA_DIR=str(tmp_path)) & WEIGHTY == set()
 
 
 def test_an_unknown_subcommand_is_refused(treadwatch: Run) -> None:

@@ -12,7 +12,8 @@ import pytest
 from running_service import running
 
 from api import http_server
-from api.factory import create_server, open_store
+from api.factory import open_store
+from api.serving import create_server
 from api.settings import Settings
 from fleet_db.migrate import upgrade
 

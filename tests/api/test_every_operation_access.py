@@ -24,7 +24,7 @@ from access_examples import Named
 from one_database import in_turn
 from running_service import running
 
-from api.access.key_ring import Wanted, digest_of, make_key
+from api.access.keys import Wanted, digest_of, make_key
 from api.app import committed_document
 from api.factory import open_store
 from api.settings import Settings

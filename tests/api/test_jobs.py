@@ -14,8 +14,9 @@ import pytest
 from running_service import running
 
 from api.app import build_app
-from api.factory import SystemClock, open_services, open_store
+from api.factory import SystemClock, open_store
 from api.services import JobRunner
+from api.serving import open_services
 from api.settings import Settings
 from estimation.errors import ConflictError
 from estimation.jobs.catalogue import ALL_JOBS

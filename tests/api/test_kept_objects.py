@@ -22,7 +22,7 @@ AS_COMMAND = """
 import uvicorn
 uvicorn.Server.run = lambda self, sockets=None: None
 from threading import Event
-from api.factory import serve
+from api.serving import serve
 from api.settings import load_settings
 serve(load_settings(), Event())
 """

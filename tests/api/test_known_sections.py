@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from api_fleet import section_rails as stored
 
-from api.factory import rails_settings
+from api.pipeline import rails_settings
 from api.routes.opinions import section_rails
 from api.settings import known_sections, load_settings
 from estimation.errors import ParameterError

@@ -20,8 +20,8 @@ from one_database import in_turn
 from populated_service import new_database
 from webhook_receiver import Answer, Received, Receiver, receiving
 
-from api.factory import open_services
 from api.logs import Redactor
+from api.serving import open_services
 from api.webhooks.cloud_events import signature
 from api.webhooks.delivering import deliver
 from api.webhooks.sending import Sender, Targets, networks_of

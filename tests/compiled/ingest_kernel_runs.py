@@ -8,7 +8,6 @@ import numpy as np
 
 from estimation.motion.hunting import find_hunting
 from estimation.values.arrays import FloatArray
-from fleet_db.telemetry import whole_counts
 from ingest.align.cycles import by_stamps, place_frames, sync_clock_of
 from ingest.align.samples import between_frames, gaps_of, good_samples, gridded, on_section, range_of
 
@@ -56,11 +55,4 @@ def _window_samples() -> Iterator[FloatArray]:
     yield from (found, slope, before.astype(float))
 
 
-def _counts() -> Iterator[FloatArray]:
-    for last in (0.5, np.nan, 1e9):
-        values = np.array([0.25, -0.25, last])
-        counts, same = whole_counts(values, values.view(np.int64), 0.25)
-        yield np.append(counts.astype(float), same)
-
-
-RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (_hunting, _cycles, _window_samples, _counts)
+RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (_hunting, _cycles, _window_samples)

@@ -1,25 +1,17 @@
-"""Small inputs that run every compiled kernel of the product, every line of it, with every type of arguments.
-
-``python tests/compiled/kernel_runs.py`` writes the signatures that they have to the product: ``treadwatch compile``
-compiles these, so that the machine code is there before the first start.
-"""
+"""Small inputs that run every compiled kernel of the product, every line of it, with every type of arguments."""
 
 from __future__ import annotations
 
 import importlib
-import json
 import pkgutil
-import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import estimator_kernel_runs
 import ingest_kernel_runs
 import numpy as np
-from numba import types
 from numba.core.registry import CPUDispatcher
 
-from api.commands.deployment import SIGNATURES
 from estimation.adhesion.creep_forces import filter_forward, smooth_back
 from estimation.adhesion.window_adhesion import add_saturated, excess_table
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel
@@ -333,28 +325,6 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
 )
 
 
-def recorded(kernels: Mapping[str, CPUDispatcher]) -> str:
-    """Return the signatures that kernels have by now, as the product keeps them."""
-    found = {
-        name: sorted([[_described(kind) for kind in signature] for signature in kernel.signatures], key=str)
-        for name, kernel in sorted(kernels.items())
-        if kernel.signatures
-    }
-    lines = (f"  {json.dumps(name)}: {json.dumps(signatures)}" for name, signatures in found.items())
-    return "{\n" + ",\n".join(lines) + "\n}\n"
-
-
-def _described(kind: types.Type) -> object:
-    """Return a type as ``api.commands.deployment`` reads it."""
-    if isinstance(kind, types.Array):
-        assert kind.layout == "C"
-        return f"{kind.dtype} {kind.ndim}" + ("" if kind.mutable else " readonly")
-    if isinstance(kind, types.BaseNamedTuple):
-        made = kind.instance_class
-        return {f"{made.__module__}.{made.__qualname__}": [_described(part) for part in kind]}
-    return [_described(part) for part in kind] if isinstance(kind, types.BaseTuple) else str(kind)
-
-
 def product_kernels() -> dict[str, CPUDispatcher]:
     """Return every compiled function of the product, by its name."""
     found = {}
@@ -366,11 +336,3 @@ def product_kernels() -> dict[str, CPUDispatcher]:
                 if isinstance(value, CPUDispatcher):
                     found[f"{value.py_func.__module__}.{value.py_func.__qualname__}"] = value
     return found
-
-
-if __name__ == "__main__":
-    results()
-    if sys.argv[1:] == ["--print"]:
-        sys.stdout.write(recorded(product_kernels()))
-    else:
-        SIGNATURES.write_text(recorded(product_kernels()), encoding="utf-8")

@@ -12,12 +12,9 @@ from types import CodeType
 from typing import Any
 
 import interpreted_runs
-import kernel_runs
 import numpy as np
 import pytest
 from kernel_runs import product_kernels, results
-
-from api.commands.deployment import SIGNATURES
 
 RUNS = Path(interpreted_runs.__file__)
 
@@ -62,10 +59,3 @@ def test_kernels_give_the_same_compiled(interpreted: dict[str, Any]) -> None:
         assert len(plain) == len(compiled)
         for one, other in zip(plain, compiled, strict=True):
             np.testing.assert_allclose(np.array(one, float), np.ravel(other), rtol=1e-9, atol=1e-12, err_msg=name)
-
-
-def test_the_command_compiles_the_signatures_of_the_runs() -> None:
-    command = [sys.executable, str(kernel_runs.__file__), "--print"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    drifted = "the signatures have drifted; run: python tests/compiled/kernel_runs.py"
-    assert done.stdout == SIGNATURES.read_text(encoding="utf-8"), drifted

@@ -15,7 +15,7 @@ from bogie_run import SOFT, WHEELBASE, of_bogie, windows
 from smooth_wheelset import SmoothTable
 
 from api.comparison.trial import geometry_by
-from api.factory import create_app
+from api.serving import create_app
 from api.settings import Settings
 from bench.put_values import put_geometry
 from bench.standing_clock import StandingClock

@@ -223,7 +223,7 @@ def test_a_baseline_that_was_emptied_is_no_damage(full: SqlStorage) -> None:
         put_geometry(unit, make.geometry_record(9, baseline=1, geometry=empty))
     assert check_deep(full, raw_of(full), quietly).findings == ()
     with full.engine.begin() as connection:
-        connection.execute(sqlalchemy.update(WheelsetBinRow).values(geometry_id=2))
+        connection.execute(sqlalchemy.update(WheelsetBinRow.table).values(geometry_id=2))
     assert [finding.subject for finding in check_deep(full, raw_of(full), quietly).findings] == [
         "bins of wheelset WS-1"
     ]

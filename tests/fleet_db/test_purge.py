@@ -151,7 +151,8 @@ def test_a_purge_works_in_batches_with_a_record_of_each(fleet: SqlStorage, monke
         purge(fleet, raw_of(fleet), Retention(**(NOTHING | {"idempotency_keys": 7.0})), NOW, checkpoint)
     assert purged(fleet, idempotency_keys=7.0) == {"idempotency_keys": 1}
     with fleet.read() as unit:
-        rows = unit.connection.execute(sqlalchemy.select(PurgeRow.items).order_by(PurgeRow.purge_id)).scalars().all()
+        purges = PurgeRow.table.c
+        rows = unit.connection.scalars(sqlalchemy.select(purges["items"]).order_by(purges.purge_id)).all()
     assert rows == [3, 3, 1]
 
 

@@ -89,13 +89,13 @@ def test_one_open_alert_of_a_kind(fleet: SqlStorage) -> None:
 def test_one_open_alert_is_held_by_the_database_itself(fleet: SqlStorage) -> None:
     saved = save(fleet, make.ALERT, RAISED)
     with fleet.engine.connect() as connection, connection.begin():
-        row = dict(connection.execute(sqlalchemy.select(AlertRow.__table__)).mappings().one())
+        row = dict(connection.execute(sqlalchemy.select(AlertRow.table)).mappings().one())
     del row["alert_id"]
     with pytest.raises(IntegrityError), fleet.engine.begin() as connection:
-        connection.execute(sqlalchemy.insert(AlertRow).values(**row))
+        connection.execute(sqlalchemy.insert(AlertRow.table).values(**row))
     save(fleet, replace(saved, closed_ns=60), CLOSED)
     with fleet.engine.begin() as connection:
-        connection.execute(sqlalchemy.insert(AlertRow).values(**row))
+        connection.execute(sqlalchemy.insert(AlertRow.table).values(**row))
 
 
 FLEET_ALERT = replace(make.ALERT, wheelset=None)
@@ -108,14 +108,14 @@ def test_one_open_fleet_alert_of_a_kind(fleet: SqlStorage) -> None:
     with pytest.raises(ConflictError, match=f"alert {first.alert_id} .* is already open for fleet 'F-1'"):
         save(fleet, FLEET_ALERT, RAISED)
     with fleet.engine.connect() as connection:
-        statement = sqlalchemy.select(AlertRow.__table__).where(AlertRow.alert_id == first.alert_id)
+        statement = sqlalchemy.select(AlertRow.table).where(AlertRow.table.c.alert_id == first.alert_id)
         row = dict(connection.execute(statement).mappings().one())
     del row["alert_id"]
     with pytest.raises(IntegrityError), fleet.engine.begin() as connection:
-        connection.execute(sqlalchemy.insert(AlertRow).values(**row))
+        connection.execute(sqlalchemy.insert(AlertRow.table).values(**row))
     save(fleet, replace(first, closed_ns=60), CLOSED)
     with fleet.engine.begin() as connection:
-        connection.execute(sqlalchemy.insert(AlertRow).values(**row))
+        connection.execute(sqlalchemy.insert(AlertRow.table).values(**row))
 
 
 def test_a_fleet_alert_stands_in_the_feed_for_members_raised_with_it(fleet: SqlStorage) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from in_process_command import Run
 
-from api.terminal.ingest import registry_lines
+from api.terminal.registry import registry_lines
 from estimation.errors import InputError
 from fleet_db.storage import SqlStorage
 from ingest.registry_entry.contents import LoadedRegistry

@@ -16,7 +16,7 @@ from bad_recordings import JUMPING, STANDING, WRONG, Edited, edited, registry_wi
 from tiny_fleet import Deployment, deployment, recorded_once
 
 from api.demo.findings import ServiceAddress, track_lines
-from api.factory import create_app
+from api.serving import create_app
 from api.terminal.demo import free_port, serving_api
 from api.terminal.estimate import fleet_reasons, summary_lines
 from ingest.simulator.fleet import FleetReport, Recording

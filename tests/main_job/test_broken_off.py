@@ -161,7 +161,7 @@ def test_a_damaged_bin_table_is_named_and_the_other_wheelsets_go_on(received: De
     succeeded(fleet, "estimate_windows")
     with fleet.storage.read() as unit:
         victim = unit.windows.list(DEAD)[0]  # comes first
-    tables = WindowBinTableRow.__table__
+    tables = WindowBinTableRow.table
     with fleet.storage.engine.begin() as connection:
         key = (tables.c.wheelset == DEAD, tables.c.start_ns == victim.start_ns)
         connection.execute(update(tables).where(*key).values(packed=b"rubbish"))

@@ -15,7 +15,7 @@ import pytest
 from test_workers import compared, harm, holders
 from tiny_fleet import Deployment, results
 
-from api.factory import job_context
+from api.pipeline import job_context
 from api.workers.on_dask import DaskExecutor
 from bench.dask_cluster import DaskCluster, dask_cluster
 from estimation.jobs.catalogue import job_named, run_all

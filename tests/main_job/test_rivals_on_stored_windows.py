@@ -6,7 +6,7 @@ from one_database import url_on_sqlite
 from tiny_fleet import WORN, Deployment
 
 from api.comparison.trial import geometry_by
-from api.factory import job_context
+from api.pipeline import job_context
 from estimation.values.geometry import BinStatus, GeometryRecord
 from estimation.values.quantities import Status
 from fleet_db.packed_values import pack_geometry

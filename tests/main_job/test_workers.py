@@ -18,7 +18,7 @@ import pytest
 from sqlalchemy import select
 from tiny_fleet import DEAD, WORN, Deployment, results
 
-from api.factory import job_context
+from api.pipeline import job_context
 from api.workers.pool import ProcessPool
 from estimation.jobs.catalogue import job_named, run_all
 from estimation.jobs.job import JobContext, WorkExecutor, run_job

@@ -15,7 +15,8 @@ import pytest
 from made_once import made_once
 from sqlalchemy import select
 
-from api.factory import job_context, raw_store
+from api.factory import raw_store
+from api.pipeline import job_context
 from api.settings import Settings
 from bench.standing_clock import StandingClock
 from estimation.jobs.catalogue import run_all

@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import Page, expect
 from service_process import ServiceProcess, service_process
 
-from api.access.key_ring import Wanted, make_key
+from api.access.keys import Wanted, make_key
 from fleet_db.storage import SqlStorage
 
 ROWS = "tbody tr[data-index]"

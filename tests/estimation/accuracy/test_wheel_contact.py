@@ -15,7 +15,8 @@ from estimation.accuracy.wheel_contact import (
 )
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
-from estimation.contact.profiles import profile_from_points, rail_profile, wheel_profile
+from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.contact.smoothed_profile import profile_from_points
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.units import NORMAL_95

@@ -14,7 +14,7 @@ import pytest
 from adhesion_fleet import EstimatedFleet
 
 from api.comparison.trial import copied, opened, run_jobs
-from api.factory import create_app
+from api.serving import create_app
 from api.settings import Settings
 from estimation.jobs import refresh_adhesion
 from estimation.jobs.job import JobContext

@@ -13,7 +13,7 @@ import pytest
 from adhesion_fleet import EstimatedFleet
 
 from api.comparison.trial import copied, opened, run_jobs
-from api.factory import create_app
+from api.serving import create_app
 from api.settings import Settings
 from api.times import to_rfc3339
 from bench.adhesion_fleet import true_friction

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
 from estimation.contact.method import ContactMethod
-from estimation.contact.profiles import Profile, profile_from_points, rail_profile, rail_surface, wheel_profile
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.smoothed_profile import profile_from_points
+from estimation.contact.surfaces import rail_surface
 from estimation.contact.wear import TreadWear, worn
 from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, evaluate
 from estimation.errors import ContactError

@@ -14,10 +14,10 @@ from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import (
     Profile,
-    profile_from_points,
     rail_profile,
     wheel_profile,
 )
+from estimation.contact.smoothed_profile import profile_from_points
 from estimation.contact.wear import TreadWear, WearFamily, wear_course, wear_measures, worn
 from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, Segment, evaluate
 from estimation.errors import ParameterError, ProfileError

@@ -12,7 +12,8 @@ from estimation.contact.parameters import OF_PROFILES
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.wear import RailWear, WearFamily, wear_course, worn, worn_rail
 from estimation.errors import ParameterError, ProfileError
-from estimation.rails.cell import RailsParameters, conicity_on_rails, designed_wheel
+from estimation.rails.cell import conicity_on_rails, designed_wheel
+from estimation.rails.parameters import RailsParameters
 from estimation.values.arrays import FloatArray
 
 WEAR = RailWear(0.6e-3, -2e-3, 24e-3)

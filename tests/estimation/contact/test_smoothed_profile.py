@@ -10,8 +10,9 @@ from estimation.contact.conicity import MeasuredShapes, conicity_std, equivalent
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.method import ContactMethod
 from estimation.contact.penalised_spline import correlated_noise, rough_noise
-from estimation.contact.profiles import Profile, rail_profile, wheel_profile, wheel_surface
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.smoothed_profile import SmoothedProfile, exact, smoothed_profile
+from estimation.contact.surfaces import wheel_surface
 from estimation.errors import ContactError, ProfileError
 from estimation.values.arrays import FloatArray
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation.contact.profiles import Profile, profile_from_points, wheel_profile
+from estimation.contact.profiles import Profile, wheel_profile
+from estimation.contact.smoothed_profile import profile_from_points
 from estimation.contact.wear import TreadWear, wear_measures, worn
 
 SLOPE = 2.5  # of the flange face: 2.5 mm down a millimetre towards the tip

@@ -24,7 +24,7 @@ from estimation.jobs.settings import JobSettings, KnownSection, RailsSettings
 from estimation.jobs.steps import rail_cells
 from estimation.jobs.steps.assumptions import Membership
 from estimation.jobs.steps.rolling import Rolled, rolled
-from estimation.rails.cell import RailsParameters
+from estimation.rails.parameters import RailsParameters
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS, RailPart, RailsReference, WheelsFinding
 from estimation.values.quantities import Estimate

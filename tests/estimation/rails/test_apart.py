@@ -10,7 +10,8 @@ from drawn_cells import AMPLITUDE, DESIGN, SECTIONS, anchors, cell, drawn_fleet,
 
 from estimation.errors import ParameterError
 from estimation.rails.apart import rails_apart, reported
-from estimation.rails.cell import Anchors, RailsParameters
+from estimation.rails.cell import Anchors
+from estimation.rails.parameters import RailsParameters
 from estimation.values.opinions import KnownWheel, RailPart, RailsApart, RailsReference, SectionConicity, WheelPart
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode

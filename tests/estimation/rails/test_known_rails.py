@@ -9,7 +9,7 @@ import pytest
 from drawn_cells import AMPLITUDE, anchors, cell, drawn_fleet, wheel
 
 from estimation.rails.apart import rails_apart
-from estimation.rails.cell import RailsParameters
+from estimation.rails.parameters import RailsParameters
 from estimation.values.opinions import RailsApart, RailsReference, SectionConicity
 from estimation.values.reasons import ReasonCode
 

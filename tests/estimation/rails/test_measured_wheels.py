@@ -9,7 +9,8 @@ import pytest
 from drawn_cells import AMPLITUDE, anchors, cell, wheel
 
 from estimation.rails.apart import rails_apart
-from estimation.rails.cell import Anchors, RailsParameters
+from estimation.rails.cell import Anchors
+from estimation.rails.parameters import RailsParameters
 from estimation.values.opinions import KnownWheel, RailKey, RailsApart, RailsReference, SectionConicity
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import ReasonCode

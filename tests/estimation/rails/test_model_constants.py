@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from scipy.special import stdtrit
 
 from estimation.rails.apart import rails_apart
-from estimation.rails.cell import RailsParameters
+from estimation.rails.parameters import RailsParameters
 from estimation.rails.two_way import TwoWay, part
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import RailPart, RailsApart, SectionConicity

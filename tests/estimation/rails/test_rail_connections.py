@@ -9,8 +9,8 @@ import pytest
 from drawn_cells import AMPLITUDE, anchors, cell, wheel
 
 from estimation.rails.apart import rails_apart
-from estimation.rails.cell import RailsParameters
 from estimation.rails.component import Runs, connected
+from estimation.rails.parameters import RailsParameters
 from estimation.values.opinions import RailsApart, SectionConicity
 from estimation.values.reasons import ReasonCode
 

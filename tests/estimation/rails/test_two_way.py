@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from estimation.rails.cell import RailsParameters
+from estimation.rails.parameters import RailsParameters
 from estimation.rails.two_way import TwoWay, part
 
 PARAMETERS = RailsParameters()

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from estimation.errors import ParameterError
-from estimation.vehicle.plausibility import (
+from estimation.vehicle.kalker import (
     ContactRadii,
     ContactRadiiStd,
     contact_ellipse,
