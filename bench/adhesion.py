@@ -1,31 +1,37 @@
 """Creep forces and friction: ``python -m bench adhesion [--seeds 0-2] [--rows low,...] [--out FILE] [--write-docs]``.
 
 Every row is a scenario file in ``bench/adhesion_scenarios``; every seed of it is simulated and estimated by the pure
-functions that the jobs use (``adhesion_case``). ``wrong_file`` stands for the rows of ``adhesion_wrong``,
-``quiet_rows`` for those of ``adhesion_quiet``. Results are appended to ``--out`` after every case, a line of JSON each,
-and what is there is not run again. The passes of each case stay in ``--sums``: ``--again`` pools them, which judges a
-change of pooling or decision in seconds.
+functions that the jobs use (``adhesion_case``). ``wrong_file`` stands for the rows of ``adhesion_rows`` whose file is
+wrong, ``quiet_rows`` for those with quiet sensors. The passes of each case stay in ``--sums``: ``--again`` pools them,
+which judges a change of pooling or decision in seconds.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
+import numpy as np
+from scipy.stats import chi2
 
-from bench.adhesion_quiet import QUIET, as_seen, quiet_scenario
-from bench.adhesion_stored import path_of, read_passes, write_passes
-from bench.adhesion_table import CHOICE_COLUMNS, FRICTION_COLUMNS, choice_rows, friction_rows, summary
-from bench.adhesion_wrong import OF, ONE, WRONG, as_on_file, first_vehicle, with_others
-from bench.report import BenchRow
-from bench.results_page import markdown_table, write_page
-from bench.world import seed_range
+from bench.adhesion_case import LOW, judge, path_of, read_passes, score, vehicle_km, write_passes
+from bench.adhesion_fleet import simulate
+from bench.adhesion_rows import (
+    OF,
+    ONE,
+    QUIET,
+    WRONG,
+    as_on_file,
+    as_seen,
+    first_vehicle,
+    quiet_scenario,
+    with_others,
+)
+from bench.report import BenchRow, Part, ResultTable, row_table
+from bench.study import Case, Key, Study, stored_cases
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario_file import load_scenario
 
@@ -33,65 +39,248 @@ SCENARIOS = Path(__file__).parent / "adhesion_scenarios"
 FILES = tuple(sorted({path.stem for path in SCENARIOS.glob("*.toml")} - set(QUIET)))
 ROWS = (*FILES, *QUIET, *WRONG, *ONE)  # a row of one vehicle comes behind those that it is put together from
 GROUPS = {"wrong_file": (*WRONG, *ONE), "quiet_rows": tuple(QUIET)}
-TITLE = "Creep forces and friction"
-COLUMNS = ("what", "measured", "reach", "met")
+KEY = ("row", "seed")
+LEAST_LENGTH = 50.0  # m, of a place: what is shorter is not separated
+FRICTION_COLUMNS = (
+    "row",
+    "seeds",
+    "lateral creep",
+    "yaw moment",
+    "stretches below 0.15, of 50 m or more, found",
+    "alarms without",
+    "vehicle-km",
+    "places with an interval",
+    "of those covered",
+    "error of friction at 0.12 to 0.18, mean and std",
+    "lower bounds that hold",
+    "seeds with a vehicle left out",
+    "conicity error, all samples",
+    "without low friction",
+)
+JUDGED = "low"  # the row of the wanted numbers
+WRONG_ROWS = {*WRONG, *ONE}
+LEAST_HELD = 0.92  # share of intervals and of lower bounds, in rows whose file is wrong
+CHOSEN_ON = range(30)  # seeds on which limits were chosen, or whose misses led to a rule
+MOST_FALSE = 0.5e-3  # alarms a vehicle-km
+JUST_ABOVE = 0.16  # friction below which an alarm is one of rails at the limit
+DEEP = 0.12  # friction below which a stretch is clearly low
+CERTAINTY = 0.95  # of the bound of a rate
+NEAR = (0.12, 0.18)  # friction of places that are near the limit
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run what was asked for; return 1 when a row falls short."""
-    options = _options(arguments)
-    console = Console(width=None if Console().is_terminal else 200)
-    cases = _stored(options.out)
-    if options.again:
-        cases = _again(cases, options.sums)
-    elif not options.print_only:
-        _run(options, cases, console)
-    rows = summary(cases)
-    tables: tuple[tuple[Sequence[str], Sequence[tuple[str, ...]]], ...] = (
-        (COLUMNS, _cells(rows)),
-        (FRICTION_COLUMNS, friction_rows(cases)),
-        (CHOICE_COLUMNS, choice_rows(cases)),
-    )
-    for header, cells in tables:
-        table = Table(*header, show_lines=True)
-        for row in cells:
-            table.add_row(*row)
-        console.print(table)
-    if options.write_docs:
-        body = [markdown_table(header, cells) for header, cells in tables]
-        console.print(f"wrote {write_page('adhesion', TITLE, 'python -m bench adhesion --write-docs', body)}")
-    return 0 if all(row.met for row in rows) else 1
-
-
-def _cells(rows: Sequence[BenchRow]) -> list[tuple[str, ...]]:
-    return [(row.what, row.measured, row.reach, "yes" if row.met else "NO") for row in rows]
-
-
-def _stored(path: Path) -> list[dict[str, Any]]:
-    if not path.exists():
+def summary(cases: Sequence[Case]) -> list[BenchRow]:
+    """Return what was measured beside what is to be reached."""
+    judged = [case for case in cases if case["row"] == JUDGED]
+    if not judged:
         return []
-    found = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    return list({(case["row"], case["seed"]): case for case in found}.values())
+    seeds = f"{len(judged)} seeds"
+    wrong = [case for case in cases if case["row"] in WRONG_ROWS]
+    cases = [case for case in cases if case["row"] not in WRONG_ROWS]
+    lateral, moment = _share(judged, "lateral"), _share(judged, "moment")
+    speed = sum(case["wheelset_seconds"] for case in judged) / sum(case["force_seconds"] for case in judged)
+    rows = [
+        BenchRow(f"lateral creep force, rms error over rms, {seeds}", _percent(lateral), "10 %", lateral <= 0.10),
+        BenchRow(f"yaw moment of creep, rms error over rms, {seeds}", _percent(moment), "10 %", moment <= 0.10),
+        BenchRow(
+            f"the same by integrals in Newton's equations, contact force and yaw moment, {seeds}",
+            f"{_percent(_share(judged, 'newton_contact'))}, {_percent(_share(judged, 'newton_moment'))}"
+            f" (filter: {_percent(_share(judged, 'contact'))}, {_percent(moment)})",
+            "the filter is better",
+            _share(judged, "contact") < _share(judged, "newton_contact"),
+        ),
+        _stretches_row(judged, seeds),
+        _alarms_row(cases),
+        BenchRow(
+            "speed of the filter, per wheelset and core",
+            f"{speed:.0f} times real time",
+            ">= 1,000",
+            speed >= 1000.0,
+        ),
+    ]
+    if wrong:
+        rows.append(_wrong_row(wrong))
+    return rows + _conicity_rows(judged)
 
 
-def _run(options: argparse.Namespace, cases: list[dict[str, Any]], console: Console) -> None:
-    have = {(case["row"], case["seed"]) for case in cases}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
+def _stretches_row(judged: Sequence[Case], seeds: str) -> BenchRow:
+    """Return how many stretches of low friction are found."""
+    found, every = _found(judged, LEAST_LENGTH), _found(judged)
+    unseen = [case for case in judged if case["seed"] not in CHOSEN_ON]
+    confirming, deep = _found(unseen, LEAST_LENGTH), _found(judged, LEAST_LENGTH, DEEP)
+    return BenchRow(
+        f"stretches of friction < 0.15, of 50 m or more, found within 200 m of their start, {seeds}",
+        f"{_percent(np.mean(found))} of {len(found)}; of seeds that nothing was chosen on: {sum(confirming)} of"
+        f" {len(confirming)}; of those that reach below {DEEP:g}: {sum(deep)} of {len(deep)}; with shorter ones"
+        f" {_percent(np.mean(every))} of {len(every)}",
+        ">= 95 %",
+        bool(np.mean(found) >= 0.95),
+    )
+
+
+def _alarms_row(cases: Sequence[Case]) -> BenchRow:
+    """Return how many alarms there are without low friction, over all cases and over seeds that chose nothing."""
+    unseen = [case for case in cases if case["seed"] not in CHOSEN_ON]
+    far, km = _false(cases, JUST_ABOVE), _km(cases)
+    return BenchRow(
+        "alarms without friction < 0.16 in them, all rows with friction but those whose file or sensors are wrong",
+        f"{_rate(far, km)}, with 95 % at most {1e3 * most_often(far, km):.1f} (0 in {most_often(0, MOST_FALSE):.0f} km"
+        f" are at most 0.5); of seeds that nothing was chosen on: {_rate(_false(unseen, JUST_ABOVE), _km(unseen))};"
+        f" without friction < 0.15: {_false(cases)}, of those seeds {_false(unseen)}; {_by_row(cases)}",
+        "< 0.5 per 1,000 km",
+        far < MOST_FALSE * km,
+    )
+
+
+def most_often(count: int, exposure: float) -> float:
+    """Return the rate that ``count`` events of a Poisson process in an exposure do not contradict.
+
+    With a rate in place of the exposure it is the exposure that shows this rate.
+    """
+    return float(chi2.ppf(CERTAINTY, 2 * (count + 1))) / 2.0 / max(exposure, np.finfo(float).tiny)
+
+
+def _conicity_rows(judged: Sequence[Case]) -> list[BenchRow]:
+    """Return what leaving out the samples on low friction does to conicities; none where nothing was left out."""
+    judged = [case for case in judged if case["conicity_left_out"]]
+    left, kept = (_errors(judged, name) for name in ("conicity_left_out", "conicity_all"))
+    if not judged:
+        return []
+    seeds = f"{len(judged)} seeds"
+    return [
+        BenchRow(
+            f"conicity beside low friction, mean and mean absolute error, {seeds}",
+            f"{_error(kept)} with every sample, {_error(left)} without those on certainly low friction",
+            "mean absolute error smaller",
+            float(np.abs(left).mean()) < float(np.abs(kept).mean()),
+        )
+    ]
+
+
+def _wrong_row(cases: Sequence[Case]) -> BenchRow:
+    """Return what holds in the worst of the rows whose file or sensors are wrong."""
+    rows = [[case for case in cases if case["row"] == name] for name in sorted({case["row"] for case in cases})]
+    held = [_held(of) for of in rows]
+    covered = min(float(np.mean(one)) for one, _ in held if one)
+    bounded = min(float(np.mean(one)) for _, one in held if one)
+    return BenchRow(
+        f"file or sensors wrong, the worst of {len(rows)} rows: places covered, lower bounds that hold",
+        f"{_percent(covered)}, {_percent(bounded)}; alarms without friction < 0.15: {_rate(_false(cases), _km(cases))}",
+        ">= 92 %",
+        min(covered, bounded) >= LEAST_HELD,
+    )
+
+
+def _km(cases: Iterable[Case]) -> float:
+    return float(sum(case["vehicle_km"] for case in cases if case["cells"]))
+
+
+def _rate(alarms: int, km: float) -> str:
+    return f"{alarms} in {km:.0f} vehicle-km: {1e3 * alarms / max(km, 1.0):.1f} per 1,000 km"
+
+
+def _by_row(cases: Sequence[Case]) -> str:
+    """Return the false alarms of each row that has some."""
+    rows = {name: [case for case in cases if case["row"] == name] for name in sorted({case["row"] for case in cases})}
+    some = [f"{name}: {_rate(_false(of), _km(of))}" for name, of in rows.items() if _false(of)]
+    return "; ".join(some) or f"none in any of {len(rows)} rows"
+
+
+def friction_rows(cases: Sequence[Case]) -> list[tuple[str, ...]]:
+    """Return a row of cells for every row of the bench."""
+    rows: list[tuple[str, ...]] = []
+    for name in sorted({case["row"] for case in cases}):
+        of = [case for case in cases if case["row"] == name]
+        cells = [cell for case in of for cell in case["cells"]]
+        covered, bounded = _held(of)
+        found = _found(of, LEAST_LENGTH)
+        rows.append(
+            (
+                name,
+                str(len(of)),
+                _percent(_share(of, "lateral")),
+                _percent(_share(of, "moment")),
+                f"{sum(found)} of {len(found)}" if cells else "",
+                str(_false(of)) if cells else "",
+                f"{sum(case['vehicle_km'] for case in of):.0f}",
+                f"{len(covered)} of {len(cells)}" if cells else "",
+                _percent(np.mean(covered)) if covered else "",
+                _near_limit(cells),
+                _percent(np.mean(bounded)) if bounded else "",
+                str(sum(bool(case.get("left_out")) for case in of)) if cells else "",
+                _error(_errors(of, "conicity_all")),
+                _error(_errors(of, "conicity_left_out")),
+            )
+        )
+    return rows
+
+
+def _near_limit(cells: Iterable[Case]) -> str:
+    """Return the mean and the std of the errors of friction of places near the limit."""
+    near = [one for one in cells if one["value"] is not None and NEAR[0] <= one["mean"] < NEAR[1]]
+    errors = np.array([one["value"] - one["mean"] for one in near])
+    return f"{errors.mean():+.3f}, {errors.std():.3f}" if len(errors) else ""
+
+
+def _held(cases: Iterable[Case]) -> tuple[list[bool], list[bool]]:
+    """Return whether each interval holds the true friction, and whether each lower bound is below it."""
+    cells = [cell for case in cases for cell in case["cells"]]
+    covered = [cell["low"] <= cell["mean"] <= cell["high"] for cell in cells if cell["value"] is not None]
+    return covered, [cell["at_least"] <= cell["mean"] for cell in cells if cell["at_least"]]
+
+
+def _share(cases: Iterable[Case], name: str) -> float:
+    squares = [case[name] for case in cases]
+    force = sum(one["force"] for one in squares)
+    return float(np.sqrt(sum(one["error"] for one in squares) / force)) if force else float("nan")
+
+
+def _found(cases: Iterable[Case], least_length: float = 0.0, below: float = LOW) -> list[bool]:
+    return [
+        one
+        for case in cases
+        for one, (begin, end) in zip(case["found"], case["stretches"], strict=True)
+        if end - begin >= least_length and _least(case, begin, end) < below
+    ]
+
+
+def _least(case: Case, begin: float, end: float) -> float:
+    """Return the least friction of the places that a stretch meets."""
+    met = [one["least"] for one in case["cells"] if one["from"] < end and one["from"] + LEAST_LENGTH > begin]
+    return min(met, default=0.0)
+
+
+def _false(cases: Iterable[Case], limit: float = LOW) -> int:
+    return sum(least >= limit for case in cases for _, _, least in case["alarms"])
+
+
+def _errors(cases: Iterable[Case], name: str) -> np.ndarray:
+    return np.array([error for case in cases for error in case[name]])
+
+
+def _percent(share: float | np.floating[Any]) -> str:
+    return f"{100.0 * share:.1f} %" if np.isfinite(share) else ""
+
+
+def _error(errors: np.ndarray) -> str:
+    return f"{errors.mean():+.4f}, {np.abs(errors).mean():.4f}" if len(errors) else ""
+
+
+def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]:
+    if options.again:
+        for row, seed in sorted(done):
+            path = path_of(options.sums, row, seed)
+            if path.exists():
+                stored = next(
+                    case for case in stored_cases(options.out, KEY) if (case["row"], case["seed"]) == (row, seed)
+                )
+                yield stored | asdict(judge(read_passes(path)))
+        return
     for seed in options.seeds:
-        for made in _cases([row for row in options.rows if (row, seed) not in have], seed, options.sums):
-            case = json.loads(json.dumps(made))
-            cases.append(case)
-            with options.out.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(case) + "\n")
-            found = f"{sum(case['found'])} of {len(case['found'])} stretches, {len(case['alarms'])} alarms"
-            console.print(f"{case['row']} seed {seed}: {found}", highlight=False)
+        yield from _of_seed([row for row in options.rows if (row, seed) not in done], seed, options.sums)
 
 
-def _cases(rows: Sequence[str], seed: int, sums: Path) -> Iterator[dict[str, Any]]:
+def _of_seed(rows: Sequence[str], seed: int, sums: Path) -> Iterator[dict[str, Any]]:
     """Yield the cases of rows for a seed; a scenario that rows share is simulated once."""
-    from bench.adhesion_case import score, vehicle_km  # noqa: PLC0415 - compiled code is loaded where it runs
-    from bench.adhesion_fleet import simulate  # noqa: PLC0415 - as above
-
     for row in rows:
         if row in QUIET:
             quiet = as_seen(simulate(with_seed(quiet_scenario(SCENARIOS, QUIET[row]), seed)), QUIET[row])
@@ -112,8 +301,6 @@ def _cases(rows: Sequence[str], seed: int, sums: Path) -> Iterator[dict[str, Any
 
 def _with_others(row: str, seed: int, sums: Path) -> dict[str, Any]:
     """Return the friction of a fleet whose first vehicle alone is wrong; keep its passes in place of that vehicle's."""
-    from bench.adhesion_friction import judge  # noqa: PLC0415 - as above
-
     own, right = path_of(sums, row, seed), path_of(sums, OF, seed)
     if not right.exists():
         raise SystemExit(f"row {row} needs row {OF} of seed {seed}")
@@ -122,32 +309,29 @@ def _with_others(row: str, seed: int, sums: Path) -> dict[str, Any]:
     return asdict(judge(stored))
 
 
-def _again(cases: Sequence[dict[str, Any]], sums: Path) -> list[dict[str, Any]]:
-    """Return the cases with the friction that their stored passes give now."""
-    from bench.adhesion_friction import judge  # noqa: PLC0415 - as above
-
-    done = []
-    for case in cases:
-        path = path_of(sums, case["row"], case["seed"])
-        done.append(case | asdict(judge(read_passes(path))) if path.exists() else case)
-    return done
-
-
-def _options(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench adhesion", description=__doc__)
-    parser.add_argument("--seeds", type=seed_range, default=[0], help="as in 0-19 or 3 (default: 0)")
-    parser.add_argument("--rows", type=_rows, default=list(ROWS), help="names, with commas between (default: all)")
-    parser.add_argument("--out", type=Path, default=Path("bench-results/adhesion.jsonl"), help="lines of JSON")
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sums", type=Path, default=Path("bench-results/adhesion-sums"), help="folder of the passes")
     parser.add_argument("--again", action="store_true", help="run no case, pool the passes of those in --out again")
-    parser.add_argument("--print-only", action="store_true", help="print the tables of what --out holds")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/results/adhesion.md")
-    return parser.parse_args(arguments)
 
 
-def _rows(text: str) -> list[str]:
-    names = [name for word in text.split(",") for name in GROUPS.get(word, (word,))]
-    unknown = [name for name in names if name not in ROWS]
-    if unknown:
-        raise argparse.ArgumentTypeError(f"no row {', '.join(unknown)}; there are {', '.join((*ROWS, *GROUPS))}")
-    return names
+def parts(cases: Sequence[Case]) -> list[Part]:
+    """Return the tables of the page."""
+    return [row_table(summary(cases)), ResultTable(FRICTION_COLUMNS, friction_rows(cases))]
+
+
+def _line(case: Case) -> str:
+    found = f"{sum(case['found'])} of {len(case['found'])} stretches, {len(case['alarms'])} alarms"
+    return f"{case['row']} seed {case['seed']}: {found}"
+
+
+main = Study(
+    name="adhesion",
+    title="Creep forces and friction",
+    about=__doc__ or "",
+    cases=_cases,
+    parts=parts,
+    line=_line,
+    rows=ROWS,
+    groups=GROUPS,
+    options=_options,
+).run

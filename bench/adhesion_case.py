@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import pickle
 import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bench.adhesion_fleet import Fleet, SensedWindow
-from bench.adhesion_friction import STEP, compare
-from bench.adhesion_stored import StoredPasses, path_of, write_passes
 from estimation.adhesion.creep_forces import (
     ContactForces,
     FrictionParameters,
@@ -27,9 +27,9 @@ from estimation.motion.checks import away_from_low_adhesion
 from estimation.motion.integration import Gates, SignalParameters, WindowParameters
 from estimation.motion.window_motion import window_motion
 from estimation.tables.bin_table import bin_parameters, fill_cells, merge_all
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, runs
 from estimation.values.geometry import FilledCells, WheelsetGeometry
-from estimation.values.opinions import WindowAdhesion
+from estimation.values.opinions import SectionAdhesion, WindowAdhesion
 from estimation.values.reasons import Reason
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import Motion, Window
@@ -38,8 +38,94 @@ from ingest.simulator.axle_motion import contact_of, true_geometry
 from ingest.simulator.running import CreepLaw
 from ingest.simulator.scenario import Scenario
 
+
+@dataclass(frozen=True, slots=True)
+class StoredPasses:
+    """What the windows of a case say of friction, and what is true."""
+
+    section: str
+    passes: tuple[WindowAdhesion, ...]
+    distance: FloatArray  # (n,) m
+    friction: FloatArray  # (n,) true coefficient there
+    length: float  # m, of the section
+
+
+def path_of(folder: Path, row: str, seed: int) -> Path:
+    """Return the file of a case."""
+    return folder / f"{row}-{seed}.pickle"
+
+
+def write_passes(path: Path, stored: StoredPasses) -> None:
+    """Write the passes of a case: pooling and decision are judged again without simulating."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(pickle.dumps(stored))
+
+
+def read_passes(path: Path) -> StoredPasses:
+    """Read what ``write_passes`` wrote."""
+    stored: StoredPasses = pickle.loads(path.read_bytes())  # noqa: S301 - written by the lines above
+    return stored
+
+
+LOW = 0.15
+WITHIN = 200.0  # m from the start of a stretch within which it is to be found
+STEP = 1.0  # m
+
+
+@dataclass(slots=True)
+class FrictionScore:
+    """What is found of the friction of one case; plain numbers."""
+
+    cells: list[dict[str, float | None]] = field(default_factory=list)
+    stretches: list[tuple[float, float]] = field(default_factory=list)  # true ones that were passed
+    found: list[bool] = field(default_factory=list)
+    alarms: list[tuple[float, float, float]] = field(default_factory=list)  # begin, end, least friction in it
+    left_out: list[str] = field(default_factory=list)  # vehicles and wheelsets that contradict the others
+
+
+def judge(stored: StoredPasses) -> FrictionScore:
+    """Pool the passes of a case and compare with the truth."""
+    found = section_adhesion(stored.section, stored.passes, FrictionParameters(), stored.length)
+    return FrictionScore() if found is None else compare(found, stored)
+
+
+def compare(found: SectionAdhesion, stored: StoredPasses) -> FrictionScore:
+    """Return the friction that was found beside the true one: places, stretches that are found, false alarms."""
+    done = FrictionScore(left_out=[one.wheelset or one.vehicle for one in found.left_out])
+    for cell in found.cells:
+        along = _along(stored, cell.from_m, cell.to_m)
+        done.cells.append(
+            {
+                "from": cell.from_m,
+                "mean": float(along.mean()),
+                "least": float(along.min()),
+                "value": cell.friction.value,
+                "low": cell.friction.low,
+                "high": cell.friction.high,
+                "at_least": cell.at_least,
+                "probability": cell.low_probability,
+            }
+        )
+    passed = [cell.from_m for cell in found.cells if cell.friction.value is not None or cell.at_least]
+    if not passed:
+        return done
+    s = np.arange(max(min(passed), 0.0), min(max(passed), stored.length), STEP)
+    friction = np.interp(s, stored.distance, stored.friction)
+    for first, behind in runs(friction < LOW):
+        begin, end = float(s[first]), float(s[behind - 1])
+        done.stretches.append((begin, end))
+        reach = min(begin + WITHIN, max(end, begin + STEP))
+        done.found.append(any(a <= reach and b >= begin for a, b in found.low_stretches))
+    done.alarms = [(a, b, float(_along(stored, a, b).min())) for a, b in found.low_stretches]
+    return done
+
+
+def _along(stored: StoredPasses, begin: float, end: float) -> FloatArray:
+    s = np.arange(begin, end + STEP, STEP)
+    return np.asarray(np.interp(s, stored.distance, stored.friction))
+
+
 AMPLITUDES = np.arange(4, 13) * 0.25e-3  # m
-TRIMMED_S = 1.0
 
 
 @dataclass(slots=True)
@@ -66,22 +152,17 @@ class AdhesionScore:
     contact: Squares = field(default_factory=Squares)
     newton_contact: Squares = field(default_factory=Squares)  # integrals put into Newton's equations, without a filter
     newton_moment: Squares = field(default_factory=Squares)
-    innovations: list[float] = field(default_factory=list)
-    refused: dict[str, int] = field(default_factory=dict)
-    cells: list[dict[str, float | None]] = field(default_factory=list)
-    stretches: list[tuple[float, float]] = field(default_factory=list)  # true ones that were passed
-    found: list[bool] = field(default_factory=list)
-    alarms: list[tuple[float, float, float]] = field(default_factory=list)  # begin, end, least friction in it
-    left_out: list[str] = field(default_factory=list)  # vehicles and wheelsets that contradict the others
+    friction: FrictionScore = field(default_factory=FrictionScore)
     vehicle_km: float = 0.0
     conicity_all: list[float] = field(default_factory=list)  # errors, with every sample
     conicity_left_out: list[float] = field(default_factory=list)  # without samples on low friction
     force_seconds: float = 0.0
     wheelset_seconds: float = 0.0
 
-    def as_json(self) -> dict[str, object]:
+    def as_json(self) -> dict[str, Any]:
         """Return everything as JSON values."""
-        return asdict(self)
+        values = asdict(self)
+        return values | values.pop("friction")
 
 
 def score(fleet: Fleet, row: str, folder: Path, *, left_out_too: bool = True) -> AdhesionScore:
@@ -104,9 +185,7 @@ def score(fleet: Fleet, row: str, folder: Path, *, left_out_too: bool = True) ->
     found = section_adhesion(scenario.section.code, passes, FrictionParameters(), stored.length)
     if found is None:
         return done
-    friction = compare(found, stored)
-    done.cells, done.stretches = friction.cells, friction.stretches
-    done.found, done.alarms, done.left_out = friction.found, friction.alarms, friction.left_out
+    done.friction = compare(found, stored)
     if not left_out_too:
         return done
     if not found.certain_stretches:
@@ -185,9 +264,6 @@ def _passes(
             one, motion, serial = fleet.windows[i], motions[i], windows[place].wheelset
             force = forces if isinstance(forces, Reason) else forces[place]
             if isinstance(force, Reason) or isinstance(motion, Reason):
-                reason = force if isinstance(force, Reason) else motion
-                code = str(reason.code) if isinstance(reason, Reason) else ""
-                done.refused[code] = done.refused.get(code, 0) + 1
                 continue
             inputs = AdhesionInputs(parameters[serial], geometries[serial], profiles[serial], section)
             found.append(window_adhesion(one.window, "", force, motion, inputs))
@@ -246,7 +322,6 @@ def _score_forces(
     turning = turning + p.pitch_inertia * motion.speed / p.nominal_radius * motion.roll_rate
     done.newton_contact.add(newton[good], contact[good])
     done.newton_moment.add(turning[good], moment[good])
-    done.innovations.append(force.innovation)
 
 
 def _length(fleet: Fleet) -> float:

@@ -7,12 +7,13 @@ little. The true forces follow from the true motion by Newton's equations.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 
 import numpy as np
 from scipy.signal import firwin
 
+from bench.made_values import made_window
 from estimation.contact.geometry import ContactTable
 from estimation.motion.axle_distance import with_frame_yaw
 from estimation.values.arrays import FloatArray
@@ -189,12 +190,7 @@ def _sampled(forces: TrueForces, stride: int) -> TrueForces:
 
 def _part(forces: TrueForces, number: int, n: int) -> TrueForces:
     part = slice(number * n, (number + 1) * n)
-    return TrueForces(
-        forces.lateral_creep[part].copy(),
-        forces.yaw_creep[part].copy(),
-        forces.contact[part].copy(),
-        forces.friction[part].copy(),
-    )
+    return TrueForces(*(getattr(forces, item.name)[part].copy() for item in fields(forces)))
 
 
 def _cut(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> Iterator[Window]:
@@ -203,25 +199,17 @@ def _cut(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion)
     n = round(WINDOW_S / dt)
     reported = run.reported - run.distance + motion.distance
     for k in range(len(record.t) // n):
-        part = slice(k * n, (k + 1) * n)
-        stride = scenario.sensors.stride
+        part, stride = slice(k * n, (k + 1) * n), scenario.sensors.stride
         sampled = slice(part.start * stride, part.stop * stride, stride)
-        lateral, yaw, roll, mass = record.values[part].T
-        yield Window(
-            wheelset=run.vehicle.wheelsets[axle].serial,
+        begin_ns = run.start_ns - run.start_ns % round(WINDOW_S * 1e9) + round(k * WINDOW_S * 1e9)
+        yield made_window(
+            *(record.values[part], run.vehicle.wheelsets[axle].serial, begin_ns, dt),
             vehicle=run.vehicle.code,
             axle=axle + 1,
-            start_ns=run.start_ns - run.start_ns % round(WINDOW_S * 1e9) + round(k * WINDOW_S * 1e9),
             length_ns=round(WINDOW_S * 1e9),
-            sample_interval_s=dt,
-            lateral_acceleration=lateral,
-            yaw_acceleration=yaw,
-            roll_acceleration=roll,
-            mass_lateral_acceleration=mass,
             speed=motion.speed[sampled],
             distance=reported[sampled],
             valid=np.asarray(~record.clipped[part].any(axis=1)),
-            resolution=(1e-4, 1e-4, 1e-4, 1e-4),
             track_section=scenario.section.code,
             odometer_m=run.odometer,
             quality=GOOD,

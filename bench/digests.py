@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import math
 import os
 import re
 import socket
@@ -36,12 +35,6 @@ SIGNIFICANT_DIGITS = 8
 START_S = 60.0
 ANSWER_S = 60.0
 SHOWN_DIFFERENCES = 20
-LONGEST_COLUMN = 40
-"""Numbers of a column that ``--brief`` keeps."""
-
-FAULT_NAMES = ("sensor_fault", "dead")
-"""A defective sensor in a scenario file; the first name that ``simulate`` accepts is used."""
-
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 RULES = """\
@@ -51,9 +44,6 @@ critical_days = 3650.0
 """
 
 SCENARIOS = Path(__file__).with_name("digest_scenarios")
-FAULT = "FAULT"
-"""Stands in a scenario file for the name of a defective sensor."""
-
 DEFAULT = ("known", "unknown")
 ALL = (*DEFAULT, "tiny")
 
@@ -115,11 +105,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--write", type=Path, metavar="FILE", help="store the canonical JSON")
     parser.add_argument("--against", type=Path, metavar="FILE", help="compare with a stored file")
     parser.add_argument("--rounded", action="store_true", help="compare eight significant digits instead of every bit")
-    parser.add_argument("--brief", action="store_true", help=f"keep {LONGEST_COLUMN} numbers of each column")
     given = parser.parse_args(arguments)
     results = {name: run(name) for name in given.scenario or DEFAULT}
-    if given.brief:
-        results = brief(results)
     for scenario, groups in results.items():
         for group, value in groups.items():
             print(f"{scenario:8s} {group:9s} exact {digest(value)} rounded {digest(rounded(value))}")
@@ -176,16 +163,8 @@ def environment_of(folder: Path) -> dict[str, str]:
 
 def simulate(name: str, folder: Path, environment: dict[str, str]) -> Path:
     """Return the folder of a scenario's recordings."""
-    scenario, out = folder / "scenario.toml", folder / "simulated"
-    text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8")
-    arguments = ["simulate", "--scenario", str(scenario), "--out", str(out)]
-    for fault in FAULT_NAMES[:-1]:
-        scenario.write_text(text.replace(FAULT, fault), encoding="utf-8")
-        if _try([*arguments, "--registry-only"], folder, environment).returncode == 0:
-            break
-    else:
-        scenario.write_text(text.replace(FAULT, FAULT_NAMES[-1]), encoding="utf-8")
-    command(arguments, folder, environment)
+    out = folder / "simulated"
+    command(["simulate", "--scenario", str(SCENARIOS / f"{name}.toml"), "--out", str(out)], folder, environment)
     return out
 
 
@@ -194,15 +173,11 @@ def program() -> str:
     return str(Path(sys.executable).parent / "treadwatch")
 
 
-def _try(arguments: Sequence[str], folder: Path, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(  # noqa: S603 - our own command
-        [program(), *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
-
-
 def command(arguments: Sequence[str], folder: Path, environment: dict[str, str]) -> None:
     """Run the command line; raise RuntimeError with its output when it fails."""
-    done = _try(arguments, folder, environment)
+    done = subprocess.run(  # noqa: S603 - our own command
+        [program(), *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
     if done.returncode:
         msg = f"treadwatch {' '.join(arguments)} ended with {done.returncode}:\n{done.stdout}{done.stderr}"
         raise RuntimeError(msg)
@@ -355,19 +330,6 @@ def rounded(value: Any) -> Any:  # noqa: ANN401 - JSON
         return [rounded(item) for item in value]
     if isinstance(value, float):
         return float(f"{value:.{SIGNIFICANT_DIGITS}g}") + 0.0
-    return value
-
-
-def brief(value: Any) -> Any:  # noqa: ANN401 - JSON
-    """Return the value with a share of the numbers of every long column, and the column's root mean square."""
-    if isinstance(value, dict):
-        return {name: brief(item) for name, item in value.items()}
-    if isinstance(value, list) and len(value) > LONGEST_COLUMN and not isinstance(value[0], dict | list):
-        numbers = [float(item) for item in value if isinstance(item, int | float)]
-        rms = math.sqrt(math.fsum(x * x for x in numbers) / len(numbers)) if numbers else None
-        return {"length": len(value), "rms": rms, "some": value[:: math.ceil(len(value) / LONGEST_COLUMN)]}
-    if isinstance(value, list):
-        return [brief(item) for item in value]
     return value
 
 

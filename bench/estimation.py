@@ -1,4 +1,4 @@
-"""How near the estimates come: ideal sensors on the paper's pair, and MEMS sensors on known track."""
+"""How near the estimates come: ideal sensors on the paper's pair; MEMS sensors: ``section``."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from api import reproduction
-from bench.mems import conicity_errors
-from bench.report import BenchRow
+from bench.report import BenchRow, RowBench
 from estimation.values.geometry import COMBINATIONS, BinStatus
 
 SECONDS = 600.0
@@ -41,7 +40,6 @@ def rows() -> Iterator[BenchRow]:
         found == crossed and published == 0,
     )
     yield from gauge_rows()
-    yield from mems_rows()
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,15 +98,4 @@ def gauge_rows() -> Iterator[BenchRow]:
     )
 
 
-def mems_rows() -> Iterator[BenchRow]:
-    """Equivalent conicity from MEMS sensors on known track, ten minutes at 15-25 m/s."""
-    errors = conicity_errors()
-    mean = float(np.mean([e.mean_error for e in errors]))
-    cover = float(np.mean([c for e in errors for c in e.covered]))
-    each = ", ".join(f"{e.name} {e.mean_error:.4f}" for e in errors)
-    yield BenchRow(
-        "MEMS sensors, known track, 10 min at 15-25 m/s: equivalent conicity, mean absolute error over 1-2.5 mm",
-        f"{mean:.4f} ({each}); {100 * cover:.0f} % of the 95 % intervals cover",
-        "0.01",
-        mean <= 0.01,
-    )
+main = RowBench("estimation", "Accuracy on known track", __doc__ or "", lambda _options, _folder: rows()).run

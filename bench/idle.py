@@ -9,25 +9,24 @@ from __future__ import annotations
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
 
-from sqlalchemy import Engine, event, func, select
+from sqlalchemy import func, select
 
 from api.factory import open_store
 from api.pipeline import job_context, scheduled_jobs
 from api.settings import Settings
-from bench.idle_fleet import FleetSize, fill
-from bench.idle_opinions import note_opinions
-from bench.report import BenchRow
+from bench.counting import asked, run
+from bench.idle_fleet import FleetSize, fill, note_opinions
+from bench.measuring import cpu_of, tree
+from bench.report import BenchRow, RowBench
 from bench.wheelset_year import At
-from bench.worker_kinds import cpu_of
 from estimation.errors import TreadwatchError
-from estimation.jobs.job import Job, JobContext, run_job
-from estimation.values.runs import JobTrigger
+from estimation.jobs.job import Job, JobContext
 from fleet_db.migrate import upgrade
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
@@ -58,11 +57,7 @@ STATE = {"wheelsets", "sections", "unchanged", "without_limit", "quarantined"}
 
 
 def rows(size: FleetSize | None = None) -> Iterator[BenchRow]:
-    """Yield processor time and statements of each job, on SQLite and on PostgreSQL.
-
-    Args:
-        size: Of the fleet; by default that of the reach.
-    """
+    """Yield processor time and statements of each job, on SQLite and on PostgreSQL."""
     size = size or FleetSize()
     with tempfile.TemporaryDirectory() as folder:
         settings = Settings(data_dir=Path(folder), database_url=None, _env_file=None)
@@ -115,43 +110,19 @@ def _run_until_nothing_is_done(context: JobContext, jobs: tuple[Job, ...]) -> in
     for number in range(1, MOST_RUNS + 1):
         done: Counter[str] = Counter()
         for job in jobs:
-            done.update({name: count for name, count in _run(context, job).items() if name not in STATE})
+            done.update({name: count for name, count in run(job, context).counts.items() if name not in STATE})
         if not +done:
             return number
     raise TreadwatchError(f"after {MOST_RUNS} runs the jobs still do something: {dict(+done)}")
 
 
-def _run(context: JobContext, job: Job) -> Mapping[str, int]:
-    run = run_job(job, context, JobTrigger.CLI)
-    if run.error is not None:
-        raise TreadwatchError(f"{run.job}: {run.error}")
-    return run.counts
-
-
 def _run_counted(context: JobContext, job: Job, spent: Spent, server_s: Callable[[], float]) -> None:
-    asked = Counter[str]()
-
-    def count(_connection: object, _cursor: object, statement: str, *_: object) -> None:
-        asked[statement.split(maxsplit=1)[0]] += 1
-
-    event.listen(Engine, "before_cursor_execute", count)
-    write = SqlStorage.write
-
-    def counted_write(self: SqlStorage, **terms: bool):  # noqa: ANN202 - as the method
-        asked["write"] += 1
-        return write(self, **terms)
-
-    SqlStorage.write = counted_write  # type: ignore[method-assign]
-    try:
-        began_s = time.process_time() + server_s()
-        _run(context, job)
-        spent.cpu_s.append(time.process_time() + server_s() - began_s)
-    finally:
-        SqlStorage.write = write  # type: ignore[method-assign]
-        event.remove(Engine, "before_cursor_execute", count)
-    spent.writes.append(asked.pop("write", 0))
-    asked.pop("BEGIN", None)  # SQLite's, of which PostgreSQL has none
-    spent.statements.append(asked.total())
+    began_s = time.process_time() + server_s()
+    with asked() as found:
+        run(job, context)
+    spent.cpu_s.append(time.process_time() + server_s() - began_s)
+    spent.statements.append(found.statements)
+    spent.writes.append(found.writes)
 
 
 def _counts(storage: SqlStorage) -> str:
@@ -176,5 +147,7 @@ def _counts(storage: SqlStorage) -> str:
 def _cpu_of_server(server: PostgresServer) -> float:
     """Return processor time of the processes of a server, s."""
     assert server.process is not None
-    children = Path(f"/proc/{server.process.pid}/task/{server.process.pid}/children")
-    return sum(cpu_of(pid) for pid in (server.process.pid, *map(int, children.read_text(encoding="ascii").split())))
+    return sum(map(cpu_of, tree(server.process.pid)))
+
+
+main = RowBench("idle", "A run of all jobs with nothing new", __doc__ or "", lambda _options, _folder: rows()).run

@@ -1,7 +1,7 @@
 """A fleet whose windows are all estimated: rows of a small real deployment, copied to 1,000 vehicles in bulk.
 
 One wheelset runs through receiver and jobs for ``DAYS`` days (``bench.wheelset_year``). Its windows, positions, bin
-tables, roll-ups, geometries, trends and second opinions (``bench.idle_opinions``) are copied for every axle of every
+tables, roll-ups, geometries, trends and second opinions (``bench.idle_fleet``) are copied for every axle of every
 vehicle; registry, sections, alignments and epochs are written through the stores, as they are made otherwise. Of packed
 sums, of which a window has 50 kB and which no idle run reads, the copies have the first ``KEPT_BYTES``: about what
 databases keep in the row of such a value.
@@ -9,20 +9,22 @@ databases keep in the row of such a value.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
-from sqlalchemy import Connection, Insert, Table, case, func, insert, literal, select
+from sqlalchemy import ColumnElement, Connection, Insert, Table, case, func, insert, literal, select
 
 from api.settings import Settings
-from bench.idle_opinions import KEPT_BYTES, opinions_copied, put_friction
 from bench.wheelset_recording import recorded
 from bench.wheelset_year import SERIAL, At, WheelsetYear
+from estimation.jobs import refresh_rails, refresh_signatures
 from estimation.jobs.catalogue import ALL_STAGES, job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.jobs.steps.epoch_inputs import FileLookup, given
+from estimation.jobs.steps.signature_windows import ASSUMED
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobTrigger, Mark
 from estimation.values.track import AlignmentSource, FoldState, TrackEpoch
@@ -34,7 +36,58 @@ from fleet_db.tables.operation import ResultRow
 from fleet_db.tables.recordings import ChunkRow
 from fleet_db.tables.registry import MountingRow
 from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, WindowPositionRow
-from fleet_db.tables.windows import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
+from fleet_db.tables.windows import (
+    RailCellRow,
+    RollingSumsRow,
+    RollUpRow,
+    RollUpStateRow,
+    SectionAdhesionRow,
+    WearSignatureRow,
+    WindowAdhesionRow,
+    WindowBinTableRow,
+    WindowDamperRow,
+    WindowRow,
+)
+
+KEPT_BYTES = 500
+CREEP, DAMPERS = table_of(WindowAdhesionRow), table_of(WindowDamperRow)
+SIGNATURES, CELLS = table_of(WearSignatureRow), table_of(RailCellRow)
+FRICTION = table_of(SectionAdhesionRow)
+
+
+def opinions_copied(mounting: Mounting, sections: Sequence[str]) -> Iterator[Insert]:
+    """Yield statements that give a wheelset the second opinions of the model."""
+    wheelset, vehicle = literal(mounting.wheelset), literal(mounting.vehicle)
+    for table, section in ((CREEP, "track_section"), (SIGNATURES, "section")):
+        day = (table.c.start_ns // DAY_NS) % len(sections)
+        place = case(*((day == at, literal(code)) for at, code in enumerate(sections)))
+        yield _copy(table, {"wheelset": wheelset, "vehicle": vehicle, section: place})
+    gear: dict[str, ColumnElement[Any]] = {"vehicle": vehicle, "first_axle": literal(mounting.axle)}
+    yield _copy(DAMPERS, {"wheelset": wheelset, **gear})
+    by_interval = CELLS.c.mileage_interval % len(sections)
+    place = case(*((by_interval == at, literal(code)) for at, code in enumerate(sections)))
+    yield _copy(CELLS, {"wheelset": wheelset, "section": place})
+
+
+def put_friction(connection: Connection, sections: Sequence[str]) -> None:
+    """Give sections the friction of the model's section."""
+    model = connection.scalar(select(func.min(FRICTION.c.track_section)))
+    for code in sections:
+        connection.execute(_copy(FRICTION, {"track_section": literal(code)}, FRICTION.c.track_section == model))
+
+
+def note_opinions(context: JobContext, storage: SqlStorage) -> None:
+    """Note that the jobs of the second opinions have looked at everything, as they do it themselves."""
+    with storage.read() as unit:
+        seen = {}
+        for stage in (refresh_rails.OF_WHEELSETS, refresh_rails.OF_ALL, ASSUMED, refresh_signatures.OF_ALL):
+            inputs = stage.inputs(context)
+            due = unit.marks.due(inputs, context.clock.now_ns())
+            seen[inputs] = {subject: Mark(state.seen, "") for subject, state in due.items()}
+    with storage.write() as unit:
+        for inputs, marks in seen.items():
+            unit.marks.note(inputs, marks)
+
 
 DAYS = 38
 FLEETS, AXLES = 10, 4
@@ -49,10 +102,11 @@ TOGETHER = 50  # vehicles written in one transaction
 OPINIONS = ("refresh_adhesion", "refresh_signatures", "refresh_rails")
 SUMS = {"window_bin_tables": ("packed",), "rolling_sums": ("packed",), "roll_up_states": ("earlier",)}
 SUMS |= {"roll_ups": ("plain", "forgetting")}
+SUMS |= dict.fromkeys((CREEP.name, DAMPERS.name, SIGNATURES.name, FRICTION.name), ("packed",))
 WINDOWS, POSITIONS, TABLES = table_of(WindowRow), table_of(WindowPositionRow), table_of(WindowBinTableRow)
 ROLL_UPS, MEMBERS, EPOCHS = table_of(RollUpRow), table_of(TrackEpochWindowRow), table_of(TrackEpochRow)
 MOUNTINGS, CHUNKS = table_of(MountingRow), table_of(ChunkRow)
-OF_WHEELSET = (table_of(RollUpStateRow), table_of(RollingSumsRow), table_of(ResultRow))
+OF_WHEELSET, RESULTS = (table_of(RollUpStateRow), table_of(RollingSumsRow)), table_of(ResultRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +190,7 @@ def _vehicles(unit: SqlUnitOfWork, size: FleetSize, numbers: Sequence[int]) -> N
             serial = size.serial(number, axle)
             mounting = replace(model.mounting, wheelset=serial, vehicle=size.vehicle(number), axle=axle)
             unit.registry.add_wheelset(replace(model, serial=serial, fleet=fleet, mounting=mounting))
-            for statement in (*_copied(size, number, mounting), *opinions_copied(mounting, model.mounting, sections)):
+            for statement in (*_copied(size, number, mounting), *opinions_copied(mounting, sections)):
                 unit.connection.execute(statement)
         unit.connection.execute(insert(CHUNKS), list(_chunks(unit.connection, size.vehicle(number))))
 
@@ -147,22 +201,26 @@ def _copied(size: FleetSize, number: int, mounting: Mounting) -> Iterator[Insert
     day = (WINDOWS.c.start_ns // DAY_NS) % SECTIONS_OF_A_VEHICLE
     place = case(*((day == at, literal(code)) for at, code in enumerate(sections)))
     own = {"vehicle": literal(mounting.vehicle), "axle": literal(mounting.axle), "track_section": place}
-    yield _copy(WINDOWS, mounting.wheelset, own)
-    yield _copy(POSITIONS, mounting.wheelset)
-    yield _copy(ROLL_UPS, mounting.wheelset)
-    yield _copy(TABLES, mounting.wheelset, {"track_version": literal(1)})
-    yield _copy(DUE, mounting.wheelset, {"vehicle": literal(mounting.vehicle)})
+    wheelset = {"wheelset": literal(mounting.wheelset)}
+    yield _copy(WINDOWS, wheelset | own)
+    yield _copy(POSITIONS, wheelset)
+    yield _copy(ROLL_UPS, wheelset)
+    yield _copy(TABLES, wheelset | {"track_version": literal(1)})
+    yield _copy(DUE, wheelset | {"vehicle": literal(mounting.vehicle)})
+    yield _copy(RESULTS, {"subject": literal(mounting.wheelset)})
     for table in OF_WHEELSET:
-        yield _copy(table, mounting.wheelset)
+        yield _copy(table, wheelset)
 
 
-def _copy(table: Table, serial: str, own: dict[str, object] | None = None) -> Insert:
-    cut = {name: func.substr(table.c[name], 1, KEPT_BYTES) for name in SUMS.get(table.name, ())}
-    owner = "subject" if table.name == "results" else "wheelset"
-    values = {owner: literal(serial), **cut, **(own or {})}
+def _copy(table: Table, own: Mapping[str, object], rows: ColumnElement[bool] | None = None) -> Insert:
+    """Return a statement that copies rows, by default those of the model, with some values of their own."""
+    packed = SUMS.get(table.name, ())
+    values = {name: func.substr(table.c[name], 1, KEPT_BYTES) for name in packed} | dict(own)
     numbered = {column.name for column in table.primary_key if column.autoincrement is True} | {"number", "result_id"}
     names = [column.name for column in table.columns if column.name not in numbered]
-    chosen = select(*(values.get(name, table.c[name]) for name in names)).where(table.c[owner] == SERIAL)
+    if rows is None:
+        rows = table.c["subject" if table is RESULTS else "wheelset"] == SERIAL
+    chosen = select(*(values.get(name, table.c[name]) for name in names)).where(rows)
     return insert(table).from_select(names, chosen)
 
 

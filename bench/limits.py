@@ -9,23 +9,166 @@ raised, or not, together: several seeds decide.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 
-from bench.limits_lives import Judged, Worn, judged, limit_at
-from bench.limits_running import amplitude_reached
-from bench.limits_shapes import CLASSES, curve_of
-from bench.report import BenchRow, printed
-from bench.results_page import ended
-from bench.world import seed_range
-from bench.worn_family import AMPLITUDES, DISPLACEMENT
+from bench.made_values import made_geometry
+from bench.report import BenchRow, RowBench, say
+from bench.study import seeds_of
+from bench.worn_family import AMPLITUDES, CLASSES, DISPLACEMENT, amplitude_reached, curve_of
+from estimation.alerts.rule_book import RuleBook, findings
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule, MeasureRule
+from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.contact.conicity import equivalent_conicity
+from estimation.jobs.refresh_trends import trend_of
+from estimation.trend.extrapolation import conicity_points
+from estimation.trend.now import probability_above
+from estimation.trend.trend import TrendParameters
+from estimation.trend.wear_curve import fit_wear_curve
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import (
+    GeometryRecord,
+    IntervalConicities,
+    WheelsetGeometry,
+    interval_conicities,
+)
+from estimation.values.quantities import Estimate, with_interval
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.trend import TrendRecord
 
-TITLE = "Alerts at the conicity limit"
-SHAPES, WHEELSETS, SEEDS = 300, 850, (11,)
+HISTORIES = (0, 6, 20)  # intervals before the last state
+LAST = 3  # intervals in it
+NEW_SHARE = 0.6  # of the conicity of the last state, when new
+HASTE = 3.0  # of the wear: its rate grows by e to this
+STDS = (0.004, 0.02)  # stated, of a conicity
+COMMON, NEW = 0.85, 0.5  # of the stated std: what all intervals share, and what is new in each
+NEAR = 0.5e-3  # m, within which errors are alike
+INTERVAL_KM, INTERVAL_NS = 1000.0, 10**15
+FROM_NS = 1_700_000_000_000_000_000
+NOT_COVERED = Estimate.unknown(Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "not covered"))
+FORMER_LEAST, FORMER_STD = 2e-3, 0.1  # of the rule before: the fitted trend at 3 mm from 2 mm on, where it is sharp
+BINS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Worn:
+    """A worn wheelset: its true conicities at ``AMPLITUDES`` (a,), how far it moves (m), its vehicle's speed (m/s)."""
+
+    kind: str
+    conicity: FloatArray
+    covered: float
+    speed: float
+    seed: int
+
+    @property
+    def above(self) -> float:
+        """By how much the true conicity at 3 mm is above the limit."""
+        return float(self.conicity[-1] - limit_at(self.speed))
+
+    @property
+    def above_reached(self) -> float:
+        """By how much the true conicity at the amplitude covered is above the limit."""
+        return float(self.conicity[_covered(self) - 1] - limit_at(self.speed))
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What is raised of a wheelset after three intervals in its last state."""
+
+    worn: Worn
+    over: bool  # `conicity_limit`
+    measure: bool
+    former: bool  # by the rule before
+
+
+def limit_at(speed: float) -> float:
+    """Return the shipped limit at a speed, m/s."""
+    limit = ConicityLimitRule().limit_at("any", 3.6 * speed)
+    assert limit is not None
+    return limit
+
+
+def judged(worn: Worn) -> Judged:
+    """Return what the rules raise of a wheelset."""
+    records = _records(worn)
+    conicities = [interval_conicities(one) for one in records]
+    trend = trend_of(conicities, limit_at(worn.speed), TrendParameters())
+    mounting = Mounting("W", "V", 1, FROM_NS - 1, None, 0.0, 0.0)
+    facts = WheelsetFacts(
+        wheelset=WheelsetRecord("W", "F", "P8", 0.45, mounting),
+        vehicle=VehicleRecord("V", "F", "any", 4, worn.speed, (0.0, 2.5, 15.0, 17.5)),
+        geometry=records[-1],
+        trend=TrendRecord("W", 0, trend, "d", "v", 1),
+        windows=(),
+        intervals=records,
+        conicities=conicities,
+    )
+    book = RuleBook(rules=(ConicityLimitRule(), MeasureRule()))
+    stands = {one.kind: bool(one.stands) for one in findings(facts, book, records[-1].to_ns)}
+    return Judged(worn, stands[ConicityLimitRule.kind], stands[MeasureRule.kind], _former_rule(conicities, worn))
+
+
+def _former_rule(records: Sequence[IntervalConicities], worn: Worn) -> bool:
+    """Return whether the smooth curve at 3 mm alone is over the limit in any of the last three intervals."""
+    chosen = conicity_points(records)
+    if chosen.not_comparable is not None or worn.covered < FORMER_LEAST - 1e-9:
+        return False
+    x, value, std = (np.array([getattr(p, name) for p in chosen.points]) for name in ("mileage_km", "value", "std"))
+    rule = ConicityLimitRule()
+    for end in range(len(x) - LAST + 1, len(x) + 1):
+        if end < 2:
+            continue
+        level = fit_wear_curve(x[:end], value[:end], std[:end]).shifted(chosen.spread).level_now().estimate(end)
+        over = probability_above(level, limit_at(worn.speed)) or 0.0
+        if (level.std or 0.0) <= FORMER_STD and over >= rule.raise_probability:
+            return True
+    return False
+
+
+def _records(worn: Worn) -> list[GeometryRecord]:
+    random = np.random.default_rng(worn.seed)
+    history = int(random.choice(HISTORIES))
+    run = np.linspace(0.0, 1.0, history, endpoint=False)
+    worn_off = np.concatenate([np.expm1(HASTE * run) / np.expm1(HASTE), np.ones(LAST)])
+    share = NEW_SHARE + (1.0 - NEW_SHARE) * worn_off
+    std = float(random.uniform(*STDS))
+    near = np.exp(-np.abs(np.subtract.outer(AMPLITUDES, AMPLITUDES)) / NEAR)
+    alike = np.linalg.cholesky(0.5 + 0.5 * near)
+    common = COMMON * std * alike @ random.standard_normal(len(AMPLITUDES))
+    records = []
+    for k, part in enumerate(share):
+        value = part * worn.conicity + common + NEW * std * alike @ random.standard_normal(len(AMPLITUDES))
+        geometry = _geometry(np.maximum(value, 1e-3), std, _covered(worn))
+        at = FROM_NS + k * INTERVAL_NS
+        records.append(
+            GeometryRecord(
+                "W", 0, k, INTERVAL_KM * (k + 0.5), at, at + INTERVAL_NS - 1, geometry, f"{k}", {}, {}, "v", 1
+            )
+        )
+    return records
+
+
+def _covered(worn: Worn) -> int:
+    return int(np.searchsorted(AMPLITUDES, worn.covered + 1e-6))
+
+
+def _geometry(value: FloatArray, std: float, covered: int) -> WheelsetGeometry:
+    known = [with_interval(float(one), std, count=6.0) for one in value[:covered]]
+    return made_geometry(
+        np.linspace(-1e-3, 1e-3, BINS + 1),
+        None,
+        AMPLITUDES,
+        conicity=(*known, *[NOT_COVERED] * (len(AMPLITUDES) - covered)),
+        reported_amplitude=float(AMPLITUDES[covered - 1]),
+        equivalent_conicity=known[-1],
+    )
+
+
 IRREGULARITIES = (0.4e-3, 0.55e-3, 0.7e-3, 0.9e-3, 1.2e-3)  # m
 YAW_SPRINGS = (0.15, 0.6)  # kappa, 1/m
 SPEEDS = tuple(v / 3.6 for v in (120.0, 160.0, 200.0, 250.0, 300.0))  # with limits of 0.40 to 0.20
@@ -37,30 +180,16 @@ BEYOND_SHARE = 0.7  # of the wheelsets: beyond the limit, the others below it
 BANDS = ((0.03, 0.1), (0.1, 0.2), (0.2, 1.0))
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run what was asked for; return 1 when a row falls short."""
-    parser = argparse.ArgumentParser(prog="python -m bench limits", description=__doc__)
-    parser.add_argument("--shapes", type=int, default=SHAPES, help="drawn of each class")
-    parser.add_argument("--wheelsets", type=int, default=WHEELSETS, help="of a seed that are judged, at most")
-    parser.add_argument("--seeds", type=seed_range, default=list(SEEDS), help="as in 31-34 or 3")
-    parser.add_argument("--write-docs", action="store_true")
-    options = parser.parse_args(arguments)
+def _measured(options: argparse.Namespace, _folder: Path) -> Iterator[BenchRow]:
     found = []
-    for seed in options.seeds:
+    for seed in seeds_of(options.seeds):
         found += [judged(worn) for worn in worn_wheelsets(options.shapes, options.wheelsets, seed)]
-        sys.stderr.write(f"seed {seed}: {len(found)} wheelsets judged\n")
-    seeds = f"{min(options.seeds)}-{max(options.seeds)}"
-    command = f"python -m bench limits --shapes {options.shapes} --wheelsets {options.wheelsets} --seeds {seeds}"
-    return ended(printed(rows(found)), "limits", TITLE, f"{command} --write-docs" if options.write_docs else None)
+        say(f"seed {seed}: {len(found)} wheelsets judged")
+    yield from rows(found)
 
 
 def worn_wheelsets(shapes: int, most: int, seed: int) -> list[Worn]:
-    """Return worn wheelsets that cover less than 3 mm, each on some track under a vehicle of some speed.
-
-    Args:
-        most: How many wheelsets are returned at most.
-        seed: Of all that is drawn.
-    """
+    """Return worn wheelsets that cover less than 3 mm, each on some track under a vehicle of some speed."""
     random = np.random.default_rng(seed)
     drawn = [(kind, curve_of(kind, random)) for _, kind in product(range(shapes), CLASSES)]
     kinds, curves = zip(*[(kind, curve) for kind, curve in drawn if curve is not None], strict=True)
@@ -144,3 +273,16 @@ def _former(group: Sequence[Judged]) -> str:
 
 def _share(group: Sequence[Judged], holds: Callable[[Judged], bool]) -> float:
     return float(np.mean([holds(one) for one in group])) if group else 0.0
+
+
+main = RowBench(
+    "limits",
+    "Alerts at the conicity limit",
+    __doc__ or "",
+    _measured,
+    {
+        "shapes": (300, "drawn of each class"),
+        "wheelsets": (850, "of a seed that are judged, at most"),
+        "seeds": ("11", "as in 31-34 or 3"),
+    },
+).run

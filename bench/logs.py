@@ -20,12 +20,12 @@ import can
 import cantools
 import numpy as np
 
-from bench.decoding import bus_frames
-from bench.report import BenchRow
+from bench.report import BenchRow, RowBench
 from estimation.errors import TreadwatchError
-from ingest.catalogue import default_catalogue
-from ingest.codec import decode
-from ingest.frames import FrameBatch, channel_number, take
+from estimation.values.windows import ACCELERATIONS
+from ingest.catalogue import ACCELERATION, SYNC, default_catalogue, sync_counter
+from ingest.codec import decode, encode
+from ingest.frames import FrameBatch, channel_number, concatenate, sort_by_time, take
 from ingest.live.listening import messages_of
 from ingest.logs import write_blf
 from ingest.logs.formats import ReadCost, read_content
@@ -36,6 +36,7 @@ TEXT = {
     ".asc": (can.ASCWriter, can.ASCReader, "ASC"),
     ".log": (can.CanutilsLogWriter, can.CanutilsLogReader, "candump"),
 }
+NODES, START_NS = 8, 1_750_000_000_000_000_000
 REACH_BLF, REACH_BLF_FRAMES, REACH_TEXT, REACH_MF4 = 15.0, 5e6, 5.0, 1.0
 
 
@@ -52,8 +53,8 @@ def rows() -> Iterator[BenchRow]:
 
 
 def _blf(folder: Path, batch: FrameBatch, part: FrameBatch) -> BenchRow:
-    write_blf(folder / "whole.blf", batch)
-    write_blf(folder / "part.blf", part)
+    write_log(folder / "whole.blf", batch)
+    write_log(folder / "part.blf", part)
     database: Any = cantools.database.load_file(str(DATABASE))
 
     def theirs() -> None:
@@ -72,12 +73,9 @@ def _blf(folder: Path, batch: FrameBatch, part: FrameBatch) -> BenchRow:
 
 
 def _text(folder: Path, batch: FrameBatch, part: FrameBatch, suffix: str) -> BenchRow:
-    writer, reader, name = TEXT[suffix]
+    _, reader, name = TEXT[suffix]
     for stem, frames in (("whole", batch), ("part", part)):
-        with writer(folder / f"{stem}{suffix}") as log:
-            if suffix == ".asc":  # its date has whole milliseconds
-                log.log_event("Start of measurement", float(int(batch.t_ns[0]) // 1_000_000_000))
-            _write(log, frames)
+        write_log(folder / f"{stem}{suffix}", frames)
 
     def theirs() -> None:
         with reader(folder / f"part{suffix}") as log:
@@ -97,8 +95,7 @@ def _mf4(folder: Path, batch: FrameBatch) -> Iterator[BenchRow]:
     from asammdf import MDF  # noqa: PLC0415 - an extra
 
     path = folder / "whole.mf4"
-    with can.MF4Writer(path) as log:
-        _write(log, batch)
+    write_log(path, batch)
 
     def raw() -> None:
         with closing(MDF(path)) as mdf:
@@ -128,11 +125,19 @@ def _mf4(folder: Path, batch: FrameBatch) -> Iterator[BenchRow]:
         )
 
 
-def _write(log: Any, batch: FrameBatch) -> None:  # noqa: ANN401 - any writer of python-can
-    number = channel_number(batch.channel) - 1
-    for message in messages_of(batch):
-        message.channel = number
-        log.on_message_received(message)
+def write_log(path: Path, batch: FrameBatch) -> None:
+    """Write frames as a log file of the format of its suffix; only ours by our own writer."""
+    if path.suffix == ".blf":
+        write_blf(path, batch)
+        return
+    writer: Any = can.MF4Writer if path.suffix == ".mf4" else TEXT[path.suffix][0]
+    with writer(path) as log:
+        if path.suffix == ".asc":  # its date has whole milliseconds
+            log.log_event("Start of measurement", float(int(batch.t_ns[0]) // 1_000_000_000))
+        number = channel_number(batch.channel) - 1
+        for message in messages_of(batch):
+            message.channel = number
+            log.on_message_received(message)
 
 
 def _compared(ours: Callable[[], float], theirs: Callable[[], float]) -> tuple[float, float, float]:
@@ -172,3 +177,20 @@ def _read_s(path: Path, frames: int) -> float:
 def _all(found: int, frames: int, path: Path) -> None:
     if found != frames:
         raise TreadwatchError(f"{path.name} holds {frames} frames, of which {found} were found")
+
+
+def bus_frames(count: int) -> FrameBatch:
+    """Return a bus of SYNC and eight wheelset nodes, with a few values that are not available."""
+    catalogue = default_catalogue()
+    samples = count // (NODES + 1) + 1
+    rng = np.random.default_rng(0)
+    t_ns = START_NS + np.arange(samples) * catalogue.sample_interval_ns
+    batches = [encode(catalogue.find(SYNC), t_ns, {"counter": sync_counter(np.arange(samples))})]
+    for node in range(1, NODES + 1):
+        values = {name: rng.normal(scale=2.0, size=samples) for name in ACCELERATIONS}
+        values["yaw_acceleration"][::1000] = np.nan
+        batches.append(encode(catalogue.find(ACCELERATION, node), t_ns + node * 200_000, values))
+    return take(sort_by_time(concatenate(batches)), slice(0, count))
+
+
+main = RowBench("logs", "Log files to decoded arrays", __doc__ or "", lambda _options, _folder: rows()).run

@@ -13,15 +13,15 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
-from sqlalchemy import Engine, event, select
+from sqlalchemy import select
 
 from api.factory import open_store
 from api.pipeline import job_context
 from api.settings import Settings
-from bench.report import BenchRow
+from bench.counting import asked, run
+from bench.report import BenchRow, RowBench
 from bench.wheelset_year import SERIAL, At, Original, WheelsetYear
 from estimation.jobs.catalogue import job_named
-from estimation.jobs.job import JobContext, run_job
 from estimation.values.geometry import GEOMETRY
 from estimation.values.runs import JobTrigger
 from fleet_db.migrate import upgrade
@@ -68,11 +68,7 @@ def rows() -> Iterator[BenchRow]:
 
 
 def measured(settings: Settings) -> dict[str, object]:
-    """Return what each job cost after each of some windows that were put one at a time.
-
-    Args:
-        settings: Of a deployment with a year of one wheelset.
-    """
+    """Return what each job cost after each of some windows that were put one at a time."""
     # as every command of ours runs jobs: under a lease
     with closing(open_store(settings)) as store, store.owned(JobTrigger.CLI, "bench", LEASE_S) as storage:
         context = job_context(settings, storage)
@@ -89,10 +85,12 @@ def measured(settings: Settings) -> dict[str, object]:
                 at_ns = year.put_window(unit, 1, number).record.start_ns
             at = replace(context, clock=At(at_ns))
             for name in JOBS:
-                spent, asked = _cost(at, name)
+                began = time.process_time()
+                with asked() as found:
+                    run(job_named(name), at)
                 if number:  # the first compiles and imports
-                    cpu_s[name].append(spent)
-                    statements[name].append(asked)
+                    cpu_s[name].append(time.process_time() - began)
+                    statements[name].append(found.statements)
     return {"cpu_s": cpu_s, "statements": statements, "intervals": intervals, "peak_mb": _peak_mb()}
 
 
@@ -108,20 +106,7 @@ def _original(storage: SqlStorage, start_ns: int) -> Original:
         return Original(unit.windows.load(SERIAL, record.start_ns), table, version)
 
 
-def _cost(context: JobContext, name: str) -> tuple[float, int]:
-    """Return CPU seconds and statements of a run of a job."""
-    asked = [0]
-
-    def count(*_: object) -> None:
-        asked[0] += 1
-
-    event.listen(Engine, "before_cursor_execute", count)
-    began = time.process_time()
-    run = run_job(job_named(name), context, JobTrigger.CLI)
-    spent = time.process_time() - began
-    event.remove(Engine, "before_cursor_execute", count)
-    assert run.outcome == "succeeded", run.error
-    return spent, asked[0]
+main = RowBench("new_window", "One new window after a year", __doc__ or "", lambda _options, _folder: rows()).run
 
 
 if __name__ == "__main__":

@@ -1,101 +1,175 @@
-"""The command ``python -m bench pipeline``: what chunks of a fleet cost until their bin tables, trends and alerts.
+"""What recordings cost until alerts: ``python -m bench pipeline``, ``fleet_sizes`` or ``section_runs``.
 
-Processor time of this process and of those that it starts is counted, stage by stage, after a first journey has been
-received and compiled everything: on a section that nobody has surveyed, whose alignment is estimated from the same
+Processor time of this process and of those that it starts is counted stage by stage, after a first journey has been
+received and compiled everything. ``BEGIN`` is no statement.
+
+``pipeline``: chunks of a fleet on a section that nobody has surveyed, whose alignment is estimated from the same
 recordings, and on one that is on file. On the latter bin tables need the stages ``BIN_TABLES`` alone, and are compared
 with what one would make of python-can, cantools, scipy, padasip and the ORM. That rival is given less to do: no
 positions, no refusals, no checks. It is timed on a share of the same frames.
+
+``fleet_sizes``: each vehicle of four wheelsets sends one recording of a journey on one surveyed section. The vehicles
+are copies of one, on file and in their recordings under names of their own. The exponent is the slope of the logarithm
+of the cost against that of the number of wheelsets: at 1 a wheelset costs the same in any fleet.
+
+``section_runs``: nobody has surveyed the section. After each journey all jobs run, as on the schedule of a deployment
+whose vehicles come one after the other, and once more when none comes any more. Counted are the estimations of each
+window over its life, and the processor time of a window from the first runs to the last; the exponent is that of all
+time so far against all windows so far.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import resource
 import tempfile
-import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from contextlib import ExitStack
+from dataclasses import replace
+from importlib.resources import files
+from itertools import islice, pairwise
 from pathlib import Path
+from typing import Any
 
-from sqlalchemy import Engine, event
+import can
+import cantools
+import numpy as np
+import padasip
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
+from scipy.signal import butter, sosfiltfilt
+from sqlalchemy import create_engine
+from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
 from api.comparison.trial import Recorded, opened, receive
 from api.terminal.processes import executor_of
-from bench.pipeline_rival import rival_s_per_frame
-from bench.process_tree import cpu_of_tree, tree
-from bench.report import BenchRow, printed
-from bench.results_page import ended
-from bench.worker_load import Workload, workload
-from estimation.errors import TreadwatchError
+from bench.counting import run
+from bench.measuring import INGEST, Stages, every, exponent, resident_of, tree
+from bench.report import BenchRow, RowBench, say
+from bench.small_fleets import (
+    FOUR_AXLES,
+    Workload,
+    cars,
+    code_of,
+    copies,
+    deployed,
+    put_copies_into,
+    small_fleet,
+    workload,
+)
 from estimation.jobs.catalogue import ALL_JOBS
-from estimation.jobs.job import run_job
-from estimation.values.runs import JobTrigger
+from fleet_db.storage import SqlStorage
 from ingest.frames import take
 from ingest.logs import read_log, write_blf
 
-CORES, HOUR_S, AXLES = 2, 3600.0, 4
+FRAMES = 100_000
+"""So many of the first frames are taken; the time is counted for each of them."""
+
+BINS, UNKNOWNS = 32, 2
+SAMPLE_RATE, BAND = 250.0, (0.2, 20.0)  # Hz
+_Floats = NDArray[np.float64]
+
+
+class _Base(DeclarativeBase):
+    pass
+
+
+class _BinRow(_Base):
+    __tablename__ = "bin"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    node: Mapped[int]
+    number: Mapped[int]
+    slope: Mapped[float]
+    offset: Mapped[float]
+    count: Mapped[int]
+
+
+def rival_s_per_frame(path: Path) -> float:
+    """Return the CPU time that the rival takes for a frame of a BLF file, s."""
+    begin_s = time.process_time()
+    with can.BLFReader(path) as reader, tempfile.TemporaryDirectory() as folder:
+        engine = create_engine(f"sqlite:///{folder}/bins.sqlite")
+        _Base.metadata.create_all(engine)
+        database: Any = cantools.database.load_file(str(files("ingest") / "dbc" / "treadwatch.dbc"))
+        read, nodes = 0, dict[int, list[tuple[float, float]]]()
+        for message in islice(reader, FRAMES):
+            read += 1
+            values = database.decode_message(message.arbitration_id, message.data, decode_choices=False)
+            if "yaw_acceleration" in values:
+                measured = (values["lateral_acceleration"], values["yaw_acceleration"])
+                nodes.setdefault(message.arbitration_id, []).append(measured)
+        with Session(engine) as session:
+            for node, signals in nodes.items():
+                session.add_all(_bins(node, np.array(signals)))
+            session.commit()
+        engine.dispose()
+    return (time.process_time() - begin_s) / read
+
+
+def _bins(node: int, signals: _Floats) -> list[_BinRow]:
+    """Return one wheelset's table: yaw acceleration against displacement, by padasip's recursive filter in each bin."""
+    sos = butter(4, BAND, "bandpass", fs=SAMPLE_RATE, output="sos")
+    lateral, yaw = sosfiltfilt(sos, np.nan_to_num(signals), axis=0).T
+    speed = sosfiltfilt(sos, cumulative_trapezoid(lateral, dx=1.0 / SAMPLE_RATE, initial=0.0))
+    displacement = sosfiltfilt(sos, cumulative_trapezoid(speed, dx=1.0 / SAMPLE_RATE, initial=0.0))
+    edges = np.quantile(displacement, np.linspace(0.0, 1.0, BINS + 1)[1:-1])
+    number = np.digitize(displacement, edges)
+    rows = []
+    for one in range(BINS):
+        there = number == one
+        inputs = np.column_stack([displacement[there], np.ones(np.count_nonzero(there))])
+        rls = padasip.filters.FilterRLS(n=UNKNOWNS, mu=0.999)
+        rls.run(yaw[there], inputs)
+        rows.append(_BinRow(node=node, number=one, slope=rls.w[0], offset=rls.w[1], count=len(inputs)))
+    return rows
+
+
+CORES, AXLES = 2, 4
 REACH_FRAMES, REACH_RATIO, REACH_HOUR_S, REACH_GIB, REACH_SHARE = 1e6, 20.0, 1.5, 4.0, 0.95
+REACH_ESTIMATIONS, REACH_EXPONENT = 1.3, 1.05
 GIB = 2**30
-BIN_TABLES = ("ingest", "estimate_windows")
+BIN_TABLES = (INGEST, "estimate_windows")
 """Stages from a chunk to its bin tables where the track is on file."""
 
-
-@dataclass(slots=True)
-class Stages:
-    """What each stage took: CPU s and statements; and how many windows there are."""
-
-    windows: int = 0
-    cpu_s: dict[str, float] = field(default_factory=dict)
-    statements: dict[str, int] = field(default_factory=dict)
+QUIET_S = 600.0  # interval of the job of the alignment
+FIRST_RUNS = 5  # left out of the exponent: they compile, and there is no alignment yet
+FEWEST_RUNS = FIRST_RUNS + 2
 
 
-def rows(folder: Path, vehicles: int, minutes: float, chunk_s: float) -> Iterator[BenchRow]:
-    """Yield what each stage costs per wheelset-hour, frames per second, and the ratio to the rival.
-
-    Args:
-        vehicles, minutes: Of the load: vehicles of four wheelsets, a journey of so many minutes.
-        chunk_s: Length of the chunks that are received, s.
-    """
-    for surveyed in (False, True):
-        track = "surveyed" if surveyed else "unsurveyed"
-        own = folder / track
-        (own / "load").mkdir(parents=True)
-        load = workload(own / "load", vehicles, minutes, surveyed=surveyed)
-        chunks = list(_chunks(load, own / "chunks", chunk_s))
-        journeys = [(vehicle, path) for vehicle, path, _ in chunks]
-        stages, peak = _measured(load, own / "measured", journeys)
-        what = f"{vehicles * AXLES} wheelsets, {track} track, {minutes:g} min in chunks of {chunk_s:g} s"
-        hours = len(load.recordings) * AXLES * minutes / 60.0
-        yield from _stages(what, stages, hours, len(chunks))
-        if surveyed:
-            yield from _beside_rival(load, stages, sum(count for _, _, count in chunks), hours)
-        else:
-            total = sum(stages.cpu_s.values()) / hours
-            shown = f"{total:.2f} CPU s per wheelset-hour"
-            yield BenchRow(f"{what}: all of it", shown, f"<= {REACH_HOUR_S}", total <= REACH_HOUR_S)
-            share = 1.0 - _beside_workers_s(load, own / "workers", journeys) / _jobs_s(stages)
-            yield BenchRow(
-                f"{what}: share of the jobs' time that workers take over",
-                f"{share:.1%}",
-                ">= 95 %",
-                share >= REACH_SHARE,
-            )
-        yield BenchRow(
-            f"{what}: memory of the processes at most", f"{peak / GIB:.2f} GiB", "< 4 GiB", peak < REACH_GIB * GIB
-        )
+def _pipeline(options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
+    """Yield what each stage costs per wheelset-hour, frames per second, and the ratio to the rival."""
+    for chunk_s in options.chunk:
+        for surveyed in (False, True):
+            track = "surveyed" if surveyed else "unsurveyed"
+            own = folder / f"{track}-{chunk_s:g}"
+            load = workload(own, options.vehicles, options.minutes, surveyed=surveyed)
+            chunks, frames = _chunks(load, own / "chunks", chunk_s)
+            stages, peak = _measured(chunks, own / "measured")
+            what = f"{options.vehicles * AXLES} wheelsets, {track} track, {options.minutes:g} min in chunks of"
+            what += f" {chunk_s:g} s"
+            hours = len(load.recordings) * AXLES * options.minutes / 60.0
+            yield from _of_stages(what, stages, hours, len(chunks.recordings))
+            if surveyed:
+                yield from _beside_rival(load, stages, frames, hours)
+            else:
+                total = stages.whole_s / hours
+                shown = f"{total:.2f} CPU s per wheelset-hour"
+                yield BenchRow(f"{what}: all of it", shown, f"<= {REACH_HOUR_S}", total <= REACH_HOUR_S)
+                jobs_s = stages.whole_s - stages.cpu_s[INGEST]
+                share = 1.0 - _beside_workers_s(chunks, own / "workers") / jobs_s
+                taken = f"{what}: share of the jobs' time that workers take over"
+                yield BenchRow(taken, f"{share:.1%}", ">= 95 %", share >= REACH_SHARE)
+            shown = f"{peak / GIB:.2f} GiB"
+            yield BenchRow(f"{what}: memory of the processes at most", shown, "< 4 GiB", peak < REACH_GIB * GIB)
 
 
-def _stages(what: str, stages: Stages, hours: float, chunks: int) -> Iterator[BenchRow]:
+def _of_stages(what: str, stages: Stages, hours: float, chunks: int) -> Iterator[BenchRow]:
     for name, spent in stages.cpu_s.items():
-        shown = f"{spent / hours:.3f} CPU s per wheelset-hour, {stages.statements[name]} statements"
-        if name == "ingest":
-            shown += f", {stages.statements[name] / chunks:.0f} a chunk"
-        if name in BIN_TABLES:
-            shown += f", {stages.statements[name] / stages.windows:.1f} a window"
+        statements = stages.statements[name]
+        shown = f"{spent / hours:.3f} CPU s per wheelset-hour, {statements} statements"
+        shown += f", {statements / chunks:.0f} a chunk" if name == INGEST else ""
+        shown += f", {statements / stages.windows:.1f} a window" if name in BIN_TABLES else ""
         yield BenchRow(f"{what}: {name}", shown, "", met=True)
 
 
@@ -112,115 +186,158 @@ def _beside_rival(load: Workload, stages: Stages, frames: int, hours: float) -> 
     yield BenchRow(what, shown, f">= {REACH_RATIO:.0f} times", ratio >= REACH_RATIO)
 
 
-def _chunks(load: Workload, folder: Path, chunk_s: float) -> Iterator[tuple[str, Path, int]]:
-    """Yield vehicle, file and frames of the recordings after the first, cut into chunks."""
+def _chunks(load: Workload, folder: Path, chunk_s: float) -> tuple[Workload, int]:
+    """Return the load cut into chunks, and the number of frames."""
     folder.mkdir()
+    found, frames = [], 0
     for number, (vehicle, path) in enumerate(load.recordings):
         batch = read_log(path)
         part = (batch.t_ns - batch.t_ns[0]) // round(chunk_s * 1e9)
         starts = [0, *(1 + i for i in range(len(part) - 1) if part[i] != part[i + 1]), len(part)]
+        frames += len(part)
         for first, last in pairwise(starts):
-            file = folder / f"{number:04}_{first:09}.blf"
-            write_blf(file, take(batch, slice(first, last)))
-            yield vehicle, file, last - first
+            found.append((vehicle, folder / f"{number:04}_{first:09}.blf"))
+            write_blf(found[-1][1], take(batch, slice(first, last)))
+    return replace(load, recordings=found), frames
 
 
-def _measured(load: Workload, folder: Path, chunks: Sequence[tuple[str, Path]]) -> tuple[Stages, int]:
+def _measured(load: Workload, folder: Path) -> tuple[Stages, int]:
     """Return what the stages took, and the largest memory of this process and those that it started, bytes."""
-    folder.mkdir()
-    settings, found = load.copy(folder), Stages()
+    settings, stages, largest = load.copy(folder), Stages(), [0]
+
+    def look() -> None:
+        largest[0] = max(largest[0], sum(map(resident_of, tree(os.getpid()))))
+
     with opened(settings) as (storage, context), ExitStack() as stack:
+        assert isinstance(storage, SqlStorage)
         for job in ALL_JOBS:
-            run_job(job, context, JobTrigger.CLI)
-        peak = stack.enter_context(_peak_memory())
-        asked = stack.enter_context(statements())
-        with storage.read() as unit:
-            known = sum(unit.windows.counts().values())
-        begin_s, before = cpu_of_tree(), asked[0]
-        receive(Recorded(tuple(chunks), load.received.data_dir), settings)
-        found.cpu_s["ingest"], found.statements["ingest"] = cpu_of_tree() - begin_s, asked[0] - before
-        with storage.read() as unit:
-            found.windows = sum(unit.windows.counts().values()) - known
-        for job in ALL_JOBS:
-            begin_s, before = cpu_of_tree(), asked[0]
-            run = run_job(job, context, JobTrigger.CLI)
-            if run.error is not None:
-                raise TreadwatchError(f"{run.job}: {run.error}")
-            found.cpu_s[job.name], found.statements[job.name] = cpu_of_tree() - begin_s, asked[0] - before
-    return found, peak[0]
+            run(job, context)
+        stack.enter_context(every(0.05, look))
+        stages.measure(storage, context, settings, load.recorded)
+    return stages, largest[0]
 
 
-def _jobs_s(stages: Stages) -> float:
-    return sum(spent for name, spent in stages.cpu_s.items() if name != "ingest")
-
-
-def _beside_workers_s(load: Workload, folder: Path, chunks: Sequence[tuple[str, Path]]) -> float:
+def _beside_workers_s(load: Workload, folder: Path) -> float:
     """Return the CPU time that this process spends on the same jobs where two workers do the units, s."""
-    folder.mkdir()
     settings = load.copy(folder).model_copy(update={"workers": CORES})
     with opened(settings) as (_, context):
         for job in ALL_JOBS:
-            run_job(job, context, JobTrigger.CLI)
-        receive(Recorded(tuple(chunks), load.received.data_dir), settings)
+            run(job, context)
+        receive(load.recorded, settings)
         with executor_of(settings) as executor:
             begin_s = time.process_time()
             for job in ALL_JOBS:
-                run_job(job, replace(context, executor=executor), JobTrigger.CLI)
+                run(job, replace(context, executor=executor))
             return time.process_time() - begin_s
 
 
-@contextmanager
-def statements() -> Iterator[list[int]]:
-    """Yield the number of statements that every connection of this process has executed so far."""
-    asked = [0]
-
-    def count(*_: object) -> None:
-        asked[0] += 1
-
-    event.listen(Engine, "before_cursor_execute", count)
-    try:
-        yield asked
-    finally:
-        event.remove(Engine, "before_cursor_execute", count)
-
-
-@contextmanager
-def _peak_memory() -> Iterator[list[int]]:
-    """Yield the largest sum of the resident memory of the processes so far, looked at every 50 ms, bytes."""
-    largest, ended = [0], threading.Event()
-
-    def watch() -> None:
-        while not ended.wait(0.05):
-            largest[0] = max(largest[0], sum(map(_resident, tree(os.getpid()))))
-
-    watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
-    try:
-        yield largest
-    finally:
-        ended.set()
-        watcher.join()
-
-
-def _resident(pid: int) -> int:
-    try:
-        pages = Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]
-    except OSError:
-        return 0
-    return int(pages) * resource.getpagesize()
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Measure and print; return 1 where a row falls short."""
-    parser = argparse.ArgumentParser(prog="python -m bench pipeline", description=__doc__)
-    parser.add_argument("--vehicles", type=int, default=3, help="of four wheelsets (3)")
-    parser.add_argument("--minutes", type=float, default=15.0, help="of a journey (15)")
-    parser.add_argument("--chunk", type=float, nargs="+", default=[900.0, 60.0], help="length of a chunk, s (900 60)")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/results/pipeline.md")
-    options = parser.parse_args(arguments)
+def _fleet_sizes(options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
+    """Yield what a window costs in fleets of different sizes, and the exponents."""
+    load, sizes = workload(folder / "load", 1, options.minutes), sorted(options.vehicles)
     found = []
-    for chunk_s in options.chunk:
-        with tempfile.TemporaryDirectory() as folder:
-            found += printed(rows(Path(folder), options.vehicles, options.minutes, chunk_s))
-    command = " ".join(["python -m bench pipeline", *arguments]) if options.write_docs else None
-    return ended(found, "pipeline", "From chunks to alerts", command)
+    for vehicles in sizes:
+        found.append(_of_fleet(folder / str(vehicles), load, vehicles))
+        of_fleet = found[-1]
+        shown = f"{1e3 * of_fleet.whole_s / of_fleet.windows:.1f} CPU ms a window of a minute: " + ", ".join(
+            f"{name} {1e3 * spent / of_fleet.windows:.1f}" for name, spent in of_fleet.cpu_s.items()
+        )
+        yield BenchRow(f"{AXLES * vehicles:,} wheelsets, {of_fleet.windows:,} windows", shown, "", met=True)
+    for name in found[0].cpu_s:
+        power = exponent(sizes, [one.cpu_s[name] for one in found])
+        yield BenchRow(f"exponent of {name}", f"{power:.3f}", "", met=True)
+    whole = exponent(sizes, [one.whole_s for one in found])
+    what = f"exponent of all of it, {AXLES * sizes[0]} to {AXLES * sizes[-1]:,} wheelsets"
+    yield BenchRow(what, f"{whole:.3f}", f"<= {REACH_EXPONENT}", whole <= REACH_EXPONENT)
+
+
+def _of_fleet(folder: Path, load: Workload, vehicles: int) -> Stages:
+    """Return what the recordings of so many vehicles took until alerts, with everything compiled before."""
+    folder.mkdir()
+    settings, stages = load.copy(folder / "deployed"), Stages()
+    model, path = load.recordings[-1]
+    put_copies_into(settings, model, [code_of(number) for number in range(vehicles)])
+    recorded = Recorded(copies(folder / "recordings", path.read_bytes(), vehicles), load.received.data_dir)
+    with opened(settings) as (storage, context):
+        for job in ALL_JOBS:
+            run(job, context)
+        stages.measure(storage, context, settings, recorded)
+    return stages
+
+
+def _section_runs(options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
+    """Yield estimations per window, and how the cost of a window grows with the runs."""
+    if options.vehicles * options.campaigns < FEWEST_RUNS:
+        raise SystemExit(f"{FEWEST_RUNS} journeys of all vehicles or more are needed for an exponent")
+    found = []
+    for stages in _runs(options, folder):
+        found.append(stages)
+        say(f"run {len(found)}: {stages.windows} windows, {stages.estimated} estimated, {stages.whole_s:.1f} CPU s")
+    windows = sum(stages.windows for stages in found)
+    each = sum(stages.estimated for stages in found) / windows
+    what = f"{options.vehicles * AXLES} wheelsets, {len(found)} runs, {windows} windows"
+    reach = f"<= {REACH_ESTIMATIONS}"
+    yield BenchRow(f"{what}: estimations a window", f"{each:.2f}", reach, each <= REACH_ESTIMATIONS)
+    for name in [*found[0].cpu_s, "all of it"]:
+        yield _growth(what, name, found)
+
+
+def _runs(options: argparse.Namespace, folder: Path) -> Iterator[Stages]:
+    """Yield what each journey costs when all jobs follow it."""
+    campaigns, minutes = options.campaigns, options.minutes
+    fleet = small_fleet(folder, "K", cars(options.vehicles), FOUR_AXLES, minutes, campaigns=campaigns, surveyed=False)
+    load = deployed(folder, fleet)
+    for recording in load.recordings:
+        stages = Stages()
+        with opened(load.received) as (storage, plain):
+            context = replace(plain, quiet_s=QUIET_S)
+            stages.measure(storage, context, load.received, Recorded((recording,), load.received.data_dir))
+        if recording is load.recordings[-1]:
+            with opened(load.received) as (_, plain):
+                stages.run_jobs(replace(plain, quiet_s=0.0))
+        yield stages
+
+
+def _growth(what: str, name: str, found: Sequence[Stages]) -> BenchRow:
+    """Return the cost of a window, ms, in the first and second half of the runs, and its growth."""
+    whole = name == "all of it"
+    spent = np.array([stages.whole_s if whole else stages.cpu_s[name] for stages in found])
+    windows = np.array([stages.windows for stages in found])
+    half = len(found) // 2
+    first, second = (1e3 * float(spent[part].sum() / windows[part].sum()) for part in (slice(half), slice(half, None)))
+    power = exponent(np.cumsum(windows)[FIRST_RUNS:].tolist(), np.cumsum(spent)[FIRST_RUNS:].tolist())
+    shown = f"{first:.1f} ms a window in the first half, {second:.1f} in the second, exponent {power:.2f}"
+    reach = f"exponent <= {REACH_EXPONENT}" if whole else ""
+    return BenchRow(f"{what}: {name}", shown, reach, met=not whole or power <= REACH_EXPONENT)
+
+
+BENCHES = (
+    RowBench(
+        "pipeline",
+        "From chunks to alerts",
+        __doc__ or "",
+        _pipeline,
+        {
+            "vehicles": (3, "of four wheelsets"),
+            "minutes": (15.0, "of a journey"),
+            "chunk": ([900.0, 60.0], "length of a chunk, s"),
+        },
+    ),
+    RowBench(
+        "fleet_sizes",
+        "Cost of a wheelset by the size of the fleet",
+        __doc__ or "",
+        _fleet_sizes,
+        {"vehicles": ([10, 100, 1000], "of four wheelsets, by fleet"), "minutes": (3.0, "of a journey")},
+    ),
+    RowBench(
+        "section_runs",
+        "A section over many runs",
+        __doc__ or "",
+        _section_runs,
+        {
+            "vehicles": (10, "of four wheelsets"),
+            "campaigns": (5, "journeys of each vehicle"),
+            "minutes": (5.0, "of a journey"),
+        },
+    ),
+)

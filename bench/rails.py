@@ -1,78 +1,250 @@
 """Wheel and rail apart, over several sections: ``python -m bench rails [--seeds 0-19] [--keep FOLDER] ...``.
 
 Every seed is a fleet of 12 wheelsets on four surveyed sections (``rails_sections``): simulated, ingested and estimated
-by the scheduled jobs; with ``--kinds drawn`` on vehicles and creep that are off from those on file, with ``trend`` on
-rails that wear over years. Results are written as JSON after every seed, so that nothing is lost on the way.
+by the scheduled jobs; in rows ``drawn`` on vehicles and creep that are off from those on file, in rows ``trend`` on
+rails that wear over years.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
-import time
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
+import numpy as np
 
-from bench.rails_table import KINDS, TABLES, TITLE, page_body, terminal_tables
-from bench.results_page import write_page
+from bench.rails_case import score, score_trend
+from bench.report import COLUMNS, Part, ResultTable
+from bench.study import Case, Key, Study
 from estimation.errors import ScenarioError
 
+AMPLITUDES_MM = (1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 2.75, 3.0)
+KNOWN, THREE, TWO, NONE = "known rails", "three measured wheels", "two measured wheels", "none"
+HOLD = (KNOWN, THREE, TWO)  # the level
+REACH_RAILS, REACH_WHEELS, COVERS = 0.02, 0.01, (0.92, 0.98)
+KINDS = ("exact", "drawn", "trend")
+Results = Mapping[str, Any]
+Error = tuple[float, float, bool]
+"""Error, std, and whether the interval covers."""
+Rows = list[tuple[str, ...]]
 
-def main(arguments: Sequence[str]) -> int:
-    """Run what was asked for; return 1 when a row falls short."""
-    options = _options(arguments)
-    console = Console(width=None if Console().is_terminal else 200)
-    results: dict[str, Any] = {kind: [] for kind in KINDS} | {"derailed": []}
-    if options.resume and options.out.exists():
-        results |= json.loads(options.out.read_text())
+
+def _held_by(results: Results, anchor: str, kind: str = "exact") -> list[Any]:
+    return [case for case in results[kind] if case["anchor"] == anchor]
+
+
+def _of_rails(cases: Sequence[Any], place: int | None = None) -> list[Error]:
+    """Return errors of the reference wheel on the sections whose rails are not taken as known."""
+    return [
+        error
+        for case in cases
+        for section in case["sections"]
+        if case["anchor"] != KNOWN or section["section"] != "S0"
+        for at, error in enumerate(section["wheel"])
+        if error is not None and place in (None, at)
+    ]
+
+
+def _of_wheels(cases: Sequence[Any], which: str, place: int | None = None) -> list[Error]:
+    return [
+        error
+        for case in cases
+        for wheelset in case["wheelsets"]
+        for at, error in enumerate(wheelset[which])
+        if error is not None and place in (None, at)
+    ]
+
+
+def _blamed(cases: Sequence[Any], which: str) -> list[float]:
+    """Return the mean error of each wheelset over its amplitudes."""
+    return [
+        float(np.mean([error[0] for error in wheelset[which] if error is not None]))
+        for case in cases
+        for wheelset in case["wheelsets"]
+        if any(error is not None for error in wheelset[which])
+    ]
+
+
+def _p95(errors: Sequence[float]) -> float:
+    return float(np.quantile(np.abs(errors), 0.95))
+
+
+def _summary(results: Results) -> Rows:
+    rows: Rows = []
+    for anchor in HOLD:
+        cases = _held_by(results, anchor)
+        if cases:
+            rows += _reached(anchor, cases)
+    for anchor in HOLD:
+        cases = _held_by(results, anchor, "drawn")
+        if cases:
+            rows += _reached(f"{anchor}, drawn vehicles", cases)
+    today = _blamed(_held_by(results, KNOWN), "today")
+    if today:
+        rows.append(("today: wheelset's mean error, 95 %", f"{_p95(today):.4f}", "", ""))
+        rows.append(_removed(results))
+    refused = [wheelset["apart"] for case in _held_by(results, NONE) for wheelset in case["wheelsets"]]
+    published = sum(error is not None for errors in refused for error in errors)
+    rows.append(("no anchor: conicities of wheelsets published", str(published), "0", "yes" if not published else "NO"))
+    return rows
+
+
+def _reached(what: str, cases: Sequence[Any]) -> Rows:
+    rails, wheels, bias = _of_rails(cases), _of_wheels(cases, "apart"), _blamed(cases, "apart")
+    if not rails or not wheels:
+        return [(f"{what}: anything published", "no", "yes", "NO")]
+    return [
+        _row(f"{what}: reference wheel per section, 95 %", _p95([one[0] for one in rails]), REACH_RAILS),
+        _cover(f"{what}: reference wheel, intervals cover", rails),
+        _row(f"{what}: wheelset's mean error, 95 %", _p95(bias), REACH_WHEELS),
+        _cover(f"{what}: wheelsets, intervals cover", wheels),
+    ]
+
+
+def _row(what: str, measured: float, reach: float) -> tuple[str, ...]:
+    return what, f"{measured:.4f}", f"{reach:g}", "yes" if measured <= reach else "NO"
+
+
+def _cover(what: str, errors: Sequence[Error]) -> tuple[str, ...]:
+    inside = sum(error[2] for error in errors)
+    share, (low, high) = inside / len(errors), COVERS
+    met = "yes" if low <= share <= high else "wide" if share > high else "NO"
+    return what, f"{inside} of {len(errors)}: {100 * share:.1f} %", f"{100 * low:g}-{100 * high:g} %", met
+
+
+def _removed(results: Results) -> tuple[str, ...]:
+    """Return how much of what is blamed on wheelsets is removed, over the errors that both have."""
+    both = [
+        (before[0], after[0])
+        for case in _held_by(results, KNOWN)
+        for wheelset in case["wheelsets"]
+        for before, after in zip(wheelset["today"], wheelset["apart"], strict=False)
+        if before is not None and after is not None
+    ]
+    before, after = (np.abs(column).mean() for column in np.array(both).T)
+    return "of today's mean absolute error removed", f"{100 * (1 - after / before):.0f} %", "", ""
+
+
+def _by_amplitude(results: Results) -> Rows:
+    cases = _held_by(results, KNOWN)
+    rows: Rows = []
+    for place, amplitude in enumerate(AMPLITUDES_MM):
+        rails = _of_rails(cases, place)
+        apart, today = (_of_wheels(cases, which, place) for which in ("apart", "today"))
+        rows.append((f"{amplitude:g}", *_figures(rails), *_figures(apart), *_figures(today)))
+    return rows
+
+
+def _figures(errors: Sequence[Error]) -> tuple[str, str]:
+    return (str(len(errors)), f"{_p95([one[0] for one in errors]):.4f}" if errors else "")
+
+
+def _findings(results: Results) -> Rows:
+    """Return what is said of worn and of unworn sections."""
+    rows: Rows = []
+    for anchor in (*HOLD, NONE):
+        sections = [one for case in _held_by(results, anchor) for one in case["sections"] if one["section"] != "S0"]
+        for worn in (True, False):
+            said = [one["exceeded"] for one in sections if one["worn"] is worn]
+            counts = tuple(str(sum(one is answer for one in said)) for answer in (True, False, None))
+            rows.append((anchor, "worn head, or another gauge" if worn else "as on file", str(len(said)), *counts))
+    return rows
+
+
+def _trends(results: Results) -> Rows:
+    """Return each fleet whose rails wear: the trend, its interval and the truth, by year and by traffic."""
+    rows: Rows = []
+    for one in results["trend"]:
+        if one["amplitude"] is None:
+            rows.append((str(one["seed"]), "", "none", "", "", ""))
+            continue
+        (value, low, high), true = one["per_100_mgt"], one["true_per_100_mgt"]
+        inside = low <= true <= high and one["per_year"][1] <= one["true_per_year"] <= one["per_year"][2]
+        rows.append(
+            (
+                str(one["seed"]),
+                f"{1e3 * one['amplitude']:g}",
+                f"{value:+.3f} ({low:+.3f} to {high:+.3f})",
+                f"{true:+.3f}",
+                f"{one['true_per_year']:+.3f}",
+                "yes" if inside else "no",
+            )
+        )
+    return rows
+
+
+TABLES = (
+    ("", COLUMNS, _summary),
+    (
+        "By amplitude, level held by known rails: how many are published, and the 95th percentile of their errors",
+        ("mm", "rails", "error", "wheelsets", "error ", "today", "error  "),
+        _by_amplitude,
+    ),
+    (
+        "Is the excess of a section beyond the limit?",
+        ("level held by", "rails", "sections", "yes", "no", "not known"),
+        _findings,
+    ),
+    (
+        "Rails that wear over 2.2 years: trend of the excess, level held by known rails",
+        ("fleet", "mm", "by 100 MGT", "true", "true, a year", "covered"),
+        _trends,
+    ),
+)
+
+
+def parts(results: Results) -> list[Part]:
+    """Return the page of results."""
+    tables = [ResultTable(header, rows(results), range(1, len(header)), title) for title, header, rows in TABLES]
+    return [_head(results), *tables]
+
+
+def _head(results: Results) -> str:
+    exact, drawn = (_seeds(results, kind) for kind in KINDS[:2])
+    head = f"Seeds {exact}: each a fleet of 12 wheelsets on four surveyed sections."
+    if drawn:
+        head += f" Seeds {drawn} also with vehicles, and creep on each section, drawn about what is on file."
+    derailed = ", ".join(f"{seed} ({kind})" for kind, seed in results["derailed"])
+    return head + (f" Left out, because a wheelset climbs a rail: {derailed}." if derailed else "")
+
+
+def _seeds(results: Results, kind: str) -> str:
+    return ", ".join(map(str, sorted({case["seed"] for case in results[kind]})))
+
+
+def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]:
     with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
-        _run(options, results, options.keep or Path(folder), console)
-    for table in terminal_tables(results):
-        console.print(table)
-    if options.write_docs:
-        page = write_page("rails", TITLE, "python -m bench rails --write-docs", page_body(results))
-        console.print(f"wrote {page}", highlight=False)
-    return 0 if all(row[-1] != "NO" for row in TABLES[0].rows(results)) else 1
-
-
-def _run(options: argparse.Namespace, results: dict[str, Any], cache: Path, console: Console) -> None:
-    for kind in options.kinds:
-        have = {case["seed"] for case in results[kind]} | {seed for of, seed in results["derailed"] if of == kind}
-        for seed in sorted(set(options.seeds) - have):
-            began = time.perf_counter()
-            try:
-                results[kind] += _scores(kind, seed, cache)
-            except ScenarioError as error:  # a wheelset climbs a rail: no railway runs it
-                results["derailed"].append([kind, seed])
-                console.print(f"{kind} {seed}: {error}", highlight=False)
+        cache = options.keep or Path(folder)
+        for kind, seed in product(options.rows, options.seeds):
+            if (kind, seed) in done:
                 continue
-            finally:
-                options.out.write_text(json.dumps(results), encoding="utf-8")
-            console.print(f"{kind} {seed}: {time.perf_counter() - began:.0f} s", highlight=False)
+            case = {"row": kind, "seed": seed, "derailed": False, "scores": []}
+            try:
+                of_trend = kind == "trend"
+                scores = [score_trend(seed, cache)] if of_trend else score(seed, cache, drawn=kind == "drawn")
+                yield case | {"scores": scores}
+            except ScenarioError:  # a wheelset climbs a rail: no railway runs it
+                yield case | {"derailed": True}
 
 
-def _scores(kind: str, seed: int, cache: Path) -> list[dict[str, Any]]:
-    from bench.rails_case import score  # noqa: PLC0415 - compiled code is loaded where it runs
-    from bench.rails_trend import score_trend  # noqa: PLC0415 - the same
-
-    return [score_trend(seed, cache)] if kind == "trend" else score(seed, cache, drawn=kind == "drawn")
-
-
-def _options(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench rails", description=__doc__)
-    parser.add_argument("--seeds", type=_seeds, default=[0], help="as in 0-19 or 3 (default: 0)")
-    parser.add_argument("--kinds", type=lambda text: text.split(","), default=list(KINDS), help=", ".join(KINDS))
-    parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings and deployments")
-    parser.add_argument("--out", type=Path, default=Path("rails.json"))
-    parser.add_argument("--resume", action="store_true", help="go on with the results in --out")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/results/rails.md")
-    return parser.parse_args(arguments)
+def _results(cases: Sequence[Case]) -> Results:
+    """Return the scores by kind, and which seeds derailed."""
+    scores = {kind: [one for case in cases if case["row"] == kind for one in case["scores"]] for kind in KINDS}
+    return scores | {"derailed": [(case["row"], case["seed"]) for case in cases if case["derailed"]]}
 
 
-def _seeds(text: str) -> list[int]:
-    first, _, last = text.partition("-")
-    return list(range(int(first), int(last or first) + 1))
+main = Study(
+    name="rails",
+    title="Wheel and rail apart",
+    about=__doc__ or "",
+    cases=_cases,
+    parts=lambda cases: parts(_results(cases)),
+    line=lambda case: f"{case['row']} {case['seed']}: {'derailed' if case['derailed'] else 'done'}",
+    rows=KINDS,
+    options=lambda parser: parser.add_argument(
+        "--keep", type=Path, help="folder that keeps recordings and deployments"
+    ),
+).run

@@ -7,7 +7,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,10 @@ from api.comparison.trial import (
     run_jobs,
 )
 from api.settings import Settings
-from bench.rails_sections import KNOWN, BenchSection, reference_wheel, sections_of
+from estimation.contact.conicity import equivalent_conicity
+from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
+from estimation.contact.profiles import wheel_profile
+from estimation.contact.wear import RailWear
 from estimation.jobs import refresh_rails
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import KnownSection, RailsSettings
@@ -33,8 +36,90 @@ from estimation.storage import Storage, UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS
 from estimation.values.quantities import Estimate
-from ingest.simulator.axle_motion import truth_of, wear_at, worn_contact
-from ingest.simulator.scenario import DrawnFleet, Scenario, VehiclePlan
+from ingest.simulator.axle_motion import rails_of, section_at, truth_of, wear_at, worn_contact
+from ingest.simulator.drawn_fleet import with_seed
+from ingest.simulator.scenario import DAY_NS, DrawnFleet, Scenario, SectionPlan, VehicleErrors, VehiclePlan
+from ingest.simulator.scenario_file import load_scenario
+
+TEMPLATE = Path(__file__).parent / "rails_scenarios" / "sections.toml"
+KNOWN = "S0"
+KM_BETWEEN_SECTIONS = 25.0  # between a run on one section and that on the next
+TRACK_SEEDS = 1000  # apart, of the tracks of sections
+RUNS: tuple[tuple[str, ...], ...] = (("V0", "V2"), ("V0", "V1"), ("V1", "V2"), ("V1",))
+
+
+@dataclass(frozen=True, slots=True)
+class BenchSection:
+    """A section, and the fleet as it runs there."""
+
+    scenario: Scenario
+    worn: bool
+
+    @property
+    def plan(self) -> SectionPlan:
+        """The section."""
+        return self.scenario.section
+
+
+def sections_of(seed: int, *, drawn: bool = False) -> tuple[BenchSection, ...]:
+    """Return the sections of a seed: rails as on file, worn heads, another gauge, rails as new that nobody knows."""
+    fleet = replace(with_seed(load_scenario(TEMPLATE), seed), drawn=None)
+    if drawn:
+        codes = tuple(vehicle.code for vehicle in fleet.vehicles)
+        fleet = replace(fleet, vehicle_errors=VehicleErrors(seed=seed, fleet=codes))
+    rng = np.random.default_rng([seed, 14])
+    wear = RailWear(rng.uniform(0.3e-3, 0.7e-3), rng.uniform(-1e-3, 3e-3), rng.uniform(22e-3, 28e-3))
+    gauge = float(rng.choice([-1.0, 1.0]) * rng.uniform(1e-3, 2e-3))
+    rails: tuple[tuple[RailWear | None, float], ...] = ((None, 0.0), (wear, 0.0), (None, gauge), (None, 0.0))
+    return tuple(
+        BenchSection(on_section(fleet, place, runs, *of_rails), of_rails != (None, 0.0))
+        for place, (runs, of_rails) in enumerate(zip(RUNS, rails, strict=True))
+    )
+
+
+def on_section(fleet: Scenario, place: int, runs: Sequence[str], wear: RailWear | None, gauge: float) -> Scenario:
+    """Return a fleet as it runs on one of several sections."""
+    recipe = fleet.section.recipe
+    assert recipe is not None
+    section = replace(
+        fleet.section,
+        code=f"S{place}",
+        number=fleet.section.number + place,
+        name=f"Section {place}",
+        recipe=replace(recipe, gauge_offset=gauge),
+        rail_wear=(wear, wear),
+        surveyed=True,
+    )
+    later = KM_BETWEEN_SECTIONS * place * 1e3
+    sessions = replace(
+        fleet.sessions,
+        start_ns=fleet.sessions.start_ns + round(later / fleet.sessions.distance_per_day * DAY_NS),
+        first_odometer=fleet.sessions.first_odometer + later,
+    )
+    return replace(
+        fleet,
+        seed=fleet.seed + TRACK_SEEDS * place,
+        section=section,
+        sessions=sessions,
+        vehicles=tuple(one for one in fleet.vehicles if one.code in runs),
+    )
+
+
+def reference_wheel(scenario: Scenario, amplitude: FloatArray) -> FloatArray:
+    """Return the true conicity (k,) of the wheel as designed on the rails of a section, at its gauge.
+
+    Args:
+        amplitude: (k,) m.
+    """
+    section = scenario.section
+    assert section.recipe is not None
+    left, right, inclination = rails_of(section)
+    wheel = wheel_profile(scenario.vehicles[0].wheelsets[0].wheel_profile)
+    gauge = section.nominal_gauge + section.recipe.gauge_offset
+    wheelset = WheelsetOnTrack(wheel, wheel, left, right, inclination, gauge)
+    curve = radius_difference_curve(wheelset, 0.05e-3 * np.arange(-240, 241))
+    return equivalent_conicity(curve.displacement, curve.difference, amplitude)
+
 
 AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1.0 to 3.0 mm, as in the accuracy table
 ANCHORS: Mapping[str, tuple[str, ...]] = {
@@ -51,13 +136,9 @@ MEASURED: Mapping[int, tuple[str, ...]] = {  # wheelsets whose profiles are on f
 Scored = dict[str, Any]
 
 
-def score(seed: int, cache: Path, *, surveyed: bool = True, drawn: bool = False) -> list[Scored]:
-    """Return a score for each way to hold the level, as JSON values.
-
-    Args:
-        drawn: Whether vehicles and creep are off from what is on file.
-    """
-    sections = sections_of(seed, surveyed=surveyed, drawn=drawn)
+def score(seed: int, cache: Path, *, drawn: bool = False) -> list[Scored]:
+    """Return a score for each way to hold the level, as JSON values."""
+    sections = sections_of(seed, drawn=drawn)
     found: list[Scored] = []
     with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
         settings = copied(received(sections, cache), Path(folder))
@@ -67,8 +148,7 @@ def score(seed: int, cache: Path, *, surveyed: bool = True, drawn: bool = False)
             with opened(settings) as (storage, context):
                 run_jobs(context, ESTIMATION)
                 found += [_scored(seed, sections, anchor, storage, context) for anchor in anchors]
-    head = {"surveyed": surveyed, "drawn": drawn}
-    return [head | one for one in found]
+    return found
 
 
 def _scored(seed: int, sections: Sequence[BenchSection], anchor: str, storage: Storage, context: JobContext) -> Scored:
@@ -105,11 +185,7 @@ def received(sections: Sequence[BenchSection], cache: Path) -> Settings:
 
 
 def whole_fleet(sections: Sequence[BenchSection], measured: int = 0) -> Scenario:
-    """Return the scenario of the first section with the vehicles of all, as the registry has them.
-
-    Args:
-        measured: Of how many wheelsets the profiles are on file.
-    """
+    """Return the scenario of the first section with the vehicles of all, as the registry has them."""
     vehicles: dict[str, VehiclePlan] = {vehicle.code: vehicle for one in sections for vehicle in one.scenario.vehicles}
     drawn = DrawnFleet(pairs=(), profiles_measured=measured)
     ordered = tuple(vehicles[code] for code in sorted(vehicles))
@@ -181,3 +257,81 @@ def _true_wheels(sections: Sequence[BenchSection], amplitude: FloatArray) -> dic
             true = truth_of(contact)
             found[wheelset.serial] = np.interp(amplitude, true.amplitude, true.equivalent_conicity)
     return found
+
+
+CAMPAIGNS = 5
+DAYS_BETWEEN = 200.0  # every campaign is in a period of its own
+KM_BETWEEN = 40_000.0
+TONNAGE = 30.0  # million gross tonnes a year
+WHEELS_WEAR = (0.05e-11, 0.2e-11)  # depth by distance: 0.02 to 0.08 mm from one campaign to the next
+RAILS_WEAR = (0.3e-3, 1.0e-3)  # m by 100 million gross tonnes
+FIRST_DEPTH = 0.1e-3  # m
+CENTRE = (-2e-3, -0.5e-3)  # m: bands whose growth raises the conicity; others move a contact jump, which is no trend
+VEHICLES = ("V0", "V1")
+
+
+def worn_for_years(seed: int) -> tuple[BenchSection, BenchSection]:
+    """Return two sections of a fleet, with campaigns over years."""
+    fleet, rng = replace(with_seed(load_scenario(TEMPLATE), seed), drawn=None), np.random.default_rng([seed, 15])
+    sessions = replace(
+        fleet.sessions,
+        campaigns=CAMPAIGNS,
+        distance_between=KM_BETWEEN * 1e3,
+        distance_per_day=KM_BETWEEN * 1e3 / DAYS_BETWEEN,
+    )
+    fleet = replace(fleet, sessions=sessions, vehicles=tuple(_wearing(one, rng) for one in fleet.vehicles))
+    wear = RailWear(FIRST_DEPTH, rng.uniform(*CENTRE), rng.uniform(22e-3, 28e-3))
+    known = on_section(fleet, 0, VEHICLES, None, 0.0)
+    worn = on_section(fleet, 1, VEHICLES, wear, 0.0)
+    growing = replace(worn.section, rail_growth=rng.uniform(*RAILS_WEAR), tonnage=TONNAGE)
+    return BenchSection(known, worn=False), BenchSection(replace(worn, section=growing), worn=True)
+
+
+def _wearing(vehicle: VehiclePlan, rng: np.random.Generator) -> VehiclePlan:
+    rates = rng.uniform(*WHEELS_WEAR, len(vehicle.wheelsets))
+    wheelsets = zip(vehicle.wheelsets, rates, strict=True)
+    return replace(vehicle, wheelsets=tuple(replace(one, rate_left=rate, rate_right=rate) for one, rate in wheelsets))
+
+
+def score_trend(seed: int, cache: Path) -> Scored:
+    """Return the trend of the section whose rails wear, beside the truth, as JSON values."""
+    sections = worn_for_years(seed)
+    with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
+        settings = copied(received(sections, cache), Path(folder))
+        with opened(settings) as (storage, context):
+            known = replace(context.settings, rails=RailsSettings(_looked_at(sections[0].scenario)))
+            run_jobs(replace(context, settings=known), (*ESTIMATION, refresh_rails.JOB))
+            with storage.read() as unit:
+                found = unit.results.latest(SECTION_RAILS, sections[1].plan.code)
+    trend = None if found is None or found.value is None else found.value.trend
+    if trend is None:
+        return {"seed": seed, "amplitude": None}
+    per_year = _true_slope(sections[1].scenario, trend.amplitude)
+    return {
+        "seed": seed,
+        "amplitude": trend.amplitude,
+        "periods": trend.periods,
+        "true_per_year": per_year,
+        "per_year": _interval(trend.per_year),
+        "true_per_100_mgt": per_year * 100.0 / TONNAGE,
+        "per_100_mgt": _interval(trend.per_100_mgt),
+    }
+
+
+def _looked_at(scenario: Scenario) -> frozenset[KnownSection]:
+    """Return the known section with a day of every campaign: its rails are looked at again and again."""
+    days = (round(campaign * DAYS_BETWEEN) * DAY_NS for campaign in range(CAMPAIGNS))
+    return frozenset(KnownSection(KNOWN, scenario.sessions.start_ns + day_ns) for day_ns in days)
+
+
+def _true_slope(scenario: Scenario, amplitude: float) -> float:
+    """Return how fast the conicity of the wheel as designed grows on the section, 1/year, by its campaigns."""
+    odometers = [scenario.odometer(campaign) for campaign in range(CAMPAIGNS)]
+    rails = [replace(scenario, section=section_at(scenario, at)) for at in odometers]
+    conicity = [float(reference_wheel(one, np.array([amplitude]))[0]) for one in rails]
+    years = DAYS_BETWEEN / 365.25 * np.arange(CAMPAIGNS)
+    return float(np.polyfit(years, conicity, 1)[0])
+
+
+def _interval(one: Estimate) -> list[float | None]:
+    return [one.value, one.low, one.high]

@@ -1,15 +1,25 @@
-"""One line of a benchmark report, and how lines are printed as they come."""
+"""What benches print and write: rows and tables on the terminal, and the same on pages in ``docs/results``."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import argparse
+import os
+import platform
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
 
 from rich.console import Console
+from rich.table import Table
 
+RESULTS = Path(__file__).parents[1] / "docs" / "results"
+LIBRARIES = ("numpy", "scipy")
 COLUMNS = ("what", "measured", "reach", "met")
 SHORT = "NO"
-"""In the last column of a row that falls short."""
+"""In the column "met" of a row that falls short."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,10 +37,122 @@ class BenchRow:
         return self.what, self.measured, self.reach, "yes" if self.met else SHORT
 
 
+@dataclass(frozen=True, slots=True)
+class ResultTable:
+    """A table of results; ``right`` numbers the columns that are set flush right."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    right: Iterable[int] = ()
+    title: str = ""
+
+    @property
+    def met(self) -> bool:
+        """Whether no row falls short, where the table has a column "met"."""
+        return "met" not in self.header or all(row[self.header.index("met")] != SHORT for row in self.rows)
+
+    def terminal(self) -> Table:
+        """Return the table for a terminal."""
+        table = Table(*self.header, title=self.title or None, title_justify="left", show_lines=self.header == COLUMNS)
+        for row in self.rows:
+            table.add_row(*row)
+        return table
+
+    def markdown(self) -> str:
+        """Return the table in Markdown, below its title."""
+        right = set(self.right)
+        rule = ["---:" if column in right else "---" for column in range(len(self.header))]
+        cells = [[cell.replace("|", "\\|") for cell in row] for row in (self.header, rule, *self.rows)]
+        lines = "\n".join(f"| {' | '.join(row)} |" for row in cells)
+        return f"{self.title}.\n\n{lines}" if self.title else lines
+
+
+Part = str | ResultTable
+"""A paragraph, which the page alone has, or a table."""
+
+
+def row_table(rows: Iterable[BenchRow]) -> ResultTable:
+    """Return rows as a table."""
+    return ResultTable(COLUMNS, [row.cells for row in rows])
+
+
 def printed(rows: Iterable[BenchRow]) -> list[BenchRow]:
     """Print each row as soon as it is there, and return all of them."""
-    console, found = Console(), []
+    every = []
     for row in rows:
-        console.print("  ".join(row.cells), highlight=False, soft_wrap=True)
-        found.append(row)
-    return found
+        say("  ".join(row.cells))
+        every.append(row)
+    return every
+
+
+def say(line: str) -> None:
+    """Print a line as it is."""
+    Console().print(line, highlight=False, soft_wrap=True)
+
+
+def ended(parts: Iterable[Part], name: str, title: str, command: str | None) -> int:
+    """Print the tables, write the page where a command is given that does so; return 1 where a row falls short."""
+    parts = list(parts)
+    tables = [part for part in parts if isinstance(part, ResultTable)]
+    console = Console(width=None if Console().is_terminal else 200)
+    for table in tables:
+        console.print(table.terminal())
+    if command is not None:
+        say(f"wrote {write_page(name, title, command, parts)}")
+    return 0 if all(table.met for table in tables) else 1
+
+
+@dataclass(frozen=True, slots=True)
+class RowBench:
+    """A bench that measures rows once; ``options`` has default and help by name, lists take several values."""
+
+    name: str
+    title: str
+    about: str
+    rows: Callable[[argparse.Namespace, Path], Iterator[BenchRow]]
+    options: Mapping[str, tuple[Any, str]] = field(default_factory=dict)
+
+    def run(self, arguments: Sequence[str]) -> int:
+        """Measure in an empty folder, print, and return 1 where a row falls short."""
+        parser = argparse.ArgumentParser(prog=f"python -m bench {self.name}", description=self.about)
+        for name, (default, about) in self.options.items():
+            several = isinstance(default, list)
+            kind = type(default[0] if several else default)
+            about = f"{about} ({default})"  # noqa: PLW2901 - the whole of it
+            parser.add_argument(f"--{name}", type=kind, nargs="+" if several else None, default=default, help=about)
+        parser.add_argument("--write-docs", action="store_true", help=f"write docs/results/{self.name}.md too")
+        options = parser.parse_args(arguments)
+        with tempfile.TemporaryDirectory(prefix=f"treadwatch-{self.name}-") as folder:
+            rows = printed(self.rows(options, Path(folder)))
+        command = " ".join(["python -m bench", self.name, *arguments]) if options.write_docs else None
+        return ended([row_table(rows)], self.name, self.title, command)
+
+
+def write_page(name: str, title: str, command: str, parts: Iterable[Part], folder: Path = RESULTS) -> Path:
+    """Write the page of results ``name``, and return its path; its folder is made if missing."""
+    folder.mkdir(parents=True, exist_ok=True)
+    head = f"Written by `{command}`: {machine()}."
+    body = [part if isinstance(part, str) else part.markdown() for part in parts]
+    path = folder / f"{name}.md"
+    path.write_text("\n\n".join([f"# {title}", head, *body]) + "\n", encoding="utf-8")
+    return path
+
+
+def machine() -> str:
+    """Return processor, number of cores, Python and libraries in words."""
+    libraries = ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
+    return f"{_processor()}, {os.cpu_count()} cores, Python {platform.python_version()}, {libraries}"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.machine()
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.machine())
+
+
+def share_of(part: int, whole: int) -> str:
+    """Return a share in words; empty where there is nothing."""
+    return f"{part / whole:.1%} of {whole}".replace("%", " %") if whole else ""

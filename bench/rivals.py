@@ -1,93 +1,378 @@
 """Rival estimators on the same windows: ``python -m bench rivals [--seeds 0-19] [--families smooth,P8/113A] ...``.
 
 Every fleet is recorded, received and its windows made by the scheduled jobs; then every estimator of the catalogue gets
-the same motion (``rivals_case``). Results are written as JSON after every fleet, so that nothing is lost on the way.
+the same motion (``rivals_case``).
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
+import numpy as np
 
-from api.comparison.study import TrackInformation
-from bench.results_page import write_page
-from bench.rivals_case import scores
-from bench.rivals_fleets import FAMILIES, fleet
-from bench.rivals_table import TITLE, bench_rows, page_body, summary_lines
-from bench.world import seed_range
+from api.comparison.study import TrackInformation, TrueWheelset, on_file, read_truth
+from api.comparison.trial import ESTIMATION, deploy, opened, parameters_of, receive, record, replayed, run_jobs
+from bench.report import BenchRow, Part, ResultTable, row_table
+from bench.study import Case, Key, Study, one_of
+from estimation.contact.conicity import equivalent_conicity
+from estimation.contact.profiles import wheel_profile
 from estimation.estimators.catalogue import estimators
+from estimation.estimators.interface import CurveEstimate, EstimatorParameters, nothing
+from estimation.jobs.job import JobContext
+from estimation.jobs.refresh_geometry import geometries_of
+from estimation.jobs.steps.rolling import members
+from estimation.motion.integration import standard_displacement
+from estimation.storage import UnitOfWork
+from estimation.values.arrays import FloatArray
+from estimation.values.quantities import NORMAL_95, Status
+from estimation.values.reasons import Reason
+from estimation.values.windows import Motion
+from ingest.simulator.axle_motion import contact_of
+from ingest.simulator.campaign import scenario_track
+from ingest.simulator.drawn_fleet import with_seed
+from ingest.simulator.drawn_plan import ProfilePair
+from ingest.simulator.scenario import Scenario
+from ingest.simulator.scenario_file import load_scenario
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run what was asked for; return 1 when a row falls short."""
-    options = _options(arguments)
-    console = Console(width=None if Console().is_terminal else 200)
-    found: list[dict[str, Any]] = json.loads(options.out.read_text()) if options.resume and options.out.exists() else []
-    if not options.print_only:
-        _run(options, found, console)
-    for line in summary_lines(found):
-        console.print(line, highlight=False, soft_wrap=True)
-    rows = list(bench_rows(found))
-    for row in rows:
-        shown = f"{row.what}: {row.measured} (reach {row.reach}): {'yes' if row.met else 'NO'}"
-        console.print(shown, highlight=False, soft_wrap=True)
-    if options.write_docs:
-        page = write_page("rivals", TITLE, "python -m bench rivals --write-docs", page_body(found))
-        console.print(f"wrote {page}", highlight=False)
-    return 0 if all(row.met for row in rows) else 1
+@dataclass(frozen=True, slots=True)
+class RivalScore:
+    """One estimator, one wheelset, one track; None where an amplitude is not estimated."""
+
+    family: str
+    seed: int
+    track: str
+    estimator: str
+    serial: str
+    errors: tuple[float | None, ...]  # by amplitude of the truth, against the profiles
+    errors_as_run: tuple[float | None, ...]  # the same against the table that the simulator ran on
+    covered: tuple[bool, ...]  # of the estimated ones, by the published interval
+    own_covered: tuple[bool, ...]  # of those, by the covariance that the estimator states; empty without one
+    reason: str  # code why there is nothing; empty where there is something
+    cpu_s: float
+    running_s: float  # of valid samples
+    state_bytes: int
 
 
-def _run(options: argparse.Namespace, found: list[dict[str, Any]], console: Console) -> None:
-    have = {(one["family"], one["seed"], one["track"]) for one in found}
-    for seed in options.seeds:
-        for family in options.families:
-            tracks = [track for track in options.tracks if (family, seed, track.value) not in have]
-            if not tracks:
-                continue
-            with tempfile.TemporaryDirectory(prefix="treadwatch-rivals-") as folder:
-                cache = options.keep or Path(folder) / "recordings"
-                scenario = fleet(family, seed, options.vehicles, cache / "wheels")
-                case = scores(
-                    scenario, family, tracks, cache, Path(folder) / "data", options.wheelsets, options.estimators
-                )
-                found.extend(one.as_json() for one in case)
-            options.out.write_text(json.dumps(found), encoding="utf-8")
-            console.print(f"{family} seed {seed}: done", highlight=False)
+def scores(
+    scenario: Scenario,
+    family: str,
+    tracks: Sequence[TrackInformation],
+    cache: Path,
+    folder: Path,
+    most: int,
+    named: Sequence[str],
+) -> Iterator[RivalScore]:
+    """Yield the score of every estimator on every wheelset."""
+    recorded = record(scenario, cache, workers=1)
+    truths = read_truth(recorded.truth)
+    as_run = _as_run(scenario)
+    shown = [truths[i] for i in np.unique(np.linspace(0, len(truths) - 1, min(most, len(truths))).astype(int))]
+    for track in tracks:
+        put = on_file(scenario, track)
+        settings = deploy(put, folder / track.value)
+        receive(recorded, settings)
+        jobs = ESTIMATION[1:2] if track is TrackInformation.NONE else ESTIMATION[:2]
+        with opened(settings) as (storage, context):
+            run_jobs(context, jobs)
+            for truth in shown:
+                with storage.read() as unit:
+                    parameters, motions = motions_of(unit, truth.serial, context)
+                for name, found, cpu_s, size in _estimated(parameters, motions, named):
+                    running_s = sum(float(motion.valid.sum()) * motion.sample_interval_s for motion in motions)
+                    of = (family, scenario.seed, track.value, name)
+                    yield _score(of, truth, as_run[truth.serial], found, (cpu_s, running_s, size))
 
 
-def _options(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench rivals", description=__doc__)
-    parser.add_argument("--seeds", type=seed_range, default=list(range(20)), help="as in 0-19 or 3 (default: 0-19)")
-    parser.add_argument("--families", type=_of(FAMILIES), default=list(FAMILIES), help=", ".join(FAMILIES))
-    names = [track.value for track in TrackInformation]
-    parser.add_argument("--tracks", type=_tracks, default=list(TrackInformation), help=", ".join(names))
+def motions_of(unit: UnitOfWork, serial: str, context: JobContext) -> tuple[EstimatorParameters, list[Motion]]:
+    """Return what an estimator of the jobs gets of a wheelset: parameters, and the motion of its windows."""
+    found = geometries_of(unit, [serial], context)[serial]
+    motions: list[Motion] = []
+    parameters = EstimatorParameters(band_limited=True)
+    for part in found.current_parts():
+        used = found.estimated_with([part])
+        parameters = parameters_of(used)
+        motions += [motion for _, motion in replayed(unit, members(unit, found.rules, part), used.assumed.windows)]
+    return parameters, motions
+
+
+def _estimated(
+    parameters: EstimatorParameters, motions: Sequence[Motion], named: Sequence[str]
+) -> Iterator[tuple[str, CurveEstimate, float, int]]:
+    """Yield name, result, processor time and bytes; where the first one says mismatch nothing else is published.
+
+    The jobs do so: whatever the estimator, the data then do not follow the class of the vehicle.
+    """
+    mismatch: Reason | None = None
+    first, *others = estimators()
+    for estimator in (first, *(one for one in others if one.name in named)):
+        began = time.process_time()
+        state = estimator.init(parameters)
+        for motion in motions:
+            state = estimator.update(state, motion)
+        found = estimator.result(state)
+        cpu_s = time.process_time() - began
+        if found.status is Status.MODEL_MISMATCH:
+            mismatch = found.reason
+        if mismatch is not None:
+            found = nothing(mismatch, parameters, found.samples, found.stretches)
+        yield estimator.name, found, cpu_s, _bytes(state)
+
+
+def _bytes(value: object) -> int:
+    """Return the bytes of all arrays in a frozen value."""
+    if isinstance(value, np.ndarray):
+        return int(value.nbytes)
+    if isinstance(value, tuple):
+        return sum(map(_bytes, value))
+    names = [name for cls in type(value).__mro__ for name in getattr(cls, "__slots__", ())]
+    return sum(_bytes(getattr(value, name)) for name in names)
+
+
+def _as_run(scenario: Scenario) -> Mapping[str, tuple[FloatArray, FloatArray]]:
+    """Return displacement and R by wheelset as the simulator's tables have them: straight between their points."""
+    track, odometer = scenario_track(scenario), scenario.sessions.first_odometer
+    found = {}
+    for vehicle in scenario.vehicles:
+        for plan in vehicle.wheelsets:
+            table = contact_of(scenario, track, plan, odometer).table
+            nominal = int(np.argmin(np.abs(table.gauge_deviation)))
+            roll, radius = table.roll[:, nominal], plan.nominal_radius
+            standard = standard_displacement(table.lateral_displacement, roll, radius, level=False)
+            found[plan.serial] = standard, table.rolling_radius_difference[:, nominal]
+    return found
+
+
+def _score(
+    of: tuple[str, int, str, str],
+    truth: TrueWheelset,
+    as_run: tuple[FloatArray, FloatArray],
+    found: CurveEstimate,
+    cost: tuple[float, float, int],
+) -> RivalScore:
+    ran = equivalent_conicity(*as_run, truth.amplitude)
+    errors: list[float | None] = []
+    errors_as_run: list[float | None] = []
+    covered, own_covered = [], []
+    for amplitude, true, run in zip(truth.amplitude, truth.conicity, ran, strict=True):
+        at = int(np.argmin(np.abs(found.amplitude - amplitude)))
+        one = found.conicity[at]
+        if one.value is None or one.low is None or one.high is None:
+            errors.append(None)
+            errors_as_run.append(None)
+            continue
+        errors.append(float(one.value - true))
+        errors_as_run.append(float(one.value - run))
+        covered.append(bool(one.low <= true <= one.high))
+        own = np.nan if found.own_std is None else float(found.own_std[at])
+        if np.isfinite(own):
+            own_covered.append(bool(abs(one.value - true) <= NORMAL_95 * own))
+    reason = "" if found.reason is None else str(found.reason.code)
+    family, seed, track, name = of
+    return RivalScore(
+        family, seed, track, name, truth.serial, tuple(errors), tuple(errors_as_run),
+        tuple(covered), tuple(own_covered), reason, *cost,
+    )  # fmt: skip
+
+
+SMOOTH, JUMPS = "smooth", "P8/113A"
+FAMILIES = (SMOOTH, JUMPS)
+STEP = 0.005e-3  # m between points of contact tables: contact jumps are where the profiles have them
+ROOT = -33.0  # mm, in the flange: a corner, where no tread is
+STEEPNESS = (0.06, 0.16)  # of the treads, from the first wheelset to the last
+CUBIC = 300e-6  # 1/mm2, by which treads are steeper towards the flange
+ON_TREAD = 8.0  # mm from the datum to either side, within which the tread is cubic; straight beyond
+
+
+def fleet(family: str, seed: int, vehicles: int, wheels: Path) -> Scenario:
+    """Return the fleet of the accuracy table, on known track, with the wheels of a family."""
+    scenario = load_scenario("known")
+    drawn = scenario.drawn
+    assert drawn is not None  # the built-in scenario draws its fleet
+    pair = next(item for item in drawn.pairs if item.name == JUMPS)
+    if family == SMOOTH:
+        pair = _smooth_pair(pair, 4 * vehicles, wheels)
+    plan = replace(drawn, given_vehicles=vehicles, pairs=(pair,))
+    running = replace(scenario.running, contact_step=STEP)
+    return with_seed(replace(scenario, name=f"rivals {family}", drawn=plan, running=running), seed)
+
+
+def _smooth_pair(pair: ProfilePair, wheelsets: int, folder: Path) -> ProfilePair:
+    """Return smooth wheels, one pair of files a wheelset, on the rail of ``pair``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for rank, steepness in enumerate(np.linspace(*STEEPNESS, wheelsets)):
+        path = folder / f"smooth-{rank}-of-{wheelsets}.whl"
+        path.write_text(_wheel(float(steepness)), encoding="ascii")
+        files.append((path, path))
+    return replace(pair, name="smooth", deepest_wear=0.0, wheel_files=tuple(files))
+
+
+def _wheel(steepness: float) -> str:
+    """Return a wheel as a MiniProf file: the flange of a P8, and a tread without any edge."""
+    y = np.arange(-69.9, 60.0, 0.25)
+    flange = 1e3 * wheel_profile("P8").height(1e-3 * y)
+    near = np.clip(y, -ON_TREAD, ON_TREAD)
+    fall = steepness * y + CUBIC / 3.0 * near**3 + CUBIC * ON_TREAD**2 * (y - near)
+    root = float(np.interp(ROOT, y, flange)) + float(np.interp(ROOT, y, fall))
+    z = np.where(y > ROOT, root - fall, flange)
+    rows = "\n".join(f"{a + 70:.4f} {b:.6f}" for a, b in zip(y, z, strict=True))
+    return f"ProgramName=MiniProf\nXYPoints={len(y)}\nColumnDef=X,Y\n\n{rows}\n"
+
+
+HEADER = (
+    "wheels", "track", "estimator", "wheelsets with a conicity", "error, median", "error, 95th percentile",
+    "published intervals cover", "own covariance covers", "real-time factor", "state, kB",
+)  # fmt: skip
+NEAR = 3  # amplitudes 1.0, 1.25 and 1.5 mm come first
+REACH_NEAR, REACH_SPEED, FOLLOWS = 0.01, 1000.0, 0.01
+DEFAULT, OF_TODAY = "bins", "hidden"
+NEAR_TEXT = (
+    "Next to contact jumps (P8/113A, 1.0 to 1.5 mm). The simulator's contact tables have points every {:g} mm here, so "
+    "that jumps are where the profiles have them. 'As run' is against that table; its conicity is itself off by {:.4f} "
+    "(95th percentile) from that of the profiles."
+)
+
+
+def _chosen(found: Sequence[Case], **wanted: str) -> list[Case]:
+    return [one for one in found if all(one[key] == value for key, value in wanted.items())]
+
+
+def _errors(found: Sequence[Case], key: str = "errors", near: bool = False) -> np.ndarray[Any, Any]:  # noqa: FBT001, FBT002 - of this file
+    every = [error for one in found for error in (one[key][:NEAR] if near else one[key])]
+    return np.abs(np.array([error for error in every if error is not None], dtype=np.float64))
+
+
+def _share(found: Sequence[Case], key: str) -> str:
+    every = [inside for one in found for inside in one[key]]
+    return f"{100 * sum(every) / len(every):.0f} % of {len(every)}" if every else ""
+
+
+def table_rows(found: Sequence[Case]) -> list[tuple[str, ...]]:
+    """Return the rows of the table: fleet, track and estimator in the order in which they were run."""
+    keys = list(dict.fromkeys((one["family"], one["track"], one["estimator"]) for one in found))
+    rows = []
+    for family, track, estimator in keys:
+        of = _chosen(found, family=family, track=track, estimator=estimator)
+        errors = _errors(of)
+        given = sum(any(error is not None for error in one["errors"]) for one in of)
+        codes = sorted({one["reason"] for one in of if one["reason"]})
+        shown = f"{given} of {len(of)}" + (f" ({', '.join(codes)})" if codes else "")
+        quantiles = [f"{np.quantile(errors, level):.4f}" if len(errors) else "" for level in (0.5, 0.95)]
+        speed = sum(one["running_s"] for one in of) / max(sum(one["cpu_s"] for one in of), 1e-9)
+        size = f"{np.median([one['state_bytes'] for one in of]) / 1e3:.0f}"
+        covers = (_share(of, "covered"), _share(of, "own_covered"))
+        rows.append((family, track, estimator, shown, *quantiles, *covers, f"{speed:.0f}", size))
+    return rows
+
+
+def near_rows(found: Sequence[Case]) -> list[tuple[str, ...]]:
+    """Return what comes out next to contact jumps, 1.0 to 1.5 mm: against profiles and against what was run on."""
+    rows = []
+    jumps = _chosen(found, family=JUMPS)
+    for track, estimator in dict.fromkeys((one["track"], one["estimator"]) for one in jumps):
+        of = _chosen(jumps, track=track, estimator=estimator)
+        cells = [track, estimator]
+        for key in ("errors", "errors_as_run"):
+            errors = _errors(of, key, near=True)
+            cells += [f"{np.quantile(errors, level):.4f}" if len(errors) else "" for level in (0.5, 0.95)]
+        rows.append(tuple(cells))
+    return rows
+
+
+def floor(found: Sequence[Case]) -> float:
+    """Return the 95th percentile, next to jumps, of what the simulator's table changes of the conicity."""
+    jumps = _chosen(found, family=JUMPS, track="known", estimator=DEFAULT)
+    apart = [
+        abs(a - b)
+        for one in jumps
+        for a, b in zip(one["errors"][:NEAR], one["errors_as_run"][:NEAR], strict=True)
+        if a is not None
+    ]
+    return float(np.quantile(apart, 0.95)) if apart else float("nan")
+
+
+def bench_rows(found: Sequence[Case]) -> Iterator[BenchRow]:
+    """Yield what was to be reached."""
+    known = _chosen(found, family=JUMPS, track="known")
+    for estimator in (DEFAULT, OF_TODAY):
+        of = _chosen(known, estimator=estimator)
+        for key, words in (("errors", "the profiles"), ("errors_as_run", "the table that was run on")):
+            errors = _errors(of, key, near=True)
+            if len(errors):
+                p95 = float(np.quantile(errors, 0.95))
+                what = f"{estimator}, next to contact jumps, known track, against {words}: 95th percentile"
+                yield BenchRow(what, f"{p95:.4f}", f"{REACH_NEAR}", p95 <= REACH_NEAR)
+    smooth = _chosen(found, family=SMOOTH, track="known")
+    for estimator in ("extended_kalman", "cubic", OF_TODAY):
+        errors = _errors(_chosen(smooth, estimator=estimator))
+        if len(errors):
+            median = float(np.median(errors))
+            what = f"{estimator} on smooth wheels, known track: median error"
+            yield BenchRow(what, f"{median:.4f}", f"{FOLLOWS}", median <= FOLLOWS)
+    for estimator in ("extended_kalman", "particles", OF_TODAY):
+        of = _chosen(found, estimator=estimator)
+        if of:
+            speed = sum(one["running_s"] for one in of) / max(sum(one["cpu_s"] for one in of), 1e-9)
+            what = f"{estimator}: real-time factor per wheelset and core"
+            yield BenchRow(what, f"{speed:.0f}", f"{REACH_SPEED:.0f}", speed >= REACH_SPEED)
+
+
+def parts(found: Sequence[Case]) -> list[Part]:
+    """Return the page of results."""
+    seeds = sorted({(one["family"], one["seed"]) for one in found})
+    listed = "; ".join(f"{name}: {', '.join(str(s) for f, s in seeds if f == name)}" for name in dict(seeds))
+    near = ("track", "estimator", "profiles, median", "95th percentile", "as run, median", "95th percentile")
+    return [
+        f"Seeds: {listed}. Errors are of the equivalent conicity at 1.0 to 3.0 mm, against the profiles.",
+        ResultTable(HEADER, table_rows(found), range(4, 10)),
+        NEAR_TEXT.format(1e3 * STEP, floor(found)),
+        ResultTable(near, near_rows(found), range(2, 6)),
+        row_table(bench_rows(found)),
+    ]
+
+
+def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]:
+    for seed, family in product(options.seeds, options.families):
+        tracks = [track for track in options.tracks if (family, seed, track) not in done]
+        if not tracks:
+            continue
+        with tempfile.TemporaryDirectory(prefix="treadwatch-rivals-") as name:
+            cache, folder = options.keep or Path(name) / "recordings", Path(name) / "data"
+            scenario = fleet(family, seed, options.vehicles, cache / "wheels")
+            known = [TrackInformation(track) for track in tracks]
+            made = list(scores(scenario, family, known, cache, folder, options.wheelsets, options.estimators))
+        for track in tracks:
+            of_track = [asdict(one) for one in made if one.track == track]
+            yield {"family": family, "seed": seed, "track": track, "scores": of_track}
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--families", type=one_of(FAMILIES), default=list(FAMILIES), help=", ".join(FAMILIES))
+    tracks = [str(track.value) for track in TrackInformation]
+    parser.add_argument("--tracks", type=one_of(tracks), default=tracks, help=", ".join(tracks))
     every = [item.name for item in estimators()]
-    parser.add_argument("--estimators", type=_of(every), default=every, help="names; the shipped one always runs")
+    parser.add_argument("--estimators", type=one_of(every), default=every, help="names; the shipped one always runs")
     parser.add_argument("--vehicles", type=int, default=4, help="of four wheelsets (4)")
     parser.add_argument("--wheelsets", type=int, default=16, help="that are scored, spread over the fleet (16)")
     parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings")
-    parser.add_argument("--out", type=Path, default=Path("rivals.json"))
-    parser.add_argument("--resume", action="store_true", help="go on with the results in --out")
-    parser.add_argument("--print-only", action="store_true", help="print what --out holds, with --resume")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/results/rivals.md")
-    return parser.parse_args(arguments)
 
 
-def _of(known: Sequence[str]) -> Any:  # noqa: ANN401 - a type of argparse
-    def names(text: str) -> list[str]:
-        chosen = text.split(",")
-        if not set(chosen) <= set(known):
-            raise argparse.ArgumentTypeError(f"{text!r}: there are {', '.join(known)}")
-        return chosen
-
-    return names
-
-
-def _tracks(text: str) -> list[TrackInformation]:
-    return [TrackInformation(name) for name in _of([track.value for track in TrackInformation])(text)]
+main = Study(
+    name="rivals",
+    title="Rival estimators",
+    about=__doc__ or "",
+    cases=_cases,
+    parts=lambda cases: parts([one for case in cases for one in case["scores"]]),
+    line=lambda case: f"{case['family']} seed {case['seed']}, track {case['track']}: done",
+    seeds="0-19",
+    key=("family", "seed", "track"),
+    options=_options,
+).run

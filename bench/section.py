@@ -1,136 +1,68 @@
 """The accuracy table of unknown track: ``python -m bench section [--seeds 0-19] [--rows known,unknown] ...``.
 
 Every row is a built-in scenario; every seed of a row is simulated, ingested and estimated by the scheduled jobs
-(``section_case``).
-Two processes share the seeds. Results are written as JSON after every seed, so that nothing is lost on the way.
+(``fleet_case``), without and with errors of the vehicle parameters.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import shutil
+import math
 import tempfile
-import time
-import traceback
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
-from multiprocessing import get_context
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
-from rich.console import Console
+import numpy as np
 
 from api.comparison.trial import recording_key
-from bench.results_page import RESULTS, markdown_table, write_page
-from bench.section_table import (
-    LIMITS,
-    SCALING_HEADER,
-    SCALING_TITLE,
-    SUMMARY_HEADER,
-    SUMMARY_TITLE,
-    scaling_rows,
-    scaling_table,
-    summaries,
-    summary_rows,
-    summary_table,
-)
+from bench.fleet_case import COVERAGE, published_of, scored, summary_line
+from bench.report import Part, ResultTable
+from bench.study import Case, Key, Study, in_processes
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario import Scenario, VehicleErrors
 from ingest.simulator.scenario_file import builtin_scenarios, load_scenario
 
+LIMITS: Mapping[str, float | None] = {  # 95th percentile of the conicity error; None: nothing may be estimated
+    "known": 0.01,
+    "unknown": 0.02,
+    "unknown_position": 0.025,
+    "gauge_1mm_unknown": 0.03,
+    "gauge_2mm_known": 0.03,
+    "gauge_2mm_unknown": 0.05,
+    "no_information": None,
+}
+OTHERS = tuple(sorted(set(builtin_scenarios()) - set(LIMITS)))  # run where they are named
 NO_INFORMATION = "no_information"
-WORKERS = 2
+VARIANTS = {"both": (False, True), "none": (False,), "only": (True,)}
+ALIGNMENT = 0.06e-3  # m SD, constant gauge
+LEAST_INTERVALS = 100  # before a share of them is judged
+KINDS = ("conicity", "difference", "other_bins", "nonlinearity", "zero_crossing")  # of what a wheelset publishes
+SHORT: Mapping[str, str] = {
+    "conicity": "conicity",
+    "difference": "R bins",
+    "other_bins": "D bins",  # S and A are counted with it; by the criterion of estimation.geometry none is published
+    "nonlinearity": "NP",
+    "zero_crossing": "zero",
+    "alignment": "alignment",
+    "gauge": "gauge found",  # no number is asked for it
+}
+HEADER = (
+    *("row", "seeds", "median", "95th", "reach", "bias", "given", *SHORT.values(), "d 3-60 m (as published)"),
+    *("gauge", "s", "met", f"outside {100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %"),
+)
+TITLE = (
+    "equivalent conicity, mean absolute error over 1-3 mm; share of 95 % intervals that cover (of how many);"
+    " D bins: S and A would count there too, but are not published"
+)
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run what was asked for; return 1 when a row falls short."""
-    options = _options(arguments)
-    console = Console(width=None if Console().is_terminal else 200)
-    results = _before(options)
-    if not options.print_only:
-        _write(options.out, results)  # now, not after an hour
-        _run_rows(options, results, console)
-        if options.scaling and not results["scaling"]:
-            _run_sizes(options, results, console)
-    _show(console, results)
-    if options.write_docs:
-        console.print(f"wrote {write_results(results)}", highlight=False)
-    if options.print_only:
-        return 0
-    console.print(f"wrote {options.out}", highlight=False)
-    return 1 if results["failures"] or not all_met(results["cases"]) else 0
-
-
-def _run_rows(options: argparse.Namespace, results: dict[str, Any], console: Console) -> None:
-    """Add the cases that ``results`` lacks; stored after every task."""
-    variants = {"both": (False, True), "none": (False,), "only": (True,)}[options.parameter_errors]
-    have = {(case["row"], case["seed"], case["drawn"]) for case in results["cases"]}
-    tasks = [
-        (seed, rows, drawn)
-        for drawn in variants
-        for seed in options.seeds
-        for rows in _sharing(_missing(options.rows, have, seed, drawn=drawn), seed)
-    ]
-    began = time.monotonic()
-    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        futures = {pool.submit(seed_cases, seed, rows, options.keep, drawn=drawn): seed for seed, rows, drawn in tasks}
-        for done, future in enumerate(as_completed(futures), start=1):
-            cases, failures = future.result()
-            results["cases"] += cases
-            results["failures"] += failures
-            _write(options.out, results)
-            passed = (time.monotonic() - began) / 60.0
-            lines = [f"seed {futures[future]} done, {done} of {len(futures)} tasks, {passed:.1f} min"]
-            lines += ["  " + summary_line(case) for case in cases]
-            lines += [f"  FAILED {item['row']} seed {item['seed']}: {item['error']}" for item in failures]
-            for line in lines:
-                console.print(line, highlight=False)
-
-
-def _run_sizes(options: argparse.Namespace, results: dict[str, Any], console: Console) -> None:
-    """Add time and memory by number of passes; stored after every size."""
-    from bench.section_scaling import scaling  # noqa: PLC0415 - only where asked for
-
-    for size in scaling(options.keep):
-        results["scaling"].append(size)
-        _write(options.out, results)
-        console.print(f"  {size['passes']} passes: {size['seconds']:.1f} s, {size['peak_mib']:.0f} MiB")
-
-
-def write_results(results: Mapping[str, Any], folder: Path = RESULTS) -> Path:
-    """Write the tables as a page of results, and return its path.
-
-    Args:
-        results: As ``--out`` holds them.
-    """
-    body = [SUMMARY_TITLE + ".", markdown_table(SUMMARY_HEADER, summary_rows(results["cases"]), range(1, 7))]
-    if results["scaling"]:
-        sizes = markdown_table(SCALING_HEADER, scaling_rows(results["scaling"]), range(len(SCALING_HEADER)))
-        body += [SCALING_TITLE + ".", sizes]
-    return write_page("accuracy", "Accuracy on simulated fleets", "python -m bench section --write-docs", body, folder)
-
-
-def seed_cases(
-    seed: int, rows: Sequence[str], keep: Path | None, *, drawn: bool
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the scores of ``rows`` for one seed, and what failed; runs in a process of its own."""
-    from bench.section_case import score  # noqa: PLC0415 - compiled code is loaded where it runs
-
-    cases, failures = [], []
+def seed_cases(seed: int, rows: Sequence[str], drawn: bool, keep: Path | None) -> list[Case]:  # noqa: FBT001 - a task
+    """Return the scores of rows for one seed, which share one simulation."""
     with tempfile.TemporaryDirectory(prefix="treadwatch-section-") as folder:
-        for row in rows:
-            data = Path(folder) / row
-            try:
-                cases.append(
-                    score(row_scenario(row, seed, drawn=drawn), keep or Path(folder) / "recordings", data).as_json()
-                )
-            except Exception as error:  # noqa: BLE001 - one row that fails must not cost the hour before it
-                trace = "".join(traceback.format_exception(error)[-2:])
-                failures.append({"row": row, "seed": seed, "drawn": drawn, "error": repr(error), "trace": trace})
-            shutil.rmtree(data, ignore_errors=True)
-    return cases, failures
+        cache = keep or Path(folder)
+        return [scored(row_scenario(row, seed, drawn=drawn), cache) for row in rows]
 
 
 def row_scenario(row: str, seed: int, *, drawn: bool) -> Scenario:
@@ -139,9 +71,20 @@ def row_scenario(row: str, seed: int, *, drawn: bool) -> Scenario:
     return replace(scenario, vehicle_errors=VehicleErrors()) if drawn else scenario
 
 
-def _missing(rows: Sequence[str], have: set[tuple[str, int, bool]], seed: int, *, drawn: bool) -> list[str]:
-    """Return the rows that are still to do; a section without information has no variant with errors."""
-    return [row for row in rows if (row, seed, drawn) not in have and not (drawn and row == NO_INFORMATION)]
+def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case | None]:
+    tasks = [
+        (seed, rows, drawn)
+        for drawn in VARIANTS[options.parameter_errors]
+        for seed in options.seeds
+        for rows in _sharing([row for row in options.rows if _is_due(row, seed, drawn, done)], seed)
+    ]
+    for cases in in_processes(partial(seed_cases, keep=options.keep), tasks, options.workers):
+        yield from [None] if cases is None else cases
+
+
+def _is_due(row: str, seed: int, drawn: bool, done: Collection[Key]) -> bool:  # noqa: FBT001 - part of a key
+    """Return whether a row is still to do; a section without information has no variant with errors."""
+    return (row, seed, drawn) not in done and not (drawn and row == NO_INFORMATION)
 
 
 def _sharing(rows: Sequence[str], seed: int) -> list[list[str]]:
@@ -152,75 +95,152 @@ def _sharing(rows: Sequence[str], seed: int) -> list[list[str]]:
     return list(groups.values())
 
 
-def _before(options: argparse.Namespace) -> dict[str, Any]:
-    """Return what was found before, where the run goes on from there."""
-    if not (options.resume or options.print_only):
-        return {"cases": [], "failures": [], "scaling": []}
-    stored = json.loads(options.out.read_text(encoding="utf-8"))
-    return {"cases": stored["cases"], "failures": [], "scaling": stored["scaling"]}
+@dataclass(frozen=True, slots=True)
+class RowSummary:
+    """One row of the table, with or without parameter errors."""
+
+    row: str
+    drawn: bool
+    seeds: int
+    median: float
+    p95: float
+    bias: float  # mean signed error
+    coverage: Mapping[str, tuple[int, int]]  # kind -> (published, covered)
+    given: float  # share of the amplitudes
+    alignment: float  # m SD in the band, median over seeds; NaN where it was known
+    alignment_filtered: float  # m SD, as published
+    gauge: float  # m SD, of a gauge deviation that was found, median over seeds; NaN where none was
+    false_estimated: int  # wheelsets or alignments that were estimated where nothing may be
+    seconds: float  # median, passes to geometry
+
+    @property
+    def met(self) -> bool:
+        """Whether the error, how often intervals of conicity cover, and an alignment that is asked for are reached."""
+        limit = LIMITS.get(self.row, math.inf)  # nothing was asked of another row's error
+        if limit is None:
+            return self.false_estimated == 0
+        published, covered = self.coverage["conicity"]
+        covers = published > 0 and COVERAGE[0] <= covered / published <= COVERAGE[1]
+        aligned = self.row not in {"unknown", "unknown_position"} or self.alignment <= ALIGNMENT
+        return self.p95 <= limit and covers and aligned
+
+    @property
+    def outside(self) -> tuple[str, ...]:
+        """Kinds of ``LEAST_INTERVALS`` or more intervals that cover less or more often than in ``COVERAGE``."""
+        shares = {
+            SHORT[kind]: covered / published
+            for kind, (published, covered) in self.coverage.items()
+            if published >= LEAST_INTERVALS
+        }
+        return tuple(
+            f"{name} {100 * share:.1f} %" for name, share in shares.items() if not COVERAGE[0] <= share <= COVERAGE[1]
+        )
 
 
-def _show(console: Console, results: dict[str, Any]) -> None:
-    console.print(summary_table(results["cases"]))
-    if results["scaling"]:
-        console.print(scaling_table(results["scaling"]))
+def summaries(cases: Sequence[Case]) -> list[RowSummary]:
+    """Return the rows in the order of the table."""
+    names = [*LIMITS, *sorted({case["row"] for case in cases} - set(LIMITS))]
+    groups = [
+        (row, drawn, [case for case in cases if (case["row"], case["drawn"]) == (row, drawn)])
+        for drawn in (False, True)
+        for row in names
+    ]
+    return [_summary(row, drawn, of_row) for row, drawn, of_row in groups if of_row]
 
 
-def summary_line(case: dict[str, Any]) -> str:
-    """Return one case in a line."""
-    errors = [item["error"] for item in case["wheelsets"] if item["error"] is not None]
-    published = sum(item["conicity"]["published"] for item in case["wheelsets"])
-    covered = sum(item["conicity"]["covered"] for item in case["wheelsets"])
-    name = case["row"] + (" with parameter errors" if case["drawn"] else "")
-    line = f"{name}, {case['pair']}: "
-    line += f"error mean {sum(errors) / len(errors):.4f}, worst {max(errors):.4f}" if errors else "nothing estimated"
-    if published:
-        line += f", {covered}/{published} intervals cover"
-    if case["alignment"] is not None:
-        line += f", alignment {1e3 * case['alignment']['band']:.3f} mm"
-    if case["reason"]:
-        line += f" ({case['reason']})"
-    return line + f", {sum(case['seconds']):.0f} s"
-
-
-def all_met(cases: Sequence[dict[str, Any]]) -> bool:
-    """Whether every row that was run reaches its numbers."""
-    return all(item.met for item in summaries(cases))
-
-
-def _write(path: Path, results: dict[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(results, indent=1), encoding="utf-8")
-
-
-def _options(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench section", description=__doc__)
-    parser.add_argument("--seeds", type=_seeds, default=list(range(20)), help="as 0-19 or 0,3,7; default 0-19")
-    parser.add_argument("--rows", type=_rows, default=list(LIMITS), help=f"of {', '.join(LIMITS)}; default all")
-    parser.add_argument(
-        "--parameter-errors", choices=("both", "none", "only"), default="both", help="run rows without, with, or both"
+def _summary(row: str, drawn: bool, cases: Sequence[Case]) -> RowSummary:  # noqa: FBT001 - part of a key
+    wheelsets = [item for case in cases for item in case["wheelsets"]]
+    errors = [item["error"] for item in wheelsets if item["error"] is not None]
+    signed = [item["signed"] for item in wheelsets if item["signed"] is not None]
+    coverage = {
+        kind: (sum(item[kind]["published"] for item in wheelsets), sum(item[kind]["covered"] for item in wheelsets))
+        for kind in KINDS
+    }
+    aligned = [case["alignment"] for case in cases if case["alignment"] is not None]
+    coverage["alignment"] = (sum(a["published"] for a in aligned), sum(a["covered"] for a in aligned))
+    coverage["gauge"] = (sum(a["gauge_published"] for a in aligned), sum(a["gauge_covered"] for a in aligned))
+    asked = sum(item["asked"] for item in wheelsets)
+    estimated = len(errors) + sum(case["status"] == "estimated" for case in cases)
+    return RowSummary(
+        row=row,
+        drawn=drawn,
+        seeds=len(cases),
+        median=_median(errors),
+        p95=float(np.quantile(errors, 0.95)) if errors else math.nan,
+        bias=float(np.mean(signed)) if signed else math.nan,
+        coverage=coverage,
+        given=coverage["conicity"][0] / asked if asked else 0.0,
+        alignment=_median([a["band"] for a in aligned]),
+        alignment_filtered=_median([a["filtered"] for a in aligned]),
+        gauge=_median([a["gauge"] for a in aligned if a["gauge"]]),
+        false_estimated=estimated if LIMITS.get(row, 1.0) is None else 0,
+        seconds=_median([sum(case["cpu_s"]) for case in cases]),
     )
-    parser.add_argument("--no-scaling", dest="scaling", action="store_false", help="leave time and memory out")
-    parser.add_argument("--resume", action="store_true", help="keep what --out holds, and do what it lacks")
-    parser.add_argument("--print-only", action="store_true", help="print the table of what --out holds")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/results/accuracy.md too")
-    parser.add_argument("--workers", type=int, default=WORKERS, help="processes")
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values)) if values else math.nan
+
+
+def tables(cases: Sequence[Case]) -> list[Part]:
+    """Return the accuracy table."""
+    rows = [
+        (
+            item.row + (" + errors" if item.drawn else ""),
+            str(item.seeds),
+            _number(item.median, 4),
+            _number(item.p95, 4),
+            _reach(item),
+            _number(item.bias, 4),
+            f"{item.given:.0%}",
+            *(_share(item.coverage[kind]) for kind in SHORT),
+            f"{_number(1e3 * item.alignment, 3)} ({_number(1e3 * item.alignment_filtered, 3)}) mm",
+            f"{_number(1e3 * item.gauge, 2)} mm",
+            f"{item.seconds:.0f}",
+            "yes" if item.met else "NO",
+            ", ".join(item.outside) or "-",
+        )
+        for item in summaries(cases)
+    ]
+    return [ResultTable(HEADER, rows, range(1, 7), TITLE)]
+
+
+def _reach(item: RowSummary) -> str:
+    limit = LIMITS.get(item.row, math.inf)
+    if limit is None:
+        return f"none estimated: {item.false_estimated}"
+    return f"{limit:g}" if math.isfinite(limit) else "-"
+
+
+def _share(count: tuple[int, int]) -> str:
+    published, covered = count
+    if published < LEAST_INTERVALS:
+        return f"{covered}/{published}" if published else "-"
+    return f"{100 * covered / published:.1f} % ({published})"
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(rows=list(LIMITS))
+    parser.add_argument("--parameter-errors", choices=VARIANTS, default="both", help="run rows without, with, or both")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings (150 MB each)")
-    parser.add_argument("--out", type=Path, default=Path("bench-results/section.json"), help="JSON file to write")
-    return parser.parse_args(arguments)
 
 
-def _seeds(text: str) -> list[int]:
-    seeds: list[int] = []
-    for part in text.split(","):
-        first, _, last = part.partition("-")
-        seeds += range(int(first), int(last or first) + 1)
-    return seeds
-
-
-def _rows(text: str) -> list[str]:
-    rows, known = text.split(","), builtin_scenarios()
-    for row in rows:
-        if row not in known:
-            raise argparse.ArgumentTypeError(f"{row!r} is none of {', '.join(known)}")
-    return rows
+main = Study(
+    name="section",
+    title="Accuracy on simulated fleets",
+    about=__doc__ or "",
+    cases=_cases,
+    parts=tables,
+    line=summary_line,
+    published=published_of,
+    rows=(*LIMITS, *OTHERS),
+    seeds="0-19",
+    key=("row", "seed", "drawn"),
+    options=_options,
+    page="accuracy",
+).run

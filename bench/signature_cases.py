@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 
+from bench.made_values import made_window
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.contact.profiles import rail_profile, wheel_profile
@@ -18,9 +19,9 @@ from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason
 from estimation.values.signatures import ConicitySource, LibraryEntry, Place, Signature
 from estimation.values.units import DAY_NS
-from estimation.values.windows import Window, WindowQuality
+from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import Arrangement, VehicleClass, VehicleParameters
-from ingest.simulator.motion import STEP, PreparedTable, WheelsetMotion, simulate_wheelset
+from ingest.simulator.motion import STEP, PreparedTable, simulate_wheelset
 from ingest.simulator.sensors import Channel, SensorNode, draw_offsets, measure
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 
@@ -41,10 +42,6 @@ SPREAD = {  # of the vehicles about their class, relative standard deviations
     "wheelset_mass": 0.015,
     "yaw_inertia": 0.015,
     "suspended_mass": 0.015,
-}
-PAIRS = {
-    WearFamily.P8_ON_56E1: ("P8", "56E1", 1 / 20),
-    WearFamily.S1002_ON_60E1: ("S1002", "60E1", 1 / 40),
 }
 POSITION_STD = 10.0  # m, of a run
 SPEEDS_TRIED = 10  # until a wheelset stays within its contact table
@@ -75,25 +72,17 @@ class Pass:
 
 
 @cache
-def window_parameters(vehicle_class: str = "single") -> WindowParameters:
+def window_parameters() -> WindowParameters:
     """Return what windows are read with: the class, from which the vehicles differ."""
-    assumed = VehicleClass(vehicle_class, vehicle_class, "bench", Arrangement.SINGLE_WHEELSET, VehicleParameters())
+    assumed = VehicleClass("single", "single", "bench", Arrangement.SINGLE_WHEELSET, VehicleParameters())
     return WindowParameters.of(assumed, None, SignalParameters(), Gates())
 
 
-def wheelset(
-    serial: str,
-    depth: float,
-    condition: int,
-    rng: np.random.Generator,
-    family: WearFamily = WearFamily.P8_ON_56E1,
-) -> Wheelset:
-    """Return a wheelset that has lost so much of its tread, on a vehicle that differs from its class."""
-    wheel, rail, inclination = PAIRS[family]
-    skew = rng.uniform(-0.1, 0.1)
-    wheels = [worn(wheel_profile(wheel), wear_course(family, depth * (1 + side * skew))) for side in (1, -1)]
-    rails = rail_profile(rail)
-    return on_a_vehicle(serial, condition, WheelsetOnTrack(*wheels, rails, rails, inclination, 1.435), rng)
+def wheelset(serial: str, depth: float, condition: int, rng: np.random.Generator) -> Wheelset:
+    """Return a P8 wheelset that has lost so much of its tread, on a vehicle that differs from its class."""
+    wheel, rail, skew = wheel_profile("P8"), rail_profile("56E1"), rng.uniform(-0.1, 0.1)
+    left, right = (worn(wheel, wear_course(WearFamily.P8_ON_56E1, depth * (1 + side * skew))) for side in (1, -1))
+    return on_a_vehicle(serial, condition, WheelsetOnTrack(left, right, rail, rail, 1 / 20, 1.435), rng)
 
 
 def on_a_vehicle(serial: str, condition: int, on_track: WheelsetOnTrack, rng: np.random.Generator) -> Wheelset:
@@ -127,21 +116,10 @@ def tracks(count: int, seed: int, first: int = 0) -> dict[str, TrackTruth]:
 
 
 def run(
-    runs: Wheelset,
-    section: str,
-    track: TrackTruth,
-    speed: float,
-    rng: np.random.Generator,
-    start_ns: int = 0,
-    *,
-    placed: bool = True,
+    runs: Wheelset, section: str, track: TrackTruth, speed: float, rng: np.random.Generator, start_ns: int = 0
 ) -> Pass:
-    """Run a wheelset over a section at a mean speed, m/s, and return its signatures.
-
-    Raises:
-        RuntimeError: It has none.
-    """
-    window = window_of(runs, section, track, speed, rng, start_ns, placed=placed)
+    """Run a wheelset over a section at a mean speed, m/s, and return its signatures."""
+    window = window_of(runs, section, track, speed, rng, start_ns)
     found = window_signatures(window, window_parameters(), SignatureParameters())
     if isinstance(found, Reason):
         raise RuntimeError(found.text)  # noqa: TRY004 - a reason is a finding, not a wrong type
@@ -151,11 +129,7 @@ def run(
 def run_within(
     runs: Wheelset, section: str, track: TrackTruth, limits: tuple[float, float], rng: np.random.Generator
 ) -> Pass:
-    """Run a wheelset at a speed, m/s, between limits at which it stays within its contact table, on some day.
-
-    Raises:
-        LeftTableError: There is none.
-    """
+    """Run a wheelset at a speed, m/s, between limits at which it stays within its contact table, on some day."""
     for _ in range(SPEEDS_TRIED):
         try:
             speed, day = float(rng.uniform(*limits)), int(rng.integers(1, 300))
@@ -166,50 +140,21 @@ def run_within(
 
 
 def window_of(
-    runs: Wheelset,
-    section: str,
-    track: TrackTruth,
-    speed: float,
-    rng: np.random.Generator,
-    start_ns: int = 0,
-    *,
-    placed: bool = True,
+    runs: Wheelset, section: str, track: TrackTruth, speed: float, rng: np.random.Generator, start_ns: int = 0
 ) -> Window:
-    """Return one window of a run over a whole section."""
+    """Return one window of a run over a whole section, as its node measures it, at positions some metres off."""
     t = np.arange(round((LENGTH - 2 * BEGIN) / (1.05 * speed) / STEP)) * STEP
     course = speed * (1 + 0.04 * np.sin(2 * np.pi * t / rng.uniform(60, 200) + rng.uniform(0, 6)))
     motion = simulate_wheelset(runs.vehicle, runs.table, track, np.asarray(course), BEGIN)
     if motion.outside:
         raise LeftTableError(f"{runs.serial} left its contact table {motion.outside} times")
-    return measured(motion, runs.serial, section, rng, start_ns, placed=placed)
-
-
-def measured(
-    motion: WheelsetMotion, serial: str, section: str, rng: np.random.Generator, start_ns: int, *, placed: bool
-) -> Window:
-    """Return what the node of a wheelset measures, at positions that are some metres off."""
-    record = measure(motion, NODE, rng, draw_offsets(NODE, rng))
-    lateral, yaw, roll, mass = record.values.T
-    n, dt = len(record.t), STEP * NODE.stride
+    values = measure(motion, NODE, rng, draw_offsets(NODE, rng)).values
     offset = float(np.clip(rng.normal(0.0, POSITION_STD), -2 * POSITION_STD, 2 * POSITION_STD))
-    return Window(
-        wheelset=serial,
-        vehicle="V",
-        axle=1,
-        start_ns=start_ns,
-        length_ns=round(n * dt * 1e9),
-        sample_interval_s=dt,
-        lateral_acceleration=lateral,
-        yaw_acceleration=yaw,
-        roll_acceleration=roll,
-        mass_lateral_acceleration=mass,
+    return made_window(
+        *(values, runs.serial, start_ns, STEP * NODE.stride),
         speed=motion.speed[:: NODE.stride],
         distance=motion.distance[:: NODE.stride] + offset,
-        valid=np.ones(n, dtype=np.bool_),
-        resolution=(1e-4, 1e-4, 1e-4, 1e-4),
-        track_section=section if placed else None,
-        odometer_m=0.0,
-        quality=WindowQuality(1.0, 0.0, 0, 0.0, 0.0, 5.0, 25.0, 1.0 if placed else 0.0, sensor_fault=False),
+        track_section=section,
     )
 
 

@@ -3,18 +3,91 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from bench.signature_cases import LENGTH, Pass, Simulated, SimulatedFleet, Wheelset, run, run_within, tracks, wheelsets
-from bench.signature_foreign import foreign
+from bench.signature_cases import (
+    DAY_NS,
+    LENGTH,
+    Foreign,
+    Pass,
+    Simulated,
+    SimulatedFleet,
+    Wheelset,
+    on_a_vehicle,
+    run,
+    run_within,
+    tracks,
+    wheelsets,
+)
+from estimation.contact.geometry import WheelsetOnTrack
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.wear import RailWear, TreadWear, WearFamily, wear_course, worn, worn_rail
+from estimation.signatures.mixed_model import features_of
 from estimation.signatures.window_signatures import SignatureParameters
+from estimation.values.arrays import FloatArray
 from estimation.values.signatures import Place
-from estimation.values.units import DAY_NS
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
+
+KINDS_FOREIGN = {  # how many of each a seed has
+    "S1002 on 60E1": 8,
+    "S1002 on 56E1": 3,
+    "P8 on 60E1": 3,
+    "P8 on worn rails": 3,
+    "P8 with a narrow hollow": 3,
+    "P8 with a thin flange": 3,
+    "P8, one wheel less worn": 3,
+    "P8 at another gauge": 3,
+}
+GAUGE = 1.435  # m
+DEEPEST = {WearFamily.P8_ON_56E1: 1.5e-3, WearFamily.S1002_ON_60E1: 1.3e-3}  # m
+FOREIGN_SPEEDS = (14.5, 19.5)  # m/s
+
+
+def foreign(known: Mapping[str, TrackTruth], unknown: Mapping[str, TrackTruth], seed: int) -> tuple[Foreign, ...]:
+    """Return passes of them, each over a section that the library has and over one that it does not have."""
+    rng = np.random.default_rng([seed, 41])
+    found = []
+    for kind, count in KINDS_FOREIGN.items():
+        for number in range(count):
+            runs = on_a_vehicle(f"X {kind} {number}", 0, _on_track(kind, rng), rng)
+            for rails in (known, unknown):
+                section = sorted(rails)[int(rng.integers(len(rails)))]
+                try:
+                    made = run_within(runs, section, rails[section], FOREIGN_SPEEDS, rng)
+                except RuntimeError:  # it left its contact table, or its window is refused
+                    found.append(Foreign(kind, None))
+                else:
+                    found.append(Foreign(kind, made))
+    return tuple(found)
+
+
+def _on_track(kind: str, rng: np.random.Generator) -> WheelsetOnTrack:
+    family = WearFamily.S1002_ON_60E1 if kind.startswith("S1002") else WearFamily.P8_ON_56E1
+    left = right = wear_course(family, float(rng.uniform(0.0, DEEPEST[family])))
+    rail, inclination, gauge = rail_profile("60E1" if kind.endswith("60E1") else "56E1"), 1 / 20, GAUGE
+    match kind:
+        case "S1002 on 60E1":
+            inclination = 1 / 40
+        case "P8 on worn rails":
+            worn_away = RailWear(rng.uniform(0.5e-3, 2e-3), rng.uniform(-0.02, 0.0), rng.uniform(0.02, 0.03))
+            rail = worn_rail(rail, worn_away)
+        case "P8 with a narrow hollow":
+            left = right = TreadWear(
+                rng.uniform(0.3e-3, 1.5e-3), rng.uniform(-4e-3, 10e-3), rng.uniform(22e-3, 32e-3), 0.0
+            )
+        case "P8 with a thin flange":
+            left = right = replace(left, flange_wear=rng.uniform(1.5e-3, 4e-3))
+        case "P8, one wheel less worn":
+            depth = rng.uniform(0.6e-3, 1.5e-3)
+            left, right = (wear_course(family, depth * share) for share in (1.0, rng.uniform(0.0, 0.4)))
+        case "P8 at another gauge":
+            gauge += rng.choice([-1.0, 1.0]) * rng.uniform(2e-3, 5e-3)
+    wheel: Profile = wheel_profile("S1002" if family is WearFamily.S1002_ON_60E1 else "P8")
+    return WheelsetOnTrack(worn(wheel, left), worn(wheel, right), rail, rail, inclination, gauge)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,3 +174,63 @@ def simulated(seed: int, folder: Path | None = None) -> Simulated:
 def _bare(made: SimulatedFleet) -> SimulatedFleet:
     """Return a fleet without its tracks, which are large."""
     return replace(made, tracks={})
+
+
+PENALTIES = 10.0 ** np.arange(-3, 4)
+LENGTHS = np.array([2.0, 4.0, 8.0, 16.0])  # of the process, in standard deviations of a feature
+NOISES = np.array([1e-3, 1e-2, 1e-1])  # over the variance of the conicity
+
+
+@dataclass(frozen=True, slots=True)
+class Regression:
+    """A kernel regression of conicity on features: with a linear kernel a ridge, with that of Gauss a process."""
+
+    middle: FloatArray
+    scale: FloatArray
+    support: FloatArray  # (n, f)
+    weights: FloatArray  # (n,)
+    mean: float
+    length: float | None  # None: linear
+
+    def of(self, one: Pass) -> float:
+        """Return the conicity of a pass: the mean over its stretches."""
+        x = (_inputs([one]) - self.middle) / self.scale
+        return self.mean + float(np.mean(_kernel(x, self.support, self.length) @ self.weights))
+
+
+def _inputs(passes: Sequence[Pass]) -> FloatArray:
+    powers = np.stack([one.powers for item in passes for one in item.signatures])
+    speed = np.array([one.speed for item in passes for one in item.signatures])
+    return np.column_stack([features_of(powers), np.log(speed)])
+
+
+def _kernel(a: FloatArray, b: FloatArray, length: float | None) -> FloatArray:
+    if length is None:
+        return np.asarray(a @ b.T)
+    squared = np.sum(a**2, 1)[:, None] + np.sum(b**2, 1)[None] - 2 * a @ b.T
+    return np.asarray(np.exp(-0.5 * squared / (length**2 * a.shape[1] / 8)))
+
+
+def trained(passes: Sequence[Pass], conicity: Sequence[float], *, linear: bool) -> Regression:
+    """Return the regression whose errors are least where wheelsets are left out, a sixth of them at a time."""
+    x = _inputs(passes)
+    y = np.concatenate([np.full(len(one.signatures), c) for one, c in zip(passes, conicity, strict=True)])
+    names = np.concatenate([np.full(len(one.signatures), one.wheelset.serial) for one in passes])
+    middle, scale, mean = x.mean(axis=0), x.std(axis=0), float(y.mean())
+    z = (x - middle) / scale
+    folds = [np.isin(names, np.unique(names)[k::6]) for k in range(6)]
+    options: list[tuple[float | None, float]] = [(None, float(penalty)) for penalty in PENALTIES]
+    if not linear:
+        options = [(float(length), float(noise)) for length in LENGTHS for noise in NOISES]
+    errors = []
+    for length, penalty in options:
+        K = _kernel(z, z, length)
+        errors.append(sum(_error(K, y - mean, penalty, out) for out in folds))
+    length, penalty = options[int(np.argmin(errors))]
+    weights = np.linalg.solve(_kernel(z, z, length) + penalty * np.eye(len(z)), y - mean)
+    return Regression(middle, scale, z, weights, mean, length)
+
+
+def _error(K: FloatArray, y: FloatArray, penalty: float, out: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> float:
+    weights = np.linalg.solve(K[np.ix_(~out, ~out)] + penalty * np.eye(int((~out).sum())), y[~out])
+    return float(np.sum((K[np.ix_(out, ~out)] @ weights - y[out]) ** 2))

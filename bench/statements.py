@@ -9,7 +9,6 @@ By days: four wheelsets run one window a day, and all jobs run after each day.
 from __future__ import annotations
 
 import argparse
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -18,15 +17,14 @@ from pathlib import Path
 from api.factory import open_store, raw_store
 from api.pipeline import job_context
 from api.settings import Settings
+from bench.counting import asked, run
 from bench.digests import SCENARIOS
-from bench.fleet_sizes import copies, register
-from bench.report import BenchRow, printed
-from bench.results_page import ended
+from bench.measuring import INGEST
+from bench.report import BenchRow, RowBench
+from bench.small_fleets import code_of, copies, put_copies
 from bench.standing_clock import StandingClock
-from estimation.errors import TreadwatchError
 from estimation.jobs.catalogue import ALL_JOBS
-from estimation.jobs.job import run_job
-from estimation.values.runs import JobTrigger
+from estimation.values.units import DAY_NS
 from fleet_db.migrate import upgrade
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
@@ -34,12 +32,9 @@ from ingest.receiver import Receiver
 from ingest.registry_file import load_registry
 from ingest.simulator.fleet import FleetReport, run_fleet
 from ingest.simulator.scenario_file import load_scenario
-from tests.executed_statements import executed_statements
 
-TITLE = "SQL statements by the size of a fleet and its days of history"
-WINDOW_S, DAY_NS, BEGIN_NS = 120.0, 86_400_000_000_000, 1_704_700_000_000_000_000
+WINDOW_S, BEGIN_NS = 120.0, 1_704_700_000_000_000_000
 WHEELSETS_OF_VEHICLE, AXLE_OFFSETS = 4, (2.0, 4.5, 14.0, 16.5)
-INGEST = "ingest"
 OF_ONE = (INGEST, "estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts")
 REACH_OF_ONE, REACH_OF_JOB, NOT_EVERY_DAY = 8.0, 150, 20
 Counts = Mapping[str, int]
@@ -58,26 +53,20 @@ class Deployment:
         receiver = Receiver(
             self.storage, raw_store(self.settings), default_catalogue(), self.clock, window_length_s=WINDOW_S
         )
-        with executed_statements() as executed:
+        with asked() as found:
             for vehicle, path in recordings:
                 receiver.receive_file(path, vehicle)
-        return _counted(executed)
+        return found.statements
 
     def run_jobs(self) -> dict[str, int]:
         """Run all jobs; return the number of statements of each."""
         context = replace(job_context(self.settings, self.storage), clock=self.clock)
         found = {}
         for job in ALL_JOBS:
-            with executed_statements() as executed:
-                run = run_job(job, context, JobTrigger.CLI)
-            if run.error is not None:
-                raise TreadwatchError(f"{run.job}: {run.error}")
-            found[job.name] = _counted(executed)
+            with asked() as counted:
+                run(job, context)
+            found[job.name] = counted.statements
         return found
-
-
-def _counted(executed: Sequence[str]) -> int:
-    return sum(not statement.startswith("BEGIN") for statement in executed)
 
 
 def simulated(folder: Path, days: int) -> FleetReport:
@@ -106,18 +95,14 @@ def of_fleet(folder: Path, report: FleetReport, vehicles: int) -> Counts:
     model = report.recordings[0]
     deployment = deployed(folder / "deployed", report)
     with closing(deployment.storage):
-        register(deployment.storage, model.vehicle, vehicles)
-        sent = list(copies(folder / "recordings", model.path.read_bytes(), vehicles))
+        put_copies(deployment.storage, model.vehicle, [code_of(number) for number in range(vehicles)])
+        sent = copies(folder / "recordings", model.path.read_bytes(), vehicles)
         deployment.clock.at_ns += DAY_NS
         return {INGEST: deployment.receive(sent)} | deployment.run_jobs()
 
 
 def of_one_more(counts: Mapping[int, Counts]) -> dict[str, float]:
-    """Return what a wheelset with one window more costs each stage.
-
-    Args:
-        counts: Of fleets, by their vehicles.
-    """
+    """Return what a wheelset with one window more costs each stage, from counts of fleets by their vehicles."""
     small, large = min(counts), max(counts)
     more = WHEELSETS_OF_VEHICLE * (large - small)
     return {name: (counts[large][name] - counts[small][name]) / more for name in counts[small]}
@@ -140,13 +125,9 @@ def is_flat(of_job: Sequence[int]) -> bool:
     return max(of_job[2:], default=third) <= third + NOT_EVERY_DAY
 
 
-def rows(folder: Path, wheelsets: Sequence[int], days: int) -> Iterator[BenchRow]:
-    """Yield the statements of one wheelset more, and those of each job by days of history.
-
-    Args:
-        wheelsets: Sizes of the fleets.
-        days: Of history.
-    """
+def rows(options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
+    """Yield the statements of one wheelset more, and those of each job by days of history."""
+    wheelsets, days = options.wheelsets, options.days
     report = simulated(folder / "simulated", max(1, days))
     sizes = sorted({max(1, size // WHEELSETS_OF_VEHICLE) for size in wheelsets})
     counts = {vehicles: of_fleet(folder / str(vehicles), report, vehicles) for vehicles in sizes}
@@ -165,14 +146,10 @@ def rows(folder: Path, wheelsets: Sequence[int], days: int) -> Iterator[BenchRow
         yield BenchRow(f"one window more after 1 to {days} days: {name}", ", ".join(map(str, of_job)), reach, met)
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Measure and print; return 1 where a row falls short."""
-    parser = argparse.ArgumentParser(prog="python -m bench statements", description=TITLE)
-    parser.add_argument("--wheelsets", type=int, nargs="+", default=[400, 4000], help="of the fleets")
-    parser.add_argument("--days", type=int, default=20, help="of history (20)")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/results/statements.md")
-    options = parser.parse_args(arguments)
-    with tempfile.TemporaryDirectory(prefix="treadwatch-statements-") as name:
-        found = printed(rows(Path(name), options.wheelsets, options.days))
-    command = " ".join(["python -m bench statements", *arguments]) if options.write_docs else None
-    return ended(found, "statements", TITLE, command)
+main = RowBench(
+    "statements",
+    "SQL statements by the size of a fleet and its days of history",
+    __doc__ or "",
+    rows,
+    {"wheelsets": ([400, 4000], "of the fleets"), "days": (20, "of history")},
+).run

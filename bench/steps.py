@@ -9,24 +9,20 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from bench.report import BenchRow, printed
-from bench.results_page import ended
-from bench.steps_ideal import MODEL, odds
-from bench.steps_lives import HISTORIES, LIMIT, Case, Life, life
-from bench.steps_suspension import suspension_rows
-from bench.steps_turned import turned_rows
+from bench.report import BenchRow, RowBench
+from bench.steps_lives import DAY_NS, HISTORIES, LIMIT, MODEL, Case, Life, life, odds
+from bench.steps_others import suspension_rows, turned_rows
 from estimation.jobs.refresh_trends import trend_of
 from estimation.trend.extrapolation import conicity_points
 from estimation.trend.trend import TrendParameters, newest_step
 from estimation.trend.wear_curve import fit_wear_curve
 from estimation.values.trend import TrendStep
-from estimation.values.units import DAY_NS
 
-TITLE = "Sudden changes of conicity, curve and suspension"
-SEED, LIVES, QUIET_LIVES, RIVAL_LIVES, TROUBLED_LIVES = 20_000, 24, 420, 24, 4
+RIVAL_LIVES, TROUBLED_LIVES = 24, 4
 SIZES = (0.05, -0.05, 0.1, -0.1, 0.2, -0.2)
 REACH = {0.05: None, 0.1: 4, 0.2: 3}  # intervals
 WITHIN = 0.98  # of the lives
@@ -61,14 +57,8 @@ class Found:
     level_error_without: float  # of that over all points
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the bench; return 1 when a row falls short."""
-    options = _options(arguments)
-    rows = printed(_rows(options.seed, options.lives, options.quiet_lives))
-    return ended(rows, "steps", TITLE, "python -m bench steps --write-docs" if options.write_docs else None)
-
-
-def _rows(seed: int, lives: int, quiet_lives: int) -> Iterator[BenchRow]:
+def _rows(options: argparse.Namespace, _folder: Path) -> Iterator[BenchRow]:
+    seed, lives = options.seed, options.lives
     found = [
         found_in(life(Case(history, size, BEHIND, mixed=bool(i % 2)), seed + 1000 * number + i), history)
         for number, (history, size) in enumerate((h, s) for h in HISTORIES for s in SIZES)
@@ -79,21 +69,17 @@ def _rows(seed: int, lives: int, quiet_lives: int) -> Iterator[BenchRow]:
     yield from _troubled_rows(seed, min(lives, TROUBLED_LIVES))
     yield from _accuracy_rows(found)
     yield from _rival_rows(seed, min(lives, RIVAL_LIVES))
-    yield from _quiet_rows(seed, quiet_lives)
+    yield from _quiet_rows(seed, options.quiet_lives)
     yield from turned_rows(seed, max(1, lives // 4))
     yield from suspension_rows(seed, lives)
 
 
 def found_in(given: Life, history: int) -> Found:
-    """Return when the step of a life was found, looking after every interval behind it.
-
-    Args:
-        history: Intervals before it.
-    """
+    """Return when the step of a life was found, looking after every interval behind it."""
     first = given.first or 0
     for after in range(1, BEHIND + 1):
         known = given.records[: first + after]
-        step = newest_step(known, TrendParameters())
+        step = newest_step(known)
         if step is None or step.after_km < given.records[history - 1].mileage_km:
             continue
         half = 0.5 * (given.records[1].mileage_km - given.records[0].mileage_km)
@@ -211,16 +197,20 @@ def false_steps(given: Life) -> tuple[int, float]:
     records, places = given.records, list[float]()
     width = records[1].mileage_km - records[0].mileage_km
     for until in range(2, len(records) + 1):
-        step = newest_step(records[:until], TrendParameters())
+        step = newest_step(records[:until])
         if step is not None and all(abs(step.after_km - km) > SAME_KM * width for km in places):
             places.append(step.after_km)
     return len(places), (records[-1].to_ns - records[0].from_ns) / DAY_NS / 365.25
 
 
-def _options(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench steps", description=__doc__)
-    parser.add_argument("--seed", type=int, default=SEED, help=f"of the first life (default: {SEED})")
-    parser.add_argument("--lives", type=int, default=LIVES, help=f"of each size and history (default: {LIVES})")
-    parser.add_argument("--quiet-lives", type=int, default=QUIET_LIVES, help=f"without a step ({QUIET_LIVES})")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/results/steps.md")
-    return parser.parse_args(arguments)
+main = RowBench(
+    "steps",
+    "Sudden changes of conicity, curve and suspension",
+    __doc__ or "",
+    _rows,
+    {
+        "seed": (20_000, "of the first life"),
+        "lives": (24, "of each size and history"),
+        "quiet-lives": (420, "without a step"),
+    },
+).run

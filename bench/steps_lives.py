@@ -7,10 +7,11 @@ fallen leaves; intervals are now and then outliers, alone or two on end.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from estimation.trend.change_point import StepModel
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import IntervalConicities, KnownConicity
 from estimation.values.units import DAY_NS
@@ -41,7 +42,6 @@ class Life:
     worn: FloatArray  # (k,) without the step, too
     weather: FloatArray  # (k,) of the season
     noise: FloatArray  # (k,) standard deviations
-    km_per_year: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +63,7 @@ class Case:
 
 
 def life(case: Case, seed: int) -> Life:
-    """Return a wheelset life.
-
-    Args:
-        seed: Of everything that is by chance.
-    """
+    """Return a wheelset life."""
     rng = np.random.default_rng(seed)
     mixed = int(case.mixed and case.size != 0.0)
     k = case.history + (0 if case.size == 0.0 else mixed + case.behind)
@@ -103,7 +99,6 @@ def life(case: Case, seed: int) -> Life:
         worn,
         weather,
         case.scatter * noise,
-        km_per_year,
     )
 
 
@@ -146,14 +141,64 @@ def _record(number: int, x: float, days: float, width: float, value: float, std:
     )
 
 
-def worn_further(given: Life, share: float) -> Life:
-    """Return a life whose intervals cover less than 3 mm for a share of it, as worn wheels do.
+NEWEST = 16  # intervals that it looks at
+DOUBLES = 0.003  # chance of two outliers on end, of which there may be some everywhere
+ALIKE = 0.1  # relative, by which these differ
+NODES = np.linspace(-5.0, 5.0, 15)  # standard deviations about every point: a level is near some point
+SLOPES = np.linspace(*RATES, 25)  # per km
+TINY = float(np.finfo(np.float64).tiny)
+MODEL = StepModel()
 
-    Args:
-        given: With all amplitudes.
-        share: Of its intervals before the step, the newest of them.
-    """
-    first = given.first or len(given.records)
-    begin = round(first * (1.0 - share))
-    cut = [replace(r, known=r.known[:1]) if begin <= i < first else r for i, r in enumerate(given.records)]
-    return replace(given, records=tuple(cut))
+
+def odds(given: Life, until: int, *, wear: bool) -> float:
+    """Return the log odds of a step among the newest intervals."""
+    part = slice(max(0, until - NEWEST), until)
+    records, noise = given.records[part], given.noise[part]
+    x = np.array([one.mileage_km for one in records])
+    value = np.array([one.known[-1].value for one in records]) - given.weather[part]
+    if wear:
+        pairs = [_evidence(value - given.worn[part], noise)]
+    else:
+        pairs = [_evidence(value - slope * (x - x[-1]), noise) for slope in SLOPES]
+    nothing, stepped = np.array(pairs).T
+    return float(np.logaddexp.reduce(stepped) - np.logaddexp.reduce(nothing))
+
+
+def _evidence(value: FloatArray, noise: FloatArray) -> tuple[float, float]:
+    """Return log evidence of no step and of a step of any place, in an interval or between two."""
+    level = np.unique((value + np.outer(NODES, noise)).ravel())
+    weight = np.gradient(level)
+    off = value[:, None] - level
+    before, behind = _forward(off, noise), _forward(off[::-1], noise[::-1])[::-1]
+    size = level - level[:, None]
+    prior = np.exp(-0.5 * (size / MODEL.step_std) ** 2) / (MODEL.step_std * np.sqrt(2.0 * np.pi))
+    prior *= weight[:, None] * weight
+    stepped = 0.0
+    for at in range(MODEL.least_good, len(value) - MODEL.least_good + 1):
+        stepped += 0.5 * float(before[at] @ prior @ behind[at])
+        if at + 1 <= len(value) - MODEL.least_good:
+            share = np.divide(value[at] - level[:, None], size, out=np.zeros_like(size), where=size != 0.0)
+            within = (share > MIXED[0]) & (share < MIXED[1])
+            density = within / np.maximum((MIXED[1] - MIXED[0]) * np.abs(size), noise[at])
+            stepped += 0.5 * float(before[at] @ (prior * density) @ behind[at + 1])
+    nothing = float(weight @ before[-1])
+    return float(np.log(max(nothing, TINY))), float(np.log(max(MODEL.step_chance * stepped, TINY)))
+
+
+def _forward(off: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return the likelihood (k + 1, n) of the first points about each level, with outliers alone or two on end."""
+    chance = Case(0).singles
+    size = np.abs(off)
+    outlier = 0.5 * ((size > OUTLIERS[0]) & (size < OUTLIERS[1])) / (OUTLIERS[1] - OUTLIERS[0])
+    good = _normal(off, noise[:, None])
+    found = np.ones((len(off) + 1, off.shape[1]))
+    for i in range(len(off)):
+        found[i + 1] = found[i] * ((1.0 - chance - DOUBLES) * good[i] + chance * outlier[i])
+        if i > 0:
+            apart = np.hypot(ALIKE * off[i - 1], np.hypot(noise[i], noise[i - 1]))
+            found[i + 1] += found[i - 1] * DOUBLES * outlier[i - 1] * _normal(off[i] - off[i - 1], apart)
+    return found
+
+
+def _normal(off: FloatArray, std: FloatArray) -> FloatArray:
+    return np.asarray(np.exp(-0.5 * (off / std) ** 2) / (std * np.sqrt(2.0 * np.pi)))

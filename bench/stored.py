@@ -19,7 +19,7 @@ from pathlib import Path
 from api.factory import open_store
 from api.pipeline import job_context
 from api.settings import Settings
-from bench.report import BenchRow
+from bench.report import BenchRow, RowBench
 from bench.wheelset_recording import recorded
 from bench.wheelset_year import HOURS_A_DAY, SERIAL, WINDOWS_A_DAY, WheelsetYear
 from fleet_db.keeping.purge import purge
@@ -128,3 +128,6 @@ def _current(storage: SqlStorage) -> frozenset[tuple[int | None, bytes]]:
     with storage.read() as unit:
         found = unit.geometries.intervals(SERIAL)
     return frozenset((one.interval, pack_geometry(one.geometry)) for one in found[: DAYS - DAYS_AFTER - 20])
+
+
+main = RowBench("stored", "Bytes of a wheelset and year", __doc__ or "", lambda _options, _folder: rows()).run

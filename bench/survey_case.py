@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bench.scores import compared_at
 from bench.survey_fleets import AMPLITUDES, Fleet, drawn_track
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
@@ -18,7 +20,7 @@ from estimation.track.settings import AlignmentSettings
 from estimation.track.update import NOT_USED, AlignmentUpdate, UpdateOutcome, update_alignment
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import FilledCells
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
 from ingest.simulator.track import TrackTruth
@@ -60,14 +62,12 @@ class Conicity:
 class SurveyScore:
     """One fleet, one survey, one error of positions."""
 
-    outcome: str
     code: str  # of the verdict; empty for none
     refused: bool
     alignment_std: float | None  # m, of what is in force at the wavelengths of the motion; None for nothing
     alignment_error: float | None  # m, rms, against the truth
     asked: int
     published: tuple[Conicity, ...]
-    reasons: Mapping[str, int]  # codes of windows without motion
 
 
 def on_file(fleet: Fleet, plan: SurveyPlan, seed: int) -> TrackAlignment:
@@ -102,9 +102,6 @@ def score(fleet: Fleet, survey: TrackAlignment, *, rival: bool = False) -> tuple
 
     The rival takes the survey as it is on file, and corrects positions only from ``TRUSTED`` on. Without a survey it is
     the fleet's own alignment with the std that it truly has, which nobody but the bench knows.
-
-    Args:
-        survey: On file, or the gauge alone.
     """
     section = TrackSectionRecord("S", 1, "S", "56E1", 0.05, 1.435, float(fleet.track.s[-1]))
     update = update_alignment(section, list(fleet.passes), survey, AlignmentSettings(), survey_checked=False)
@@ -143,67 +140,45 @@ def _alignment_error(truth: TrackTruth, track: TrackAlignment) -> float | None:
 
 
 def _scored(fleet: Fleet, update: AlignmentUpdate) -> SurveyScore:
-    published, reasons = _conicities(fleet, update)
     track = update.alignment
     known = None if track is None or not np.isfinite(track.alignment).any() else track
     return SurveyScore(
-        outcome=str(update.outcome),
         code=str(code_of(update.survey) or ""),
         refused=str(update.survey or "").startswith(NOT_USED),
         alignment_std=None if known is None else alignment_std(known, ParameterUncertainty()),
         alignment_error=None if known is None else _alignment_error(fleet.track, known),
         asked=len(fleet.conicity) * len(AMPLITUDES),
-        published=tuple(published),
-        reasons=reasons,
+        published=tuple(_conicities(fleet, update)),
     )
 
 
-def _conicities(fleet: Fleet, update: AlignmentUpdate) -> tuple[list[Conicity], dict[str, int]]:
+def _conicities(fleet: Fleet, update: AlignmentUpdate) -> list[Conicity]:
     track = update.alignment
-    found: list[Conicity] = []
-    reasons: dict[str, int] = {}
     if track is None or not np.isfinite(track.alignment).any():
-        return [], {"alignment_unknown": len(fleet.windows)}
-    placed = places(fleet, update)
-    for serial, true in fleet.conicity.items():
-        tables = []
-        for window in fleet.windows:
-            if window.wheelset != serial:
-                continue
-            place = placed[serial, window.start_ns]
-            if isinstance(place, Reason):
-                reasons[place.code] = reasons.get(place.code, 0) + 1
-                continue
-            table = cells_of_window(window, track, fleet.parameters, place)
-            if isinstance(table, Reason):
-                reasons[table.code] = reasons.get(table.code, 0) + 1
-            else:
-                tables.append(table)
-        if tables:
-            found += _compared(fleet, track, serial, tables, true)
-    return found, {str(code): count for code, count in reasons.items()}
+        return []
+    placed, tables = places(fleet, update), defaultdict[str, list[FilledCells]](list)
+    for window in fleet.windows:
+        place = placed[window.wheelset, window.start_ns]
+        table = place if isinstance(place, Reason) else cells_of_window(window, track, fleet.parameters, place)
+        if not isinstance(table, Reason):
+            tables[window.wheelset].append(table)
+    of_each = (_compared(fleet, track, serial, tables[serial], true) for serial, true in fleet.conicity.items())
+    return [one for compared in of_each for one in compared]
 
 
 def _compared(
     fleet: Fleet, track: TrackAlignment, serial: str, tables: Sequence[FilledCells], true: FloatArray
 ) -> list[Conicity]:
+    if not tables:
+        return []
     bins = bin_parameters(fleet.parameters)
     uncertainty = ParameterUncertainty.of(fleet.parameters.vehicle_class).on([track], serial)
     geometry = estimate_geometry(merge_all(tables, bins), bins, GeometryParameters(uncertainty=uncertainty))
     if geometry.status is Status.MODEL_MISMATCH:
         return []
-    at = [int(np.argmin(np.abs(geometry.amplitude - amplitude))) for amplitude in AMPLITUDES]
-    return [
-        one
-        for place, value, amplitude in zip(at, true, AMPLITUDES, strict=True)
-        if (one := _one(f"{serial} {1e3 * amplitude:g}", geometry.conicity[place], float(value))) is not None
-    ]
-
-
-def _one(key: str, found: Estimate, true: float) -> Conicity | None:
-    if found.value is None or found.low is None or found.high is None:
-        return None
-    return Conicity(key, found.value - true, 0.5 * (found.high - found.low), bool(found.low <= true <= found.high))
+    found = compared_at(AMPLITUDES, true, geometry.amplitude, geometry.conicity)
+    keys = (f"{serial} {1e3 * amplitude:g}" for amplitude in AMPLITUDES)
+    return [Conicity(key, *one) for key, one in zip(keys, found, strict=True) if one is not None]
 
 
 def places(fleet: Fleet, update: AlignmentUpdate) -> dict[tuple[str, int], Correction | Reason | None]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bench.made_values import made_window
 from bench.signature_cases import NODE
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
@@ -24,7 +25,7 @@ from estimation.track.gridded_pass import resampled
 from estimation.track.passes import Pass, ProfileLife, examine
 from estimation.values.arrays import FloatArray
 from estimation.values.units import HOUR_NS
-from estimation.values.windows import Window, WindowQuality
+from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import (
     Arrangement,
     BogieParameters,
@@ -180,27 +181,13 @@ def _journey(
 
 
 def _measured(motion: WheelsetMotion, vehicle: _Vehicle, axle: int, start_ns: int, rng: np.random.Generator) -> Window:
-    record = measure(motion, NODE, rng, draw_offsets(NODE, rng))
-    lateral, yaw, roll, mass = record.values.T
-    n, dt = len(record.t), STEP * NODE.stride
-    return Window(
-        wheelset=vehicle.serials[axle],
+    values = measure(motion, NODE, rng, draw_offsets(NODE, rng)).values
+    return made_window(
+        *(values, vehicle.serials[axle], start_ns, STEP * NODE.stride),
         vehicle=vehicle.code,
         axle=axle + 1,
-        start_ns=start_ns,
-        length_ns=round(n * dt * 1e9),
-        sample_interval_s=dt,
-        lateral_acceleration=lateral,
-        yaw_acceleration=yaw,
-        roll_acceleration=roll,
-        mass_lateral_acceleration=mass,
         speed=motion.speed[:: NODE.stride],
         distance=motion.distance[:: NODE.stride],
-        valid=np.ones(n, dtype=np.bool_),
-        resolution=(1e-4, 1e-4, 1e-4, 1e-4),
-        track_section="S",
-        odometer_m=0.0,
-        quality=WindowQuality(1.0, 0.0, 0, 0.0, 0.0, 5.0, 25.0, 1.0, sensor_fault=False),
     )
 
 

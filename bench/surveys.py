@@ -3,28 +3,213 @@
 Each drawn fleet (``survey_fleets``) meets its section without a survey, and with surveys of any std, stated as it is or
 a fifth of it, and with wrong ones; the gauge is on file in all. Positions are off by 0.5 m, in two rows by 0 and 2 m.
 Nothing is recorded or stored: signals go through the functions of the jobs (``survey_case``). Beside each survey the
-rival uses it as it is on file. Results are appended to ``--out``, a line of JSON a fleet, and what is there is not run
-again.
+rival uses it as it is on file.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict
-from pathlib import Path
+from dataclasses import asdict, dataclass
+from itertools import product
 from typing import Any
 
-from rich.console import Console
+import numpy as np
+from scipy.stats import beta
 
-from bench.report import BenchRow, printed
-from bench.results_page import markdown_table, write_page
+from bench.report import BenchRow, Part, ResultTable, row_table
+from bench.scores import Compared, Figures
+from bench.study import Case, Key, Study, one_of
 from bench.survey_case import SurveyPlan, moved, on_file, score
 from bench.survey_fleets import COACH, FleetPlan, drawn_fleet
-from bench.survey_table import HEADER, TITLE, USUAL, differences, rows_of, summary
-from bench.world import seed_range
+from estimation.values.arrays import FloatArray
 from estimation.vehicle.vehicle_class import VehicleParameters
+
+HEADER = (
+    *("", "cases", "refused", "doubted", "published", "error", "z rms", "half width", "interval score", "cover"),
+    *("alignment error, mm", "stated, mm", "rival: error", "interval score", "cover"),
+)
+REFUSED = 0.005  # share of right surveys
+FOUND = 0.99  # share of wrong ones
+COVER_UNDERSTATED = 0.92
+RESOLUTION = 0.0005  # of a conicity: half of the last digit that is shown
+BEYOND = 2.0  # stds of a mean difference, beyond which it is no chance
+FEWEST_FLEETS = 4  # for a std of such a mean
+LEVEL = 0.95  # of the bounds of shares
+USUAL = "0.5 m"  # error of positions
+
+
+def summary(cases: Sequence[Case]) -> Iterator[BenchRow]:
+    """Yield the rows with what they have to reach."""
+    right = [case for case in cases if case["right"]]
+    wrong = [case for case in cases if not case["right"] and case["survey"] != "none"]
+    refused = sum(case["refused"] for case in right)
+    yield BenchRow(
+        "right surveys refused",
+        f"{refused} of {len(right)}, at most {most_share(refused, len(right)):.1%}",
+        "<= 0.5 %",
+        refused <= REFUSED * max(len(right), 1),
+    )
+    found = [case for case in wrong if case["code"] not in ("", "survey_confirmed") and not _published_as_good(case)]
+    yield BenchRow(
+        "wrong surveys found: refused, replaced, or doubted and widened",
+        f"{len(found)} of {len(wrong)}, at least {1.0 - most_share(len(wrong) - len(found), len(wrong)):.1%};"
+        f" {sum(case['refused'] for case in wrong)} refused",
+        ">= 99 %",
+        len(found) >= FOUND * len(wrong),
+    )
+    for name in dict.fromkeys(case["survey"] for case in right if not case["understated"]):
+        yield from _against_none(cases, name)
+    understated = [case for case in right if case["understated"]]
+    values = figures(understated)
+    yield BenchRow(
+        "std understated five times: intervals that cover",
+        f"{values.cover:.3f} of {values.count}, as filed {figures(understated, rival=True).cover:.3f}",
+        ">= 92 %",
+        values.count > 0 and values.cover >= COVER_UNDERSTATED,
+    )
+    for positions in ("0 m", "0.5 m", "2 m"):
+        at = [case for case in right if case["survey"] == "0.3 mm" and case["positions"] == positions]
+        mine, filed = figures(at), figures(at, rival=True)
+        text = f"error {mine.error:.4f}, cover {mine.cover:.3f}; as filed {filed.error:.4f}, {filed.cover:.3f}"
+        yield BenchRow(f"positions off by {positions}, survey of 0.3 mm", text, "shown", met=True)
+
+
+def figures_of(published: Sequence[Mapping[str, Any]]) -> Figures:
+    """Return the figures of published conicities."""
+    return Figures.of(Compared(one["error"], one["half_width"], one["covered"]) for one in published)
+
+
+def differences(cases: Sequence[Case], surveys: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return by fleet what each survey changes against none: error, interval score, and against an honest none."""
+    found = []
+    for row in dict.fromkeys(case["row"] for case in cases):
+        members = [case for case in cases if case["row"] == row]
+        none = {(case["row"], case["seed"]): case for case in members if case["survey"] == "none"}
+        honest = {key: case["rival"] for key, case in none.items() if case["rival"] is not None}
+        cells = []
+        for name in surveys:
+            errors, scores = paired(members, none, name)
+            parts = [errors, scores, paired(members, honest, name)[1]]
+            cells.append(", ".join(f"{np.mean(np.concatenate(one)):+.4f}" for one in parts if one))
+        found.append((row, *cells))
+    return found
+
+
+def most_share(count: int, of: int) -> float:
+    """Return the largest share, at ``LEVEL``, that is seen so rarely (Clopper and Pearson, one side)."""
+    return float(beta.ppf(LEVEL, count + 1, of - count)) if count < of else 1.0
+
+
+def figures(cases: Sequence[Case], *, rival: bool = False) -> Figures:
+    """Return the figures of all cases together; of the rival where asked for."""
+    scores = [case["rival"] if rival else case for case in cases]
+    return figures_of([one for case in scores if case is not None for one in case["published"]])
+
+
+def rows_of(cases: Sequence[Case], key: str) -> list[tuple[str, ...]]:
+    """Return the lines of a table by a key of the cases."""
+    found: list[tuple[str, ...]] = []
+    for name in dict.fromkeys(case[key] for case in cases):
+        members = [case for case in cases if case[key] == name]
+        mine, filed = figures(members), figures(members, rival=True)
+        asked = sum(case["asked"] for case in members)
+        found.append(
+            (
+                name,
+                str(len(members)),
+                str(sum(case["refused"] for case in members)),
+                str(sum(case["code"] == "survey_not_assessable" for case in members)),
+                f"{mine.count} of {asked}",
+                *mine.cells[1:],
+                *(_millimetres(members, name) for name in ("alignment_error", "alignment_std")),
+                *(
+                    ("", "", "")
+                    if not filed.count
+                    else (f"{filed.error:.4f}", f"{filed.score:.4f}", f"{filed.cover:.3f}")
+                ),
+            )
+        )
+    return found
+
+
+def _millimetres(members: Sequence[Case], name: str) -> str:
+    """Return the rms of what cases know of their alignments."""
+    values = [case[name] for case in members if case[name] is not None]
+    return f"{1e3 * float(np.sqrt(np.mean(np.square(values)))):.3f}" if values else ""
+
+
+def _published_as_good(case: Case) -> bool:
+    """Whether conicities on a survey that is not refused do not hold the truth."""
+    values = figures_of(case["published"])
+    return not case["refused"] and values.count > 0 and values.cover < COVER_UNDERSTATED
+
+
+@dataclass(frozen=True, slots=True)
+class Paired:
+    """Mean by which numbers that two cases both publish differ; its std by fleets, whose numbers share their errors."""
+
+    mean: float
+    std: float  # infinite where too few fleets show it
+    fleets: int
+
+    @classmethod
+    def of(cls, by_fleet: Sequence[FloatArray]) -> Paired:
+        """Return that of the differences of each fleet."""
+        count = sum(len(one) for one in by_fleet)
+        mean = sum(float(one.sum()) for one in by_fleet) / count
+        squares = sum(float((one - mean).sum()) ** 2 for one in by_fleet)
+        fleets = len(by_fleet)
+        if fleets < FEWEST_FLEETS:
+            return cls(mean, float("inf"), fleets)
+        return cls(mean, float(np.sqrt(squares * fleets / (fleets - 1.0))) / count, fleets)
+
+    @property
+    def text(self) -> str:
+        """Mean and std, or that it is not decided."""
+        known = f"+- {self.std:.4f}" if np.isfinite(self.std) else "not decided"
+        return f"{self.mean:+.4f} {known} (fleets: {self.fleets})"
+
+    def no_worse(self, resolution: float) -> bool:
+        """Whether it is decided that the difference is no more than chance, or than what anybody sees."""
+        return bool(np.isfinite(self.std)) and self.mean <= max(BEYOND * self.std, resolution)
+
+
+def paired(cases: Sequence[Case], others: Mapping[Any, Case], name: str) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Return by fleet by how much errors and interval scores of a survey exceed those of others, number by number."""
+    errors, scores = [], []
+    for case in cases:
+        other = others.get((case["row"], case["seed"]))
+        if case["survey"] != name or other is None or case["positions"] != USUAL:
+            continue
+        own, without = ({one["key"]: one for one in item["published"]} for item in (case, other))
+        shared = sorted(own.keys() & without.keys())
+        if shared:
+            pairs = [(own[key], without[key]) for key in shared]
+            errors.append(np.array([abs(one["error"]) - abs(none["error"]) for one, none in pairs]))
+            scores.append(np.array([figures_of([one]).score - figures_of([none]).score for one, none in pairs]))
+    return errors, scores
+
+
+def _against_none(cases: Sequence[Case], name: str) -> Iterator[BenchRow]:
+    """Yield the comparison with the same fleets without a survey, over the numbers that both publish."""
+    none = {(case["row"], case["seed"]): case for case in cases if case["survey"] == "none"}
+    honest = {key: case["rival"] for key, case in none.items() if case["rival"] is not None}
+    mine = [case for case in cases if case["survey"] == name and case["positions"] == USUAL]
+    own, alone = (sum(len(case["published"]) for case in group) for group in (mine, none.values()))
+    what = f"survey of {name} for none"
+    errors, scores = paired(cases, none, name)
+    if not errors:
+        yield BenchRow(f"{what}: numbers of both", "none", "some", met=False)
+        return
+    error = Paired.of(errors)
+    met = error.no_worse(RESOLUTION) and own >= alone
+    yield BenchRow(f"{what}: error, numbers", f"{error.text}, {own} for {alone}", "not worse, not fewer", met)
+    for label, found in (("interval score", scores), ("the same with its true std", paired(cases, honest, name)[1])):
+        if found:
+            score = Paired.of(found)
+            yield BenchRow(f"{what}: {label}", score.text, "not worse", met=score.no_worse(2.0 * RESOLUTION))
+
 
 ROWS: Mapping[str, FleetPlan] = {
     "plain": FleetPlan(),
@@ -57,49 +242,24 @@ POSITIONS = {"0 m": 0.0, "0.5 m": 0.5, "2 m": 2.0}
 ALL_POSITIONS = ("0.3 mm",)  # surveys that are tried with every error of positions
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run what was asked for; return 1 when a row falls short."""
-    options = _options(arguments)
-    console = Console(width=200)
-    cases = _stored(options.out)
-    if not options.print_only:
-        have = {(case["row"], case["seed"]) for case in cases}
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        for seed in options.seeds:
-            for row in options.rows:
-                if (row, seed) in have:
-                    continue
-                found = list(fleet_cases(row, seed, options.surveys))
-                cases += found
-                with options.out.open("a", encoding="utf-8") as file:
-                    file.writelines(json.dumps(case) + "\n" for case in found)
-                console.print(f"{row} seed {seed}: {len(found)} cases", highlight=False)
-    made: list[BenchRow] = printed(summary(cases))
-    if options.write_docs:
-        body = [
-            markdown_table(("what", "measured", "reach", "met"), [row.cells for row in made]),
-            BY_SURVEY,
-            markdown_table(HEADER, rows_of(cases, "survey"), range(1, len(HEADER))),
-            "By fleet, over all right surveys.",
-            markdown_table(HEADER, rows_of([case for case in cases if case["right"]], "row"), range(1, len(HEADER))),
-        ]
-        body += [
-            "With a survey less without, by fleet: error, interval score, and that against none with its true std.",
-            markdown_table(("", *NAMES), differences(cases, NAMES), range(1, len(NAMES) + 1)),
-        ]
-        shown = ", ".join(f"{row} {seed}" for row, seed in dict.fromkeys((case["row"], case["seed"]) for case in cases))
-        body.insert(0, f"Fleets and seeds: {shown}.")
-        page = write_page("surveys", TITLE, "python -m bench surveys --write-docs", body)
-        console.print(f"wrote {page}", highlight=False)
-    return 0 if all(row.met for row in made) else 1
+def parts(cases: Sequence[Case]) -> list[Part]:
+    """Return the page of results."""
+    right = [case for case in cases if case["right"]]
+    shown = ", ".join(f"{row} {seed}" for row, seed in dict.fromkeys((case["row"], case["seed"]) for case in cases))
+    return [
+        f"Fleets and seeds: {shown}.",
+        row_table(summary(cases)),
+        BY_SURVEY,
+        ResultTable(HEADER, rows_of(cases, "survey"), range(1, len(HEADER))),
+        "By fleet, over all right surveys.",
+        ResultTable(HEADER, rows_of(right, "row"), range(1, len(HEADER))),
+        "With a survey less without, by fleet: error, interval score, and that against none with its true std.",
+        ResultTable(("", *NAMES), differences(cases, NAMES), range(1, len(NAMES) + 1)),
+    ]
 
 
 def fleet_cases(row: str, seed: int, surveys: Sequence[str] = tuple(SURVEYS)) -> Iterator[dict[str, Any]]:
-    """Yield the scores of one drawn fleet with every survey, as JSON values.
-
-    Args:
-        surveys: Names of those that are tried; by default all.
-    """
+    """Yield the scores of one drawn fleet with every survey, as JSON values."""
     fleet = drawn_fleet(ROWS[row], seed)
     for survey, plan in ((name, SURVEYS[name]) for name in surveys):
         for positions in POSITIONS if survey in ALL_POSITIONS else (USUAL,):
@@ -117,34 +277,23 @@ def fleet_cases(row: str, seed: int, surveys: Sequence[str] = tuple(SURVEYS)) ->
             }
 
 
-def _stored(path: Path) -> list[dict[str, Any]]:
-    if not path.exists():
-        return []
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]:
+    for seed, row in product(options.seeds, options.rows):
+        if (row, seed) not in done:
+            yield {"row": row, "seed": seed, "surveys": list(fleet_cases(row, seed, options.surveys))}
 
 
-def _options(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench surveys", description=__doc__)
-    parser.add_argument("--seeds", type=seed_range, default=[0], help="as in 0-19 or 3 (default: 0)")
-    parser.add_argument("--rows", type=_rows, default=list(ROWS), help="names, with commas between (default: all)")
-    parser.add_argument("--surveys", type=_surveys, default=list(SURVEYS), help="likewise")
-    parser.add_argument("--out", type=Path, default=Path("bench-results/surveys.jsonl"), help="lines of JSON")
-    parser.add_argument("--print-only", action="store_true", help="print the tables of what --out holds")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/results/surveys.md")
-    return parser.parse_args(arguments)
+def _options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--surveys", type=one_of(SURVEYS), default=list(SURVEYS), help="names; default: all")
 
 
-def _rows(text: str) -> list[str]:
-    return _known(text, ROWS)
-
-
-def _surveys(text: str) -> list[str]:
-    return _known(text, SURVEYS)
-
-
-def _known(text: str, known: Collection[str]) -> list[str]:
-    names = text.split(",")
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise argparse.ArgumentTypeError(f"{', '.join(unknown)} unknown; there are {', '.join(known)}")
-    return names
+main = Study(
+    name="surveys",
+    title="Surveys as evidence",
+    about=__doc__ or "",
+    cases=_cases,
+    parts=lambda cases: parts([one for case in cases for one in case["surveys"]]),
+    line=lambda case: f"{case['row']} seed {case['seed']}: {len(case['surveys'])} cases",
+    rows=ROWS,
+    options=_options,
+).run

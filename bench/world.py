@@ -1,129 +1,339 @@
 """Other people's track and fleets: ``python -m bench world [--seeds 0-2] [--rows known_line,...] ...``.
 
 Every row is a scenario file in ``bench/world_scenarios``; every seed of it is simulated, ingested and estimated by the
-scheduled jobs (``world_case``). Results are written as JSON after every case, so that nothing is lost on the way.
-With ``--measured FOLDER`` two rows have the measured wheels of that folder (``world_measured``).
+scheduled jobs (``fleet_case``). With ``--measured FOLDER`` two rows have the measured wheels of that folder
+(``world_measured``).
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import tempfile
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise, product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rich.console import Console
 
-from bench import world_measured
-from bench.results_page import write_page
-from bench.world_measured import WheelPair
-from bench.world_table import ROWS, TITLE, figures, page_body, summary_rows, tables
-from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.scenario import Scenario
+from bench.fleet_case import Conicities, by_row, published_of, scored, summary_line
+from bench.report import Part, ResultTable, say, share_of
+from bench.study import Case, Key, Study, in_processes
+from bench.wheelset_motion import wheelset_motion
+from estimation.contact.conicity import equivalent_conicity, zero_crossing
+from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, radius_difference_curve
+from estimation.errors import ContactError, ProfileError, ScenarioError
+from estimation.values.arrays import FloatArray
+from estimation.vehicle.vehicle_class import VehicleParameters
+from ingest.simulator.axle_motion import DerailmentError, contact_of, rails_of, wheel_in
+from ingest.simulator.campaign import scenario_track, vehicle_run
+from ingest.simulator.drawn_fleet import with_seed, with_wheelset
+from ingest.simulator.scenario import Scenario, SectionPlan, Stream, generator
 from ingest.simulator.scenario_file import load_scenario
+from ingest.simulator.track import TrackTruth
+
+MEASURED_ROWS = ("measured_known", "measured_unknown")
+PARTNERS = 3  # other wheels with which each one runs
+DISPLACEMENT = np.arange(-240, 241) * 0.05e-3  # m
+AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1 to 3 mm, as the rows are judged
+FURTHEST_ZERO = 3e-3  # m from the track centre, where both wheels roll on the same radius
+STEEPEST = math.radians(30.0)  # contact angle on the tread and its root; beyond is flange contact
+MOST_FLANGING = 0.01  # of a journey
+HIGHEST_CONICITY = 0.4  # the highest at which running gear is tested (EN 14363)
+
+WheelPair = tuple[Path, Path]
+"""Files of the left and of the right wheel."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredWheels:
+    """Wheelsets of measured wheels, and what was left out."""
+
+    pairs: tuple[WheelPair, ...]
+    left_out: tuple[str, ...]  # names, with the reason
+
+
+def measured_wheels(folder: Path, section: SectionPlan) -> MeasuredWheels:
+    """Return the wheelsets that the wheels in a folder make and that can run on a section."""
+    left_out: dict[str, str] = {}
+    alone, together = _read(sorted(folder.rglob("*.whl")), left_out)
+    sound = [path for path in alone if not _left_out((path, path), section, left_out)]
+    pairs = [(path, path) for path in sound]
+    pairs += [pair for pair in (*together, *_mixed(sound)) if not _left_out(pair, section, left_out)]
+    reasons = tuple(f"{name}: {reason}" for name, reason in left_out.items())
+    if not pairs:
+        raise ScenarioError("; ".join(("no measured wheels that can run", *reasons)), file=folder)
+    return MeasuredWheels(tuple(pairs), reasons)
+
+
+def with_wheels(scenario: Scenario, pairs: Sequence[WheelPair]) -> tuple[Scenario, tuple[str, ...]]:
+    """Return the scenario of a row with measured wheels, drawn by its seed, and what was drawn and left out.
+
+    A wheelset is left out, and another one drawn, that climbs a rail in any of its journeys or spends more than 1 % of
+    one in flange contact (30 degrees).
+    """
+    track, left_out = scenario_track(scenario), []
+    places = [(plan.code, axle) for plan in scenario.vehicles for axle in range(len(plan.wheelsets))]
+    for place, (vehicle, axle) in enumerate(places):
+        drawn = generator(scenario.seed, Stream.MEASURED_WHEELSET, place)
+        for index in drawn.permutation(len(pairs)):
+            wheelset = replace(scenario.vehicle(vehicle).wheelsets[axle], wheel_files=pairs[index])
+            tried = with_wheelset(scenario, vehicle, axle, wheelset)
+            reason = _flanging(tried, track, vehicle, axle)
+            if reason is None:
+                scenario = tried
+                break
+            left_out.append(f"{wheelset.serial}, {_name(pairs[index])}: {reason}")
+        else:
+            raise ScenarioError("; ".join(("no measured wheelset can run", *left_out)), field=f"vehicles.{vehicle}")
+    return scenario, tuple(left_out)
+
+
+def _flanging(scenario: Scenario, track: TrackTruth, vehicle: str, axle: int) -> str | None:
+    """Return why a wheelset cannot run as the scenario has it; None where it can."""
+    plan = scenario.vehicle(vehicle)
+    contact = contact_of(scenario, track, plan.wheelsets[axle], scenario.odometer(0))
+    displacement = contact.table.lateral_displacement
+    steep = displacement[(_angles(contact.table) > STEEPEST) | ~contact.table.exists[:, 0]]
+    low, high = steep[steep < 0.0].max(initial=displacement[0]), steep[steep > 0.0].min(initial=displacement[-1])
+    for campaign in range(scenario.sessions.campaigns):
+        run = vehicle_run(scenario, track, plan, campaign)
+        try:
+            x = wheelset_motion(scenario, track, run, axle, contact.table).relative_displacement
+        except DerailmentError:
+            return f"climbs its rail in campaign {campaign + 1}"
+        share = float(((x <= low) | (x >= high)).mean())
+        if share > MOST_FLANGING:
+            return f"flange contact in {share:.0%} of campaign {campaign + 1}"
+    return None
+
+
+def fault(pair: WheelPair, section: SectionPlan) -> str | None:
+    """Return why a wheelset cannot run on a section; None where it can.
+
+    Contact is rigid, at nominal gauge. A wheelset is left out whose profiles do not touch on both sides;
+    whose radii are equal nowhere within 3 mm of the track centre; which within 3 mm of that place climbs a rail or
+    has flange contact (30 degrees); whose equivalent conicity at 1 to 3 mm is above 0.4.
+    """
+    left_rail, right_rail, inclination = rails_of(section)
+    left, right = (wheel_in(path) for path in pair)
+    radius = VehicleParameters().nominal_radius
+    try:
+        wheelset = WheelsetOnTrack(
+            left, right, left_rail, right_rail, inclination, section.nominal_gauge, radius, radius
+        )
+        table = contact_table(wheelset, DISPLACEMENT, outside="hold")
+    except ContactError as error:
+        return error.reason
+    curve = radius_difference_curve(wheelset, DISPLACEMENT)
+    zero = zero_crossing(curve.displacement, curve.difference)
+    if not abs(zero) <= FURTHEST_ZERO:
+        return f"its radii are equal {1e3 * zero:+.1f} mm beside the track centre"
+    within = np.abs(DISPLACEMENT - zero) <= AMPLITUDES[-1]
+    if not table.exists[within, 0].all():
+        return "climbs its rail within 3 mm"
+    steepest = float(_angles(table)[within].max())
+    if steepest > STEEPEST:
+        return f"flange contact within 3 mm, at {math.degrees(steepest):.0f} degrees"
+    highest = float(np.max(equivalent_conicity(curve.displacement, curve.difference, AMPLITUDES)))
+    return None if highest <= HIGHEST_CONICITY else f"equivalent conicity of {highest:.2f}"
+
+
+def _angles(table: ContactTable) -> FloatArray:
+    """Return the larger contact angle (n,) of both wheels at the first gauge."""
+    return np.maximum(table.contact_angle_left[:, 0], table.contact_angle_right[:, 0])
+
+
+def _name(pair: WheelPair) -> str:
+    return " + ".join(dict.fromkeys(path.stem for path in pair))
+
+
+def _read(paths: Sequence[Path], left_out: dict[str, str]) -> tuple[list[Path], list[WheelPair]]:
+    """Return wheels that have no other side on file, and pairs; what cannot be read goes to ``left_out``."""
+    readable = []
+    for path in paths:
+        try:
+            wheel_in(path)
+        except ProfileError as error:
+            left_out[path.stem] = error.reason
+        else:
+            readable.append(path)
+    partners = {path: path.with_name(path.name.replace("left", "right")) for path in readable if "left" in path.name}
+    together = [(left, right) for left, right in partners.items() if right in readable]
+    paired = {path for pair in together for path in pair}
+    return [path for path in readable if path not in paired], together
+
+
+def _mixed(wheels: Sequence[Path]) -> Iterator[WheelPair]:
+    """Yield each wheel beside the next ones, which come after the last from the first on again."""
+    for place, step in product(range(len(wheels)), range(1, min(PARTNERS, len(wheels) - 1) + 1)):
+        yield wheels[place], wheels[(place + step) % len(wheels)]
+
+
+def _left_out(pair: WheelPair, section: SectionPlan, left_out: dict[str, str]) -> bool:
+    reason = fault(pair, section)
+    if reason is not None:
+        left_out[_name(pair)] = reason
+    return reason is not None
+
 
 SCENARIOS = Path(__file__).parent / "world_scenarios"
+SURVEY_RIGHT = "survey_confirmed"
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run what was asked for; return 1 when a row falls short."""
-    options = _options(arguments)
-    console = Console(width=None if Console().is_terminal else 200)
-    cases: list[dict[str, Any]] = json.loads(options.out.read_text()) if options.resume and options.out.exists() else []
-    _run(options, cases, console)
-    for table in tables(cases):
-        console.print(table)
-    if options.write_docs:
-        page = write_page("world", TITLE, "python -m bench world --write-docs", page_body(cases))
-        console.print(f"wrote {page}", highlight=False)
-    return 0 if all(row[-1] == "yes" for row in summary_rows(cases)) else 1
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """What a row has to reach."""
+
+    p95: float | None = None  # of the conicity error
+    survey: tuple[str, ...] = ()  # verdicts that are right; empty where no survey is on file
+    covers_above: bool = False  # too wide is right as well: the passes hardly say anything
 
 
-def _run(options: argparse.Namespace, cases: list[dict[str, Any]], console: Console) -> None:
-    have = {(case["row"], case["seed"]) for case in cases}
-    tasks = [(row, seed) for seed in options.seeds for row in options.rows if (row, seed) not in have]
-    wheels = _measured_wheels(options, console)
-    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        futures = {pool.submit(run_case, row, seed, options.keep, wheels): (row, seed) for row, seed in tasks}
-        for done, future in enumerate(as_completed(futures), start=1):
-            cases.append(future.result())
-            options.out.write_text(json.dumps(cases), encoding="utf-8")
-            row, seed = futures[future]
-            console.print(f"{done} of {len(tasks)}: {row} seed {seed}: {_line(cases[-1])}", highlight=False)
-            for line in cases[-1]["left_out"]:
-                console.print(f"  left out: {line}", highlight=False)
+WRONG = ("survey_unrelated",)
+ROWS: Mapping[str, Reach] = {
+    "known_alike": Reach(0.015, (SURVEY_RIGHT,)),
+    "known_alike_gauge": Reach(0.02, (SURVEY_RIGHT,)),
+    "known_wide_gauge": Reach(0.02, (SURVEY_RIGHT,)),
+    "known_line_alike": Reach(0.02, (SURVEY_RIGHT,)),
+    "known_line": Reach(0.02, (SURVEY_RIGHT,)),
+    "known_diverse_gauge": Reach(0.02, (SURVEY_RIGHT,)),
+    "survey_shifted": Reach(survey=("survey_displaced",), covers_above=True),
+    "survey_scaled": Reach(survey=("survey_unit", *WRONG), covers_above=True),
+    "survey_mirrored": Reach(survey=("survey_mirrored", *WRONG), covers_above=True),
+    "survey_of_another_section": Reach(survey=WRONG, covers_above=True),
+    "gauge_of_another_section": Reach(survey=("survey_gauge_unrelated",), covers_above=True),
+    "gauge_scaled": Reach(survey=("survey_gauge_unit",), covers_above=True),
+    "unknown_long_gauge": Reach(0.035),
+    "unknown_alike_02": Reach(covers_above=True),
+    "unknown_alike_05": Reach(covers_above=True),
+    "unknown_alike_08": Reach(covers_above=True),
+    "measured_known": Reach(0.01, (SURVEY_RIGHT,)),
+    "measured_unknown": Reach(0.02),
+}
+HEADER = (
+    *("row", "seeds", "nothing published", "survey right", "error: median / 95 %", "covers", "half width"),
+    *("diversity", "reach", "met"),
+)
+WIDTH_TITLE = "Intervals of the conicity against the diversity of the fleet, rows on unknown track"
+WIDTH_HEADER = ("diversity", "fleets", "nothing published", "covers", "half width: median", "error: median")
+DIVERSITIES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, math.inf)  # limits of the lines
+UNKNOWN = "unknown"  # how the names of the rows on unknown track begin
 
 
-def _measured_wheels(options: argparse.Namespace, console: Console) -> tuple[WheelPair, ...]:
-    """Return the wheelsets of the rows with measured wheels, and print what is left out."""
-    if options.measured is None:
-        return ()
-    template = load_scenario(SCENARIOS / f"{world_measured.ROWS[0]}.toml")
-    found = world_measured.measured_wheels(options.measured, with_seed(template, 0).section)
-    console.print(f"{len(found.pairs)} wheelsets of measured wheels", highlight=False)
-    for line in found.left_out:
-        console.print(f"left out: {line}", highlight=False)
-    return found.pairs
-
-
-def run_case(row: str, seed: int, keep: Path | None, wheels: tuple[WheelPair, ...] = ()) -> dict[str, Any]:
-    """Return the score of a row for one seed; runs in a process of its own.
-
-    Args:
-        keep: Folder that keeps recordings; None for none.
-    """
-    from bench.world_case import score  # noqa: PLC0415 - compiled code is loaded where it runs
-
+def run_case(row: str, seed: int, keep: Path | None, wheels: tuple[WheelPair, ...] = ()) -> Case:
+    """Return the score of a row for one seed; with measured wheels also which of them cannot run in it."""
     scenario, left_out = scenario_of(row, seed, wheels)
-    with tempfile.TemporaryDirectory(prefix="treadwatch-world-") as folder:
-        found = score(scenario, keep or Path(folder) / "recordings", Path(folder) / "data").as_json()
-    return found | {"left_out": left_out}
+    return scored(scenario, keep) | {"left_out": left_out}
 
 
 def scenario_of(row: str, seed: int, wheels: tuple[WheelPair, ...] = ()) -> tuple[Scenario, tuple[str, ...]]:
     """Return the scenario of a row for one seed, and the measured wheelsets that cannot run in it."""
     scenario = with_seed(load_scenario(SCENARIOS / f"{row}.toml"), seed)
-    return world_measured.with_wheels(scenario, wheels) if row in world_measured.ROWS else (scenario, ())
+    return with_wheels(scenario, wheels) if row in MEASURED_ROWS else (scenario, ())
 
 
-def _line(case: Mapping[str, Any]) -> str:
-    errors, (covered, published), _ = figures([case])
-    error = f"error {np.median(errors):.4f}, {covered} of {published} cover" if errors else "nothing published"
-    return f"{case['survey'] or 'no survey'}, {error}, {case['seconds']:.0f} s {case['reason'][:60]}"
+def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case | None]:
+    rows = [row for row in options.rows if row not in MEASURED_ROWS or options.measured is not None]
+    if options.measured is None and not rows:
+        raise SystemExit(f"{', '.join(MEASURED_ROWS)} need --measured")
+    tasks = [(row, seed) for seed in options.seeds for row in rows if (row, seed) not in done]
+    work = partial(run_case, keep=options.keep, wheels=_measured_wheels(options.measured))
+    for case in in_processes(work, tasks, options.workers):
+        for line in () if case is None else case["left_out"]:
+            say(f"  left out: {line}")
+        yield case
 
 
-def _options(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench world", description=__doc__)
-    parser.add_argument("--seeds", type=seed_range, default=[0], help="as in 0-19 or 3 (default: 0)")
-    parser.add_argument("--rows", type=_rows, default=None, help="names, with commas between (default: all)")
-    parser.add_argument("--workers", type=int, default=2)
+def _measured_wheels(folder: Path | None) -> tuple[WheelPair, ...]:
+    """Return the wheelsets of the rows with measured wheels, and print what is left out."""
+    if folder is None:
+        return ()
+    template = load_scenario(SCENARIOS / f"{MEASURED_ROWS[0]}.toml")
+    found = measured_wheels(folder, with_seed(template, 0).section)
+    for line in (f"{len(found.pairs)} wheelsets of measured wheels", *(f"left out: {one}" for one in found.left_out)):
+        say(line)
+    return found.pairs
+
+
+def summary_rows(cases: Sequence[Case]) -> list[tuple[str, ...]]:
+    """Return a line for each row that was run."""
+    return [_summary(name, of_row) for name, of_row in by_row(cases, ROWS).items()]
+
+
+def _summary(name: str, cases: Sequence[Case]) -> tuple[str, ...]:
+    reach, figures = ROWS[name], Conicities.of(cases)
+    right = sum(case["survey"] in reach.survey for case in cases)
+    covers = figures.covers(1.0) if reach.covers_above else figures.covers()
+    met = (
+        (not reach.survey or right == len(cases))
+        and (reach.p95 is None or figures.p95 <= reach.p95)
+        and (covers if figures.published else reach.covers_above)
+    )
+    return (
+        name,
+        str(len(cases)),
+        _without_intervals(cases),
+        f"{right} of {len(cases)}" if reach.survey else "",
+        figures.error,
+        share_of(figures.covered, figures.published),
+        figures.width,
+        f"{np.median([case['diversity'] for case in cases]):.2f}",
+        "" if reach.p95 is None else f"{reach.p95:g}",
+        "yes" if met else "NO",
+    )
+
+
+def width_rows(cases: Sequence[Case]) -> list[tuple[str, ...]]:
+    """Return a line for each range of diversity with fleets on unknown track; the unsolved last."""
+    unknown = [case for case in cases if case["row"].startswith(UNKNOWN)]
+    lines = [
+        (
+            f"{low:g} to {high:g}" if math.isfinite(high) else f"above {low:g}",
+            [case for case in unknown if low < case["diversity"] <= high],
+        )
+        for low, high in pairwise(DIVERSITIES)
+    ]
+    lines.append(("none", [case for case in unknown if not case["diversity"] > 0.0]))
+    return [_width_row(name, within) for name, within in lines if within]
+
+
+def _width_row(name: str, cases: Sequence[Case]) -> tuple[str, ...]:
+    figures = Conicities.of(cases)
+    error = f"{np.median(figures.errors):.4f}" if figures.errors else ""
+    share = share_of(figures.covered, figures.published)
+    return name, str(len(cases)), _without_intervals(cases), share, figures.width, error
+
+
+def _without_intervals(cases: Sequence[Case]) -> str:
+    """Return how many fleets have no published conicity."""
+    return str(sum(Conicities.of([case]).published == 0 for case in cases))
+
+
+def tables(cases: Sequence[Case]) -> list[Part]:
+    """Return the tables; that of the intervals where there are fleets on unknown track."""
+    found: list[Part] = [ResultTable(HEADER, summary_rows(cases), range(1, len(HEADER) - 2))]
+    widths = width_rows(cases)
+    if widths:
+        found.append(ResultTable(WIDTH_HEADER, widths, range(1, len(WIDTH_HEADER)), WIDTH_TITLE))
+    return found
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings")
-    parser.add_argument("--out", type=Path, default=Path("world.json"))
-    parser.add_argument("--resume", action="store_true", help="go on with the results in --out")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/results/world.md")
     parser.add_argument("--measured", type=Path, default=None, help="folder of measured wheels, for two rows more")
-    options = parser.parse_args(arguments)
-    without = [row for row in ROWS if row not in world_measured.ROWS]
-    options.rows = options.rows or (without if options.measured is None else list(ROWS))
-    if options.measured is None and not set(options.rows) <= set(without):
-        parser.error(f"{', '.join(world_measured.ROWS)} need --measured")
-    return options
 
 
-def seed_range(text: str) -> list[int]:
-    """Return the seeds of ``0-19`` or ``3``."""
-    first, _, last = text.partition("-")
-    return list(range(int(first), int(last or first) + 1))
-
-
-def _rows(text: str) -> list[str]:
-    names = text.split(",")
-    unknown = [name for name in names if name not in ROWS]
-    if unknown:
-        raise argparse.ArgumentTypeError(f"no row {', '.join(unknown)}; there are {', '.join(ROWS)}")
-    return names
+main = Study(
+    name="world",
+    title="Other track and other fleets",
+    about=__doc__ or "",
+    cases=_cases,
+    parts=tables,
+    line=summary_line,
+    published=published_of,
+    rows=ROWS,
+    options=_options,
+).run

@@ -10,6 +10,7 @@ compiled in memory.
 from __future__ import annotations
 
 import logging
+import pickle
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache, cached_property
@@ -25,6 +26,7 @@ from llvmlite.binding import get_host_cpu_name
 from numba.core import config, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
 from numba.core.dispatcher import Dispatcher
+from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
 Arguments = ParamSpec("Arguments")
@@ -86,7 +88,20 @@ class _Locator(_CacheLocator):
 
 
 class _Implementation(CompileResultCacheImpl):
+    """What the file of one signature holds, with a digest: at damaged machine code LLVM ends the process."""
+
     _locator_classes: Any = (_Locator,)
+
+    def reduce(self, cres: Any) -> tuple[bytes, bytes]:  # noqa: ANN401 - numba's own
+        content = dumps(super().reduce(cres))  # type: ignore[no-untyped-call]
+        return sha256(content).digest(), content
+
+    def rebuild(self, target_context: Any, payload: tuple[bytes, bytes]) -> Any:  # noqa: ANN401 - numba's own
+        digest, content = payload
+        if sha256(content).digest() != digest:
+            raise ValueError("a file of compiled code is damaged")
+        whole = pickle.loads(content)  # noqa: S301 - of a file that we may trust
+        return super().rebuild(target_context, whole)  # type: ignore[no-untyped-call]
 
     def check_cachable(self, cres: Any) -> bool:  # noqa: ANN401 - numba's own
         # numba does not keep a function that hands another one on: its code has the address of that one. Nothing
@@ -115,7 +130,7 @@ class _KernelCache(NullCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:  # noqa: ANN401 - numba's own
         """Return the compiled signature; None where it must be compiled."""
         try:
-            if directory().stat().st_mode & OTHERS_MAY_WRITE:
+            if any(path.stat().st_mode & OTHERS_MAY_WRITE for path in (directory(), *self._paths())):
                 return None
             found = self._files.load_overload(sig, target_context)
         except OSError:
@@ -125,6 +140,10 @@ class _KernelCache(NullCache):
                 self._files.flush()
             return None
         return found if found is not None and found.signature.args == tuple(sig) else None
+
+    def _paths(self) -> Iterator[Path]:
+        index = Path(self._files._cache_file._index_path)  # noqa: SLF001 - numba says it nowhere else
+        return directory().glob(f"{index.stem}.*")
 
     def save_overload(self, sig: Any, cres: Any) -> None:  # noqa: ANN401 - numba's own
         """Keep a compiled signature, where the directory can be written."""

@@ -196,8 +196,8 @@ def worker(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -> 
     from api import logs
     from api.settings import load_settings
     from api.terminal.processes import store_once_it_answers
+    from api.terminal.stopping import stop_on_signals
     from api.workers.on_dask import serve_dask
-    from estimation.jobs.scheduler import stop_on_signals
 
     settings = load_settings(workers=workers, dask_scheduler=dask_scheduler)
     if settings.dask_scheduler is None:

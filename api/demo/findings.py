@@ -19,10 +19,12 @@ from rich.table import Table
 
 from estimation.values.alerts import Urgency
 from estimation.values.quantities import Status
+from estimation.values.reasons import ReasonCode
 from estimation.values.track import AlignmentSource
+from estimation.worklist.row import rounded_km
 from ingest.simulator.scenario import Scenario
 
-KM = 1000.0
+AMPLITUDE_MM = 3.0  # of the conicities
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,16 +37,15 @@ class ServiceAddress:
 
 @dataclass(frozen=True, slots=True)
 class WheelsetLine:
-    """One wheelset, estimated and true; ``None`` where nothing is estimated."""
+    """One wheelset as the worklist has it, beside the truth; ``None`` where nothing is estimated."""
 
     serial: str
     mileage_km: float | None
-    amplitude_mm: float | None
-    true: float | None
+    true: float | None  # conicity at 3 mm, as the next two
     value: float | None
     low: float | None
     high: float | None
-    slope_per_100000_km: str
+    slope_per_1000_km: str
     distance: str
     alerts: str
 
@@ -57,9 +58,10 @@ class WheelsetLine:
 
 
 def lines(service: ServiceAddress, truth: Path, fleet: str) -> list[WheelsetLine]:
-    """Ask the REST API for every wheelset of a fleet, its geometry, trend and open alerts; the most urgent first."""
+    """Ask the REST API for the worklist of a fleet; the most urgent first."""
     true = true_campaigns(truth)
-    return [_line(service, row["serial"], true[row["serial"]]) for row in _wheelsets(service, fleet, sort="urgency")]
+    rows = _wheelsets(service, fleet, sort="urgency")
+    return [_line(row["serial"], row["state"], true[row["serial"]]) for row in rows]
 
 
 def _wheelsets(service: ServiceAddress, fleet: str, **query: str) -> list[dict[str, Any]]:
@@ -84,24 +86,19 @@ def _path(*parts: str) -> str:
     return "/".join(["/v1", *(urllib.parse.quote(part, safe="") for part in parts)])
 
 
-def _line(service: ServiceAddress, serial: str, campaigns: list[dict[str, Any]]) -> WheelsetLine:
-    answers = [get(service, _path("wheelsets", serial, name)) for name in ("geometry", "trend")]
-    geometry, trend = (None if one["recorded_at"] is None else one for one in answers)  # of nothing estimated
-    query = urllib.parse.urlencode({"wheelset": serial, "open": "true", "limit": 1000})
-    alerts = get(service, f"/v1/alerts?{query}")["items"]
-    conicity = geometry["equivalent_conicity_1"] if geometry else {"value": None, "interval_95": None}
+def _line(serial: str, state: dict[str, Any], campaigns: list[dict[str, Any]]) -> WheelsetLine:
+    conicity = state["conicity_1"]
     low, high = conicity["interval_95"] or (None, None)
     return WheelsetLine(
         serial=serial,
-        mileage_km=geometry["mileage_km"] if geometry else None,
-        amplitude_mm=geometry["equivalent_conicity_amplitude_mm"] if geometry else None,
-        true=_true(campaigns, geometry) if geometry and geometry["equivalent_conicity_amplitude_mm"] else None,
+        mileage_km=state["mileage_km"],
+        true=None if low is None else _true(campaigns, state["mileage_km"]),
         value=conicity["value"],
         low=low,
         high=high,
-        slope_per_100000_km=_slope(trend) if trend else "",
-        distance=_distance(trend) if trend else "",
-        alerts=", ".join(f"{a['kind']} ({_standing(a)})" for a in alerts) or "none",
+        slope_per_1000_km=_slope(state["slope_1_per_1000_km"]),
+        distance=_distance(state["distance_to_limit_km"]),
+        alerts=", ".join(f"{a['kind']} ({_standing(a)})" for a in state["alerts"]) or "none",
     )
 
 
@@ -110,34 +107,27 @@ def _standing(alert: dict[str, Any]) -> str:
     return severity if condition == "active" else f"{severity}, {condition}"
 
 
-def _true(campaigns: list[dict[str, Any]], geometry: dict[str, Any]) -> float:
-    seen = min(campaigns, key=lambda c: abs(c["mileage_km"] - geometry["mileage_km"]))
-    amplitude = geometry["equivalent_conicity_amplitude_mm"]
-    return float(np.interp(amplitude, seen["amplitude_mm"], seen["equivalent_conicity"]))
+def _true(campaigns: list[dict[str, Any]], mileage_km: float) -> float:
+    seen = min(campaigns, key=lambda c: abs(c["mileage_km"] - mileage_km))
+    return float(np.interp(AMPLITUDE_MM, seen["amplitude_mm"], seen["equivalent_conicity"]))
 
 
-def _slope(trend: dict[str, Any]) -> str:
-    slope = trend["slope_1_per_1000_km"]
+def _slope(slope: dict[str, Any]) -> str:
     if slope["value"] is None:
         return "unknown"
     low, high = slope["interval_95"]
-    return f"{100 * slope['value']:+.3f} [{100 * low:+.3f}, {100 * high:+.3f}]"
+    return f"{slope['value']:+.5f} [{low:+.5f}, {high:+.5f}]"
 
 
-def _distance(trend: dict[str, Any]) -> str:
-    if trend["status"] != "estimated":
+def _distance(forecast: dict[str, Any]) -> str:
+    p10, p50, p90 = ("beyond" if forecast[p] is None else rounded_km(forecast[p]) for p in ("p10", "p50", "p90"))
+    if forecast["p10"] is None and forecast["reason_code"] != ReasonCode.BEYOND_HORIZON:
         return "unknown"  # an empty forecast of a known trend is good news, of an unknown one it is none
-    forecast = trend["distance_to_limit_km"]
-    p10, p50, p90 = (None if forecast[p] is None else forecast[p] / KM for p in ("p10", "p50", "p90"))
-    if p50 is None:
-        return f"beyond {p10:,.0f}" if p10 is not None else "beyond the horizon"
-    if p50 <= 0:
-        return "reached"
-    return f"{p50:,.0f} [{p10:,.0f}, {'beyond' if p90 is None else f'{p90:,.0f}'}]"
+    return f"{p50} [{p10}, {p90}]" if forecast["p10"] is not None else "beyond the horizon"
 
 
-ESTIMATE = ("km since new", "at mm", "true", "conicity [95 %]", "covers")
-OUTLOOK = ("trend per 100,000 km [95 %]", r"1,000 km to the limit \[p10, p90]")
+ESTIMATE = ("km since new", "true", "conicity at 3 mm [95 %]", "covers")
+OUTLOOK = ("slope per 1,000 km [95 %]", r"km to the limit \[p10, p90]")
 ALERTS = ("open alerts",)
 TITLE = "Wheel-rail wear of the fleet, from the REST API; the most urgent first"
 
@@ -146,7 +136,7 @@ def tables(found: list[WheelsetLine], console: Console) -> list[Table]:
     """Return one table where the console is wide enough for it, else one each of estimates, outlook and alerts."""
     parts = [
         (TITLE, ESTIMATE, [_estimate_cells(line) for line in found]),
-        ("and what it leads to", OUTLOOK, [[line.slope_per_100000_km, line.distance] for line in found]),
+        ("and what it leads to", OUTLOOK, [[line.slope_per_1000_km, line.distance] for line in found]),
         ("and what was raised", ALERTS, [[line.alerts] for line in found]),
     ]
     heads = [name for _, head, _ in parts for name in head]
@@ -170,14 +160,12 @@ def _estimate_cells(line: WheelsetLine) -> list[str]:
     known = line.value is not None
     return [
         "" if line.mileage_km is None else f"{line.mileage_km:,.0f}",
-        "" if line.amplitude_mm is None else f"{line.amplitude_mm:g}",
         "" if line.true is None else f"{line.true:.3f}",
         f"{line.value:.3f} [{line.low:.3f}, {line.high:.3f}]" if known else "unknown",
         {True: "yes", False: "[red]no[/red]", None: ""}[line.covers],
     ]
 
 
-AMPLITUDE_MM = 3.0  # of the conicity by signatures
 NAMED = 3  # wheelsets of the library
 SecondOpinion = tuple[str, bool | None]  # a sentence, and whether what it states is true; None: no interval
 
@@ -277,7 +265,7 @@ def _alignment_words(newest: dict[str, Any], report: dict[str, Any] | None) -> s
     return ", ".join(words)
 
 
-NOTHING_TO_DO = (Urgency.NOT_DUE, Urgency.NOT_MOUNTED)
+NOTHING_TO_DO = (Urgency.FINE, Urgency.NOT_MOUNTED)
 
 
 def to_do(service: ServiceAddress, fleet: str) -> list[str]:

@@ -46,7 +46,7 @@ WORDS: Mapping[str, str] = {
     "items": "The items of this page, in the order of the list.",
     "kind": "Which kind.",
     "last_seen_at": "When the data said so last.",
-    "max_speed_m_s": "Highest permitted speed.",
+    "max_speed_km_h": "Highest permitted speed.",
     "measured_at": "When it was measured.",
     "measured_from": "Beginning of the measurements, on the vehicle's clock.",
     "measured_to": "End of the measurements, on the vehicle's clock; not included.",

@@ -25,12 +25,15 @@ from api.schemas.common import Page
 from api.schemas.windows import WindowReasons
 from api.services import Services
 from api.times import to_rfc3339
+from estimation.errors import NotFoundError
+from estimation.trend.now import NO_TREND
+from estimation.values.alerts import LimitNow, MileageNow
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowRecord
-from estimation.worklist.row import NO_TREND
 from fleet_db.keeping.purge import purged_before
 from fleet_db.keeping.retention import Kept
+from fleet_db.packed_values import from_document
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.window_counts import window_counts
 
@@ -97,36 +100,57 @@ def get_trend(asked: AskedDep, accepted: Accepted, serial: Serial, as_of: AsOf =
 
 def _trend_now(unit: SqlUnitOfWork, services: Services, serial: str, media_type: str) -> bytes:
     """Return the trend now; why there is no geometry for one changes with the windows, and is not kept."""
-    version = unit.trends.version(serial)
+    version, document = unit.trends.version(serial), _row(unit, serial)
     if version[0] is not None:
-        key = ("trend", serial, media_type, version)
-        payload = services.cache.get_or_make(key, partial(_trend_of_geometry, unit, serial, media_type))
+        key = ("trend", serial, media_type, version, document)
+        payload = services.cache.get_or_make(key, partial(_trend_of_geometry, unit, serial, media_type, document))
         if payload != NOT_KEPT:
             return payload
-    baseline = len(unit.registry.wheelset(serial).reprofilings)
+    baseline, now = len(unit.registry.wheelset(serial).reprofilings), _believed(document)
     found, current = unit.trends.latest(serial), unit.geometries.current(serial)
     has_windows = current is not None and current.geometry.windows > 0
     why = None if has_windows else WindowReasons(unit).without_estimate(serial)
     if found is not None:
-        return table_payload(trend.trend(found, current, why), media_type, trend.table)
+        return table_payload(trend.trend(found, current, now, why), media_type, trend.table)
     reason = NO_TREND if why is None else why.reason
-    return table_payload(trend.no_trend(serial, baseline, reason, current, why), media_type, trend.table)
+    return table_payload(trend.no_trend(serial, baseline, reason, current, now, why), media_type, trend.table)
 
 
-def _trend_of_geometry(unit: SqlUnitOfWork, serial: str, media_type: str) -> bytes:
+def _row(unit: SqlUnitOfWork, serial: str) -> str | None:
+    """Return the row of the worklist; None of a voided wheelset, which has none."""
+    try:
+        return unit.worklist.row(serial)
+    except NotFoundError:
+        return None
+
+
+def _believed(document: str | None) -> LimitNow | None:
+    return None if document is None else from_document(document).state
+
+
+def _trend_of_geometry(unit: SqlUnitOfWork, serial: str, media_type: str, document: str | None) -> bytes:
     found, current = unit.trends.latest(serial), unit.geometries.current(serial)
     if found is None or current is None or not current.geometry.windows:
         return NOT_KEPT
-    return table_payload(trend.trend(found, current), media_type, trend.table)
+    return table_payload(trend.trend(found, current, _believed(document)), media_type, trend.table)
 
 
 def _trend_then(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int) -> bytes:
     baseline = _baseline(unit, serial, as_of_ns)
     found, current = unit.trends.latest(serial, as_of_ns), unit.geometries.current(serial, as_of_ns)
+    mileage = _mileage_then(unit, serial, as_of_ns)
     if found is not None:
-        return table_payload(trend.trend(found, current), media_type, trend.table)
+        return table_payload(trend.trend(found, current, mileage), media_type, trend.table)
     reason = _nothing_until("trend", as_of_ns)
-    return table_payload(trend.no_trend(serial, baseline, reason, current), media_type, trend.table)
+    return table_payload(trend.no_trend(serial, baseline, reason, current, mileage), media_type, trend.table)
+
+
+def _mileage_then(unit: SqlUnitOfWork, serial: str, as_of_ns: int) -> MileageNow | None:
+    """Return the newest mileage that was believed at a time, of what is believed of it today."""
+    mounted = [one for one in unit.registry.mountings(serial) if one.from_ns <= as_of_ns]
+    known = [MileageNow(one.wheelset_mileage_km, one.from_ns) for one in mounted]
+    newest = unit.windows.mileage_then(serial, as_of_ns)
+    return max([*known, *([] if newest is None else [newest])], key=lambda one: one.at_ns, default=None)
 
 
 def _baseline(unit: SqlUnitOfWork, serial: str, as_of_ns: int) -> int:

@@ -15,7 +15,7 @@ from api.schemas.common import Derived, Links, Representation, finite
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.services import ServicesDep, require_known
 from api.times import Timestamp, to_rfc3339
-from estimation.values.alerts import Urgency, WorklistRow, WorklistState
+from estimation.values.alerts import OVER, Urgency, WorklistRow, WorklistState
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.units import DAY_NS, MILLIMETRE
 from estimation.worklist.turning_plan import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
@@ -41,7 +41,7 @@ class TurningPlanLine(Representation):
         description="`due` itself; `together` with another, for the diameters; `replace`, since turning would leave "
         "too small a wheel; `not_assessed`, since nothing is known of it."
     )
-    reason: str = Field(description="In words.", examples=["due in 12,400 km (p10 8,000 km)"])
+    reason: str = Field(description="In words.", examples=["due in 12,400 km (p10 8,050 km)"])
     urgency: Urgency
     distance_to_limit_km: DistanceForecast
     date_of_limit: DateForecast
@@ -76,7 +76,7 @@ def candidate(row: WorklistRow, *, nominal_radii: bool) -> Candidate | None:
         vehicle=mounting.vehicle,
         axle=mounting.axle,
         bogie=None if row.position is None else row.position.bogie,
-        over_limit=state.urgency is Urgency.OVER_LIMIT,
+        over_limit=state.urgency in OVER,
         due_ns=None if due is None else round(due),
         reason="; ".join(reason.text for reason in state.reasons),
         unknown=_unknown(state),
@@ -86,7 +86,7 @@ def candidate(row: WorklistRow, *, nominal_radii: bool) -> Candidate | None:
 
 def _unknown(state: WorklistState) -> Reason | None:
     missing = state.forecast_reason
-    if missing is not None and missing.code is not ReasonCode.BEYOND_HORIZON:
+    if missing is not None and missing.code is not ReasonCode.BEYOND_HORIZON and not state.below_limit:
         return missing
     if state.urgency is Urgency.DUE and state.date_of_limit_ns.p10 is None:
         return Reason(ReasonCode.SINGLE_DATE, f"no date is known: {state.reasons[0].text}")

@@ -45,7 +45,7 @@ class VehicleChange(RegistryChange):
     fleet: Key = Field(examples=["demo"])
     vehicle_class: Key = Field(description="Code of its class.", examples=["coach"])
     axles: int = Field(ge=1, le=8, examples=[4])
-    max_speed_m_s: float = Field(ge=0.25, le=170.0, examples=[44.4])
+    max_speed_km_h: float = Field(ge=1.0, le=600.0, examples=[160.0])
     axle_offsets_m: list[Annotated[float, Field(ge=-1000.0, le=1000.0)]] = Field(
         min_length=1,
         max_length=8,
@@ -91,7 +91,6 @@ _ADMIN = [Depends(requires(Scope.ADMIN)), Depends(writer_slot)]
 _ADMIN_OF_ALL = [Depends(requires(Scope.ADMIN, all_fleets=True)), Depends(writer_slot)]
 _post = partial(router.post, status_code=201, responses=described(404, 409, 413, 415))
 _put = partial(router.put, dependencies=_ADMIN, responses=described(404, 409, 412, 413, 415, 428))
-_VEHICLE_FIELDS = {"max_speed_km_h": "max_speed_m_s"}
 
 
 @_post("/vehicles", tags=["vehicles"], dependencies=_ADMIN, response_model=common.Vehicle)
@@ -164,7 +163,7 @@ def _entered(
     def apply(unit: SqlUnitOfWork, decision: Decision) -> BaseModel:
         if new is not None:
             _refuse_known(lambda: show(unit), *new)
-        change.enter(unit, decision, contents(), BodySource(_VEHICLE_FIELDS))
+        change.enter(unit, decision, contents(), BodySource())
         return show(unit)
 
     return change.change(show, apply, HTTPStatus.OK) if new is None else change.change(None, apply)
@@ -179,12 +178,11 @@ def _shown_wheelset(serial: str) -> Show:
 
 
 def _vehicle(code: str, body: VehicleChange) -> RegistryContents:
-    """Return the vehicle; its speed is one that a registry file can give, in km/h, to the last bit."""
     if len(body.axle_offsets_m) != body.axles:
         raise _wrong("axle_offsets_m", f"{len(body.axle_offsets_m)} offsets for {body.axles} axles")
     if len(set(body.axle_offsets_m)) < body.axles:
         raise _wrong("axle_offsets_m", "two axles are at one place")
-    speed = SPEED_IN_FILES.read(SPEED_IN_FILES.write(body.max_speed_m_s))
+    speed = SPEED_IN_FILES.read(body.max_speed_km_h)
     offsets = tuple(body.axle_offsets_m)
     return RegistryContents(vehicles=(VehicleRecord(code, body.fleet, body.vehicle_class, body.axles, speed, offsets),))
 

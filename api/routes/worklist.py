@@ -40,7 +40,7 @@ class WorklistReason(Representation):
     """Why a wheelset is as urgent as it is."""
 
     code: ReasonCode
-    text: str = Field(description="In words.", examples=["due in 12,400 km (p10 8,000 km)"])
+    text: str = Field(description="In words.", examples=["due in 12,400 km (p10 8,050 km)"])
 
 
 class WorklistAlert(Derived, of=OpenAlert):
@@ -68,7 +68,7 @@ class WheelsetState(
     urgency_rank: int = Field(description="1 is the most urgent class of `urgency`.", examples=[3])
     reasons: list[WorklistReason] = Field(description="Why it is so urgent, the most important reason first.")
     distance_to_limit_km: DistanceForecast = Field(
-        description="Still to run from `mileage_km`: the trend's own distance less `since_trend_km`."
+        description="Still to run from `mileage_km` on; 0 where the limit is reached."
     )
     date_of_limit: DateForecast
     mileage_km: float | None = Field(description="Since new, by the last reading that is believed.")

@@ -22,7 +22,7 @@ from estimation.values.arrays import FloatArray
 from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
-from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.registry import SPEED_IN_FILES, FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.runs import AnyResult
 
 NOT_FINITE = Reason(ReasonCode.NOT_FINITE, "the calculation gave no finite number")
@@ -315,6 +315,7 @@ class Fleet(
 class Vehicle(
     Derived,
     of=VehicleRecord,
+    without=("max_speed_m_s",),
     links={
         "self": "/v1/vehicles/{code}",
         "fleet": "/v1/fleets/{fleet}",
@@ -324,6 +325,13 @@ class Vehicle(
     },
 ):
     """A vehicle and what its alert rules depend on."""
+
+    max_speed_km_h: float = Field(description="Highest permitted speed.", examples=[160.0])
+
+    @classmethod
+    def made(cls, value: VehicleRecord, **own: Any) -> Self:  # noqa: ANN401 - fields of the model
+        """Return the representation of a vehicle, its speed to the last bit as the registry file had it."""
+        return super().made(value, max_speed_km_h=SPEED_IN_FILES.write(value.max_speed_m_s), **own)
 
 
 class MountingPeriod(Derived, of=Mounting):

@@ -12,21 +12,17 @@ from pydantic import Field
 from api.schemas.common import Derived, Links, Representation, Uncertain, finite, segment, uncertain, why
 from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
-from estimation.trend.extrapolation import QUANTITY, conicity_at_limit_amplitude
+from estimation.trend.extrapolation import QUANTITY
+from estimation.trend.now import BEYOND, QUANTILES, limit_now
 from estimation.trend.trend import refresh
 from estimation.values import trend as values
+from estimation.values.alerts import LimitNow, MileageNow
 from estimation.values.geometry import GeometryRecord
-from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.quantities import Estimate, Forecast
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import TrendRecord, WearTrend
 from estimation.values.windows import WithoutEstimate
-
-BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
-_NO_CURRENT = Estimate.unknown(
-    Reason(ReasonCode.NO_GEOMETRY_SINCE_REPROFILING, "no current geometry of the profile that the trend is of")
-)
-_NO_TREND = Reason(ReasonCode.TOO_FEW_POINTS, "the trend is not estimated")
-
+from estimation.worklist.row import NO_GEOMETRY, REPROFILED
 
 _NO_POINTS = (
     *("quantity", "slope_per_1000_km", "slope_per_year", "fitted", "limit", "probability_over_limit", "status"),
@@ -63,7 +59,6 @@ class DateForecast(Representation):
     reason_code: ReasonCode | None
 
 
-QUANTILES = ("p10", "p50", "p90")
 ForecastT = TypeVar("ForecastT", DistanceForecast, DateForecast)
 
 
@@ -75,13 +70,21 @@ class TrendProvenance(Derived, of=TrendRecord, without=("wheelset", "baseline", 
     """What the trend was made from."""
 
 
-_OF_LIMIT = ("distance_to_limit_km", "date_of_limit_ns", "not_comparable", "few_behind")
+_OF_NOW = (
+    "limit",
+    "distance_to_limit_km",
+    "date_of_limit_ns",
+    "probability_over_limit",
+    "not_comparable",
+    "few_behind",
+)
 
 
-class Trend(Derived, of=WearTrend, without=("mileage_km", "measured_ns", "value", "std", *_OF_LIMIT)):
+class Trend(Derived, of=WearTrend, without=("mileage_km", "measured_ns", "value", "std", *_OF_NOW)):
     """An indicator since the last reprofiling, its robust slope, and when it reaches its limit.
 
-    Without a trend the numbers are null, the points empty, and `reason` and `unestimated_because` explain it.
+    What is said of the limit is as of `mileage_km`, and the same as in the worklist. Without a trend the numbers are
+    null, the points empty, and `reason` and `unestimated_because` explain it.
     """
 
     wheelset: str = Field(examples=["WS-0001"])
@@ -95,6 +98,12 @@ class Trend(Derived, of=WearTrend, without=("mileage_km", "measured_ns", "value"
         description="Equivalent conicity at 3 mm of the current geometry: `equivalent_conicity_at_3_mm_1` there."
     )
     current_mileage_km: float | None = Field(description="Mileage that the current geometry is of.")
+    limit_1: float | None = Field(description="Conicity limit by class and speed of its vehicle; null without one.")
+    probability_over_limit_1: float | None = Field(
+        description="That the limit is exceeded at `mileage_km`; null means unknown."
+    )
+    mileage_km: float | None = Field(description="Newest that is believed, which the distance counts from.")
+    since_trend_km: float | None = Field(description="Run since the last point.")
     distance_to_limit_km: DistanceForecast
     date_of_limit: DateForecast
     provenance: TrendProvenance | None = Field(description="What it was made from; null without a trend.")
@@ -124,10 +133,20 @@ def date_forecast(forecast: Forecast, unknown: Reason | None) -> DateForecast:
     return forecast_of(DateForecast, _moment, asdict(forecast), unknown)
 
 
-def trend(record: TrendRecord, current: GeometryRecord | None, without: WithoutEstimate | None = None) -> Trend:
-    """Return the representation of a trend; ``without`` is why there is no geometry now, by its windows."""
+def trend(
+    record: TrendRecord,
+    current: GeometryRecord | None,
+    now: LimitNow | MileageNow | None,
+    without: WithoutEstimate | None = None,
+) -> Trend:
+    """Return the representation of a trend.
+
+    Args:
+        now: What is believed now, or at which mileage something was believed; None counts from the last point.
+        without: Why there is no geometry now, by its windows.
+    """
     recorded_ns = record.recorded_ns if current is None else max(record.recorded_ns, current.recorded_ns)
-    shown = _trend(record.wheelset, record.baseline, record.trend, current, without, _NO_CURRENT)
+    shown = _trend(record.wheelset, record.baseline, record.trend, current, now, without)
     own = shown.links["self"]
     shown.links["as_recorded"] = f"{own}?as_of={to_rfc3339(recorded_ns)}"
     of_record = {"recorded_at": to_rfc3339(record.recorded_ns), "provenance": TrendProvenance.made(record)}
@@ -135,13 +154,18 @@ def trend(record: TrendRecord, current: GeometryRecord | None, without: WithoutE
 
 
 def no_trend(
-    serial: str, baseline: int, reason: Reason, current: GeometryRecord | None, without: WithoutEstimate | None = None
+    serial: str,
+    baseline: int,
+    reason: Reason,
+    current: GeometryRecord | None,
+    now: LimitNow | MileageNow | None = None,
+    without: WithoutEstimate | None = None,
 ) -> Trend:
     """Return the representation of a wheelset that has no trend."""
     unknown = Estimate.unknown(reason)
     nothing = refresh((), math.nan, quantity=QUANTITY)
     found = replace(nothing, reason=reason, slope_per_1000_km=unknown, slope_per_year=unknown, fitted=unknown)
-    return _trend(serial, baseline, found, current, without, unknown)
+    return _trend(serial, baseline, found, current, now, without)
 
 
 def _trend(
@@ -149,27 +173,30 @@ def _trend(
     baseline: int,
     found: WearTrend,
     current: GeometryRecord | None,
+    now: LimitNow | MileageNow | None,
     without: WithoutEstimate | None,
-    no_current: Estimate,
 ) -> Trend:
-    reason = found.reason if without is None else without.reason
-    of_now = None if current is None or current.baseline != baseline else current
-    unknown = (
-        found.not_comparable or found.few_behind if found.status is Status.ESTIMATED else found.reason or _NO_TREND
-    )
+    of_profile = None if current is None or current.baseline != baseline else current
+    if not isinstance(now, LimitNow):
+        unknown = Estimate.unknown(REPROFILED if baseline else NO_GEOMETRY)
+        now = limit_now(None if of_profile is None else of_profile.geometry, found, found.limit, now, unknown)
     own = f"/v1/wheelsets/{segment(serial)}"
     return Trend.made(
         found,
         wheelset=serial,
-        **why(reason),
+        **why(found.reason if without is None else without.reason),
         unestimated_because=unestimated_because(without),
         baseline=baseline,
         recorded_at=None,
         points=TrendPoints.made(found),
-        current_1=uncertain(no_current if of_now is None else conicity_at_limit_amplitude(of_now.geometry)),
-        current_mileage_km=None if of_now is None else finite(of_now.mileage_km),
-        distance_to_limit_km=distance_forecast(found.distance_to_limit_km, unknown),
-        date_of_limit=date_forecast(found.date_of_limit_ns, unknown),
+        current_1=uncertain(now.conicity),
+        current_mileage_km=None if of_profile is None else finite(of_profile.mileage_km),
+        limit_1=now.limit,
+        probability_over_limit_1=now.probability_over_limit,
+        mileage_km=None if now.mileage is None else finite(now.mileage.mileage_km),
+        since_trend_km=now.since_trend_km,
+        distance_to_limit_km=distance_forecast(now.distance_to_limit_km, now.forecast_reason),
+        date_of_limit=date_forecast(now.date_of_limit_ns, now.forecast_reason),
         provenance=None,
         links={
             "self": f"{own}/trend",

@@ -22,8 +22,8 @@ from api.terminal.health_server import Answer, HealthAddress, json_answer, serve
 from api.terminal.ingest import vehicle_in_name
 from api.terminal.processes import begun, store_once_it_answers
 from api.terminal.progress import counted
+from api.terminal.stopping import stop_on_signals
 from estimation.errors import InputError, MigrationError, ParameterError, PassingFaultError, StoppedError, StorageError
-from estimation.jobs.scheduler import stop_on_signals
 from fleet_db.keeping.checks import ScrubFault, ScrubPlan, scrub
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import DecodedChunks, decode_received

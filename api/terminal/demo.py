@@ -27,9 +27,10 @@ from api.settings import Settings, load_settings
 from api.terminal.keys import make_stored_key
 from api.terminal.progress import bar
 from api.terminal.simulate import simulate_with_progress
+from api.terminal.stopping import stop_on_signals
 from estimation.errors import StorageError
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.jobs.scheduler import serve_jobs, stop_on_signals
+from estimation.jobs.scheduler import serve_jobs
 from estimation.values.runs import JobOutcome, JobTrigger
 from estimation.values.units import HOUR_NS
 from fleet_db.migrate import upgrade

@@ -20,11 +20,11 @@ from api.schemas.windows import SHOWN, WindowReasons, together
 from api.settings import Settings
 from api.terminal.processes import executor_of
 from api.terminal.progress import bar
+from api.terminal.stopping import stop_on_signals
 from api.times import to_rfc3339
 from estimation.errors import ParameterError
 from estimation.jobs.estimate_windows import REFUSED, refusals
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.jobs.scheduler import stop_on_signals
 from estimation.values.alerts import WorklistRow
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode

@@ -24,7 +24,7 @@ from api.pipeline import receiver as receiver_of
 from api.settings import Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes
-from estimation.jobs.scheduler import stop_on_signals
+from api.terminal.stopping import stop_on_signals
 from fleet_db.migrate import check_head
 from fleet_db.storage import SqlStorage
 from ingest.live.listening import BusSource, open_bus

@@ -11,8 +11,8 @@ from api import logs
 from api.factory import once_the_database_answers, open_store
 from api.logs import start_tracing
 from api.settings import Settings
+from api.terminal.stopping import stop_on_signals
 from estimation.jobs.job import WorkExecutor
-from estimation.jobs.scheduler import stop_on_signals
 from fleet_db.storage import SqlStorage
 
 

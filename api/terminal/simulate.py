@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.table import Table
 
 from api.terminal.progress import bar
+from api.terminal.stopping import stop_on_signals
 from api.terminal.store import print_line
 from estimation.errors import ParameterError
-from estimation.jobs.scheduler import stop_on_signals
 from ingest.live.listening import open_bus
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.fleet import FleetReport, Recording, prepare, run_fleet, transmit

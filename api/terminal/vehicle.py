@@ -70,9 +70,7 @@ def _critical_speeds(vehicle_class: VehicleClass) -> Iterator[str]:
     yield "Critical speed"
     for conicity in CONICITIES:
         speed = critical_speed(vehicle_class, LinearContact(conicity))
-        found = (
-            f"above {OF_GEAR.highest_speed:g} m/s" if math.isinf(speed) else f"{speed:.0f} m/s, {3.6 * speed:.0f} km/h"
-        )
+        found = f"above {OF_GEAR.highest_speed:g} m/s" if math.isinf(speed) else f"{speed:.0f} m/s"
         yield f"  conicity {conicity:g}: {found}"
 
 

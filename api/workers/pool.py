@@ -1,8 +1,8 @@
 """Worker processes of this machine: the standard library's pool, one for each worker.
 
 In a pool of several processes one that is killed breaks the futures of all, and nothing limits how long a unit takes:
-``python -m bench pools`` shows what becomes of that here and in other libraries. A pool of one process breaks alone,
-and a new one takes its place; the unit is handed out again by whoever handed it out.
+``docs/decisions/worker-pool.md`` shows what becomes of that here and in other libraries. A pool of one process breaks
+alone, and a new one takes its place; the unit is handed out again by whoever handed it out.
 """
 
 from __future__ import annotations

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import struct
 import subprocess
-import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -18,24 +16,23 @@ import httpx
 
 from api.factory import open_store
 from api.settings import Settings
-from bench.chaos.kills import estimate, free_port
-from bench.chaos.part import ChaosSettings
+from bench.chaos.run import ChaosSettings
 from bench.chaos.small_deployment import (
     PASSWORD,
     Databases,
+    compared,
     databases,
-    faults,
     fork,
     ingest,
+    newest_run,
     recordings,
-    state,
-    until,
     wait_for,
 )
 from bench.report import BenchRow
+from bench.services import free_port, started, until
+from estimation.values.units import HOUR_NS
 
 SECONDS = 45.0
-HOUR_NS = 3_600_000_000_000
 SHIFTS = {"+400 days": 400 * 24 * HOUR_NS, "-1 hour": -HOUR_NS}
 BACK_WITHIN_S = 60.0
 CUTS = (0.25, 0.5, 0.75)
@@ -61,8 +58,7 @@ class _Clock:
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Yield what each wrong clock did on each database.
 
-    Args:
-        settings: ``size`` is the number of rounds: clocks and databases in turn.
+    ``size`` is the number of rounds: clocks and databases in turn.
     """
     compiler = shutil.which("cc")
     if compiler is None:
@@ -83,7 +79,8 @@ def _round(both: Databases, kind: str, name: str, clock: _Clock) -> BenchRow:
     paths = recordings(both.folder / f"clock-{kind}{name}", CUTS, SECONDS, begin_ns)
     broken, alone = both.new(kind), both.new(kind)
     port, log = free_port(), both.folder / "clock.log"
-    command = partial(_command, broken, clock, log, port)
+    chosen = broken.model_copy(update={"jobs_every_s": 5.0, "port": port})
+    command = partial(started, chosen, log=log, others=clock.environment)
     wait_for([fork(partial(ingest, broken, paths[:1]), log)])
     running = [command("schedule"), command("serve")]
     url = f"http://127.0.0.1:{port}/v1/wheelsets/WS-1/trend"
@@ -92,17 +89,17 @@ def _round(both: Databases, kind: str, name: str, clock: _Clock) -> BenchRow:
         stood += [] if _goes_on(broken, url, 0) else ["at the start"]
         clock.set(SHIFTS[name])
         sent = [command("ingest", "--vehicle", "N-7", str(paths[1])).wait()]
-        stood += [] if _goes_on(broken, url, _newest_run(broken)) else ["while the clock is wrong"]
+        stood += [] if _goes_on(broken, url, newest_run(broken)) else ["while the clock is wrong"]
         clock.set(0)
         sent.append(command("ingest", "--vehicle", "N-7", str(paths[2])).wait())
-        stood += [] if _goes_on(broken, url, _newest_run(broken)) else ["after it was set right"]
+        stood += [] if _goes_on(broken, url, newest_run(broken)) else ["after it was set right"]
         stood += ["a process ended"] * sum(process.poll() is not None for process in running)
     finally:
         clock.set(0)
         for process in running:
             process.kill()
             process.wait()
-    wrong = _compared(broken, alone, paths)
+    wrong = compared(both, broken, alone, paths, keep=True) + _of_the_future(broken)
     text = log.read_text(errors="replace")
     failed, passwords = sum(code != 0 for code in sent), text.count(PASSWORD)
     both.drop(broken)
@@ -116,31 +113,11 @@ def _round(both: Databases, kind: str, name: str, clock: _Clock) -> BenchRow:
     )
 
 
-def _command(settings: Settings, clock: _Clock, log: Path, port: int, *arguments: str) -> subprocess.Popen[bytes]:
-    """Start a command of the product by the clock that can be set."""
-    environment = {
-        **os.environ,
-        **clock.environment,
-        "TREADWATCH_DATABASE_URL": settings.url,
-        "TREADWATCH_DATA_DIR": str(settings.data_dir),
-        "TREADWATCH_WINDOW_LENGTH_S": f"{settings.window_length_s:g}",
-        "TREADWATCH_JOBS_EVERY_S": "5",
-        "TREADWATCH_PORT": str(port),
-    }
-    with log.open("ab") as output:
-        return subprocess.Popen(  # noqa: S603 - our own command
-            [sys.executable, "-c", "from api.cli import main; main()", *arguments],
-            env=environment,
-            stdout=output,
-            stderr=output,
-        )
-
-
 def _goes_on(settings: Settings, url: str, known: int) -> bool:
     """Return whether the scheduler ended another round of the jobs and the API answers."""
 
     def reached() -> bool:
-        if _newest_run(settings) <= known + JOBS_A_ROUND:
+        if newest_run(settings) <= known + JOBS_A_ROUND:
             return False
         try:
             return httpx.get(url, timeout=5.0).status_code < httpx.codes.INTERNAL_SERVER_ERROR
@@ -154,20 +131,8 @@ JOBS_A_ROUND = 8
 """So many later runs are a round of the jobs, at least most of it."""
 
 
-def _newest_run(settings: Settings) -> int:
+def _of_the_future(settings: Settings) -> list[str]:
+    """Return which trends were recorded later than now."""
     with closing(open_store(settings)) as storage, storage.read() as unit:
-        return max((run.run_id for run in unit.jobs.page(None, None, 1)), default=0)
-
-
-def _compared(broken: Settings, alone: Settings, paths: Sequence[Path]) -> list[str]:
-    """Bring both to rest by the right clock; return what differs, what is served later, and faults."""
-    for deployment in (broken, alone):
-        ingest(deployment, paths)
-        estimate(deployment)
-    with closing(open_store(broken)) as first, closing(open_store(alone)) as second:
-        was, should = state(first), state(second)
-        wrong = [key for key in was if was[key] != should[key]] + faults(broken, first)
-        with first.read() as unit:
-            records = [unit.trends.latest(serial) for serial in ("WS-1", "WS-2")]
-        now_ns = time.time_ns()
-        return wrong + [f"{one.wheelset} of the future" for one in records if one and one.recorded_ns > now_ns]
+        records = [unit.trends.latest(serial) for serial in ("WS-1", "WS-2")]
+    return [f"{one.wheelset} of the future" for one in records if one and one.recorded_ns > time.time_ns()]

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import re
 import resource
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,8 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.request import urlopen
 
-from bench.chaos.part import ChaosSettings
+from api.settings import Settings
+from bench.chaos.run import ChaosSettings
 from bench.report import BenchRow
+from bench.services import environment_of, started_program
 from fleet_db.migrate import upgrade
 
 TIMEOUT_S = 2.0
@@ -53,8 +53,7 @@ class _Server:
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Yield what clients that wait for nothing do to those that ask something.
 
-    Args:
-        settings: ``size`` is the number of connections.
+    ``size`` is the number of connections.
     """
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = settings.size + 100
@@ -123,19 +122,11 @@ def _labels(server: _Server) -> BenchRow:
 def _serving(folder: Path, descriptors: int | None) -> Iterator[_Server]:
     url = f"sqlite:///{(folder / 'treadwatch.sqlite').resolve()}"
     upgrade(url)
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(sys.path),
-        "TREADWATCH_DATABASE_URL": url,
-        "TREADWATCH_DATA_DIR": str(folder),
-        "TREADWATCH_PORT": "0",
-        "TREADWATCH_HEADER_TIMEOUT_S": str(TIMEOUT_S),
-        "TREADWATCH_BODY_TIMEOUT_S": str(TIMEOUT_S),
-    }
+    settings = Settings.model_validate(
+        {"data_dir": folder, "database_url": url, "port": 0, "header_timeout_s": TIMEOUT_S, "body_timeout_s": TIMEOUT_S}
+    )
     log = folder / "log"
-    with log.open("wb") as written:
-        command = [sys.executable, "-c", SERVE.format(descriptors)]
-        process = subprocess.Popen(command, env=environment, stderr=written)  # noqa: S603 - our own server
+    process = started_program(["-c", SERVE.format(descriptors)], environment_of(settings), log)
     try:
         yield _Server(("127.0.0.1", _port(process, log)), log)
     finally:

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 
 from sqlalchemy import text
 
+from bench.counting import run
 from estimation.alerts.rules.running_gear import HuntingRule
 from estimation.alerts.rules.sensor_data import SensorFaultRule
+from estimation.jobs.catalogue import ALL_JOBS
+from estimation.jobs.job import JobContext
 from estimation.values.alerts import Alert
 from fleet_db.packed_values import pack_geometry, pack_value
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 ROWS = {
-    "windows": "SELECT wheelset, start_ns, state, reason_code, reason, content_digest, mileage_km FROM windows",
+    "receipts": "SELECT digest, vehicle, state, reason_code, first_ns, last_ns, frames FROM chunks",
+    "windows": (
+        "SELECT wheelset, start_ns, axle, track_section, state, reason_code, reason, content_digest, mileage_km"
+        " FROM windows"
+    ),
     "positions": (
         "SELECT wheelset, start_ns, content_digest, offset_m, scale, middle_m, reason_code, reason"
         " FROM window_positions"
@@ -29,6 +37,9 @@ ROWS = {
     "suspension": "SELECT vehicle, section, from_ns, to_ns, ratio, ratio_std FROM suspension_findings",
 }
 
+MOST_RUNS = 8
+"""Runs of all jobs after which they must have come to rest."""
+
 ON_WINDOWS = (SensorFaultRule.kind, HuntingRule.kind)
 """Alerts that stand by all windows in vehicle time; those on estimates stand by all intervals of mileage."""
 
@@ -38,11 +49,7 @@ OF_HISTORY = frozenset({"fleet alerts"})
 
 
 def final_state(storage: SqlStorage) -> Mapping[str, str]:
-    """Return a digest for each kind of what is stored.
-
-    Args:
-        storage: Whose jobs have nothing left to do.
-    """
+    """Return a digest for each kind of what is stored."""
     with storage.read() as unit:
         found = {name: [repr(tuple(row)) for row in unit.connection.execute(text(sql))] for name, sql in ROWS.items()}
         found["geometries"] = list(_geometries(unit))
@@ -73,3 +80,20 @@ def _trends(unit: SqlUnitOfWork) -> Iterator[str]:
         latest = unit.trends.latest(wheelset.serial)
         if latest is not None:
             yield repr((wheelset.serial, latest.baseline, hashlib.sha256(pack_value(latest.trend)).hexdigest()))
+
+
+def compared_state(storage: SqlStorage) -> Mapping[str, str]:
+    """Return digests of what does not depend on the history."""
+    return {name: digest for name, digest in final_state(storage).items() if name not in OF_HISTORY}
+
+
+def come_to_rest(storage: SqlStorage, context: JobContext) -> tuple[Counter[str], bool]:
+    """Run all jobs until nothing changes any more; return their counts, and whether they came to rest."""
+    counts = Counter[str]()
+    for _ in range(MOST_RUNS):
+        before = final_state(storage)
+        for job in ALL_JOBS:
+            counts.update(run(job, context).counts)
+        if final_state(storage) == before:
+            return counts, True
+    return counts, False

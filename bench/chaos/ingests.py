@@ -9,7 +9,7 @@ from contextlib import closing
 from functools import partial
 
 from api.factory import open_store
-from bench.chaos.part import ChaosSettings
+from bench.chaos.run import ChaosSettings
 from bench.chaos.small_deployment import Databases, databases, fork, ingest, recordings, state, wait_for
 from bench.report import BenchRow
 

@@ -6,7 +6,6 @@ import os
 import random
 import shutil
 import signal
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -22,12 +21,20 @@ from api.factory import open_store, process_name
 from api.pipeline import job_context, scheduled_jobs
 from api.serving import create_server
 from api.settings import Settings
-from bench.chaos.part import ChaosSettings
-from bench.chaos.small_deployment import Databases, databases, faults, fork, ingest, recordings, state, wait_for
+from bench.chaos.run import ChaosSettings
+from bench.chaos.small_deployment import (
+    Databases,
+    compared,
+    databases,
+    estimate,
+    fork,
+    ingest,
+    recordings,
+    wait_for,
+)
 from bench.report import BenchRow
-from estimation.jobs.job import run_job
+from bench.services import free_port
 from estimation.jobs.scheduler import serve_jobs
-from estimation.values.runs import JobTrigger
 
 SECONDS = 45.0
 PIECES = 8
@@ -42,8 +49,7 @@ class Tally:
     """What the rounds on one database came to."""
 
     kills: int = 0
-    differing: list[str] = field(default_factory=list)
-    faults: list[str] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
     recoveries_s: list[float] = field(default_factory=list)
 
 
@@ -55,7 +61,7 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
             tally = Tally()
             while tally.kills < settings.size // 2:
                 _round(both, kind, rng, tally, min(KILLS_A_ROUND, settings.size // 2 - tally.kills))
-            wrong = [*tally.differing, *tally.faults]
+            wrong = tally.wrong
             yield BenchRow(
                 f"{tally.kills} kills of ingest, estimate, schedule and serve, {kind}: lost, doubled, torn, orphaned",
                 f"{len(wrong)} {', '.join(sorted(set(wrong)))[:300]}".strip(),
@@ -92,25 +98,8 @@ def _round(both: Databases, kind: str, rng: random.Random, tally: Tally, kills: 
         tally.kills += 1
         tally.recoveries_s.append(_until_written(broken))
     time.sleep(2.0 * LEASE_S)  # what a killed process ran is abandoned once its lease has ended
-    for deployment in (broken, alone):
-        if wait_for([fork(partial(_to_the_end, deployment, paths), log)]) != [0]:
-            tally.faults.append("the end was not reached")
-    with closing(open_store(broken)) as first, closing(open_store(alone)) as second:
-        was, should = state(first), state(second)
-        tally.differing += [name for name in was if was[name] != should[name]]
-        tally.faults += faults(broken, first)
-    both.drop(broken)
-    both.drop(alone)
+    tally.wrong += compared(both, broken, alone, paths)
     shutil.rmtree(folder)
-
-
-def estimate(settings: Settings) -> None:
-    """Run the jobs once, as ``treadwatch estimate`` does."""
-    with closing(open_store(settings)) as storage:
-        context = job_context(settings, storage)
-        with storage.owned(JobTrigger.CLI, process_name(), context.lease_s) as owned:
-            for job in scheduled_jobs(settings):
-                run_job(job, job_context(settings, owned), JobTrigger.CLI)
 
 
 def schedule(settings: Settings, every_s: float = 0.2) -> None:
@@ -133,18 +122,6 @@ def serve(settings: Settings, paths: Sequence[Path]) -> None:
 
     threading.Thread(target=ask, daemon=True).start()
     create_server(settings.model_copy(update={"port": port})).run()
-
-
-def free_port() -> int:
-    """Return a port on which nobody listens."""
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
-
-
-def _to_the_end(settings: Settings, paths: Sequence[Path]) -> None:
-    ingest(settings, paths)
-    estimate(settings)
 
 
 def _until_written(settings: Settings) -> float:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import struct
 import time
+import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
-from bench.chaos.mutated_files import mutated, mutated_inside, small_recording, written
-from bench.chaos.part import ChaosSettings
+from bench.chaos.run import ChaosSettings
+from bench.logs import write_log
 from bench.report import BenchRow
 from estimation.errors import LogFileError
 from ingest.align.windows import vehicle_samples
@@ -20,6 +22,155 @@ from ingest.catalogue import MOTION, POSITION, default_catalogue
 from ingest.frames import FrameBatch, merge
 from ingest.logs.formats import LogContent, ReadCost, read_content
 from ingest.recordings import align_frames
+from tests.ingest.vehicle_bus import Run
+
+SECONDS, OFFSET_NS = 2.0, 37_123_456_000  # on whole microseconds, as text has them
+Change = Callable[[bytearray, np.random.Generator], bytearray]
+
+
+def mutated(original: bytes, suffix: str, rng: np.random.Generator) -> bytes:
+    """Return a file to which one to three things have happened."""
+    changes = [*ANY, *(TEXT if suffix in (".asc", ".log") else BINARY)]
+    content = bytearray(original)
+    for _ in range(int(rng.choice([1, 1, 1, 2, 3]))):
+        content = changes[int(rng.integers(len(changes)))](content, rng)
+    return bytes(content)
+
+
+def mutated_inside(original: bytes, rng: np.random.Generator) -> bytes:
+    """Return a BLF file whose inflated contents have changed: the checksum is right; a few are stored, or bombs."""
+    contents = bytearray()
+    at = 144
+    while at < len(original):
+        size = int.from_bytes(original[at + 8 : at + 12], "little")
+        contents += zlib.decompress(original[at + 32 : at + size])
+        at += size + size % 4
+    kind = rng.random()
+    if kind < BOMBS:
+        return _bomb(original, contents, rng)
+    changes = [*ANY, *BINARY]
+    contents = changes[int(rng.integers(len(changes)))](contents, rng)
+    return _blf(original, [_container(bytes(contents), len(contents), deflated=bool(rng.random() < 0.8))])
+
+
+BOMBS = 0.02
+
+
+def _bomb(original: bytes, contents: bytearray, rng: np.random.Generator) -> bytes:
+    """Return a file that inflates to some hundred times its size: of zeros, or of frames."""
+    size = int(rng.choice([1 << 22, 1 << 24, 1 << 26]))
+    filling = bytes(size) if rng.random() < 0.5 else bytes(contents[:48]) * (size // 48)
+    declared = int(rng.choice([len(filling), 4096, 0xFFFF_FFFF]))
+    return _blf(original, [_container(filling, declared, deflated=True)] * int(rng.integers(1, 30)))
+
+
+def _container(contents: bytes, declared: int, *, deflated: bool) -> bytes:
+    packed = zlib.compress(contents, 1) if deflated else contents
+    size = 32 + len(packed)
+    head = struct.pack("<4sHHLL", b"LOBJ", 16, 1, size, 10) + struct.pack("<H6xL4x", 2 if deflated else 0, declared)
+    return head + packed + bytes(size % 4)
+
+
+def _blf(original: bytes, containers: list[bytes]) -> bytes:
+    body = b"".join(containers)
+    return original[:16] + struct.pack("<Q", 144 + len(body)) + original[24:144] + body
+
+
+def _span(content: bytearray, rng: np.random.Generator) -> slice:
+    first = int(rng.integers(max(len(content), 1)))
+    return slice(first, first + int(2 ** rng.uniform(0.0, 12.0)))
+
+
+def _flip(content: bytearray, rng: np.random.Generator) -> bytearray:
+    for _ in range(int(rng.choice([1, 1, 2, 8]))):
+        content[int(rng.integers(len(content)))] ^= 1 << int(rng.integers(8))
+    return content
+
+
+def _change(content: bytearray, rng: np.random.Generator) -> bytearray:
+    content[int(rng.integers(len(content)))] = int(rng.integers(256))
+    return content
+
+
+def _cut(content: bytearray, rng: np.random.Generator) -> bytearray:
+    return content[: int(rng.integers(1, len(content)))]
+
+
+def _insert(content: bytearray, rng: np.random.Generator) -> bytearray:
+    span = _span(content, rng)
+    content[span.start : span.start] = rng.bytes(span.stop - span.start)
+    return content
+
+
+def _duplicate(content: bytearray, rng: np.random.Generator) -> bytearray:
+    span = _span(content, rng)
+    content[span.start : span.start] = content[span]
+    return content
+
+
+def _delete(content: bytearray, rng: np.random.Generator) -> bytearray:
+    del content[_span(content, rng)]
+    return content or bytearray(b"\0")
+
+
+def _swap(content: bytearray, rng: np.random.Generator) -> bytearray:
+    first, second = _span(content, rng), int(rng.integers(len(content)))
+    block = content[first]
+    content[first] = content[second : second + len(block)]
+    content[second : second + len(block)] = block
+    return content
+
+
+def _zero(content: bytearray, rng: np.random.Generator) -> bytearray:
+    span = _span(content, rng)
+    content[span] = bytes(len(content[span]))
+    return content
+
+
+def _zero_header(content: bytearray, rng: np.random.Generator) -> bytearray:
+    first = int(rng.integers(0, 144))
+    content[first : first + 8] = bytes(len(content[first : first + 8]))
+    return content
+
+
+def _number(content: bytearray, rng: np.random.Generator) -> bytearray:
+    at = int(rng.integers(len(content) // 4)) * 4 if rng.random() < 0.5 else int(rng.integers(200)) % len(content)
+    value = int(rng.choice([0, 1, 0x7FFF_FFFF, 0xFFFF_FFFF, 0xFFFF, int(rng.integers(1 << 32))]))
+    content[at : at + 4] = value.to_bytes(4, "little")[: len(content[at : at + 4])]
+    return content
+
+
+def _digit(content: bytearray, rng: np.random.Generator) -> bytearray:
+    at = int(rng.integers(len(content)))
+    while at < len(content) and not chr(content[at]).isalnum():
+        at += 1
+    if at < len(content):
+        content[at] = b"0123456789ABCDEF"[int(rng.integers(16))]
+    return content
+
+
+def _line(content: bytearray, rng: np.random.Generator) -> bytearray:
+    """Delete, repeat, exchange, shorten or blank a line."""
+    lines = content.split(b"\n")
+    at, other = (int(n) for n in rng.integers(len(lines), size=2))
+    what = int(rng.integers(5))
+    if what == 0:
+        del lines[at]
+    elif what == 1:
+        lines.insert(other, lines[at])
+    elif what == 2:
+        lines[at], lines[other] = lines[other], lines[at]
+    elif what == 3:
+        lines[at] = lines[at][: int(rng.integers(len(lines[at]) + 1))]
+    else:
+        lines[at] = bytearray(b" " * len(lines[at]))
+    return bytearray(b"\n").join(lines)
+
+
+ANY: tuple[Change, ...] = (_flip, _flip, _change, _cut, _insert, _duplicate, _delete, _swap, _zero)
+BINARY: tuple[Change, ...] = (_number, _number, _zero_header)
+TEXT: tuple[Change, ...] = (_digit, _digit, _line, _line)
+
 
 INSIDE = "inside .blf"
 FORMATS = (".blf", ".log", ".asc", INSIDE, ".mf4")
@@ -64,10 +215,9 @@ class Sound:
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Damage files of each format and read them; yield what was found.
 
-    Args:
-        settings: ``size`` is the number of files of each format.
+    ``size`` is the number of files of each format.
     """
-    batch = small_recording()
+    batch = Run(seconds=SECONDS, recorder_offset_ns=OFFSET_NS).frames()
     for name in FORMATS:
         if name == ".mf4" and find_spec("asammdf") is None:
             continue
@@ -77,10 +227,9 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
 
 def _tally(batch: FrameBatch, name: str, files: int, settings: ChaosSettings) -> Tally:
     suffix = Path(f"a{name.removeprefix('inside ')}").suffix
-    original = written(batch, suffix, settings.folder)
     path = settings.folder / f"mutated{suffix}"
-    path.write_bytes(original)
-    content = read_content(path)
+    write_log(path, batch)
+    original, content = path.read_bytes(), read_content(path)
     values, damage = _values(content)
     sound = Sound(content.batch, values, damage)
     tally = Tally(files)

@@ -10,66 +10,17 @@ from pathlib import Path
 
 from api.comparison.trial import copied, deploy, opened, receive, record
 from api.settings import Settings
-from bench.chaos.final_state import OF_HISTORY, final_state
-from bench.chaos.part import ChaosSettings
+from bench.chaos.final_state import come_to_rest, compared_state
+from bench.chaos.run import ChaosSettings
+from bench.counting import run
 from bench.report import BenchRow
-from estimation.errors import TreadwatchError
+from bench.small_fleets import small_fleet
 from estimation.jobs.catalogue import ALL_JOBS
-from estimation.jobs.job import JobContext, run_job
-from estimation.values.runs import JobTrigger
 from estimation.values.windows import Window
-from fleet_db.storage import SqlStorage
-from ingest.simulator.scenario_file import read_scenario
 
-FLEET = """\
-name = "ORDERS"
-description = "two vehicles of three wheelsets, three campaigns of 40 days"
-seed = 5
-[fleet]
-code = "O"
-name = "Fleet O"
-[section]
-code = "O-1"
-number = 1
-name = "Section O-1"
-length_m = 2400.0
-surveyed = {surveyed}
-[speed]
-lowest_m_s = 14.0
-highest_m_s = 22.0
-[sensors]
-kind = "mems"
-[bus]
-recorder_clock_offset_s = 1.5
-[position]
-largest_offset_m = {offset}
-largest_scale_percent = 0.1
-[sessions]
-start = 2024-01-08T05:30:00Z
-campaigns = 3
-minutes_each = 1.55
-first_odometer_km = 1000.0
-km_between = 20000.0
-km_per_day = 500.0
-start_within_m = 150.0
-"""
-VEHICLE = """\
-[[vehicles]]
-code = "O-{name}"
-class = "railcar"
-max_speed_km_h = 120.0
-axle_offsets_m = [2.0, 4.5, 16.5]
-"""
-WHEELSET = """\
-[[vehicles.wheelsets]]
-serial = "O-{name}{axle}"
-initial_wear_mm = {worn}
-wear_mm_per_100000_km = {wear}
-"""
+AXLES = (2.0, 4.5, 16.5)
 WORN = {"A": ((0.1, 0.9), (0.9, 0.4), (0.5, 0.2)), "B": ((1.2, 1.0), (0.3, 0.1), (0.7, 0.6))}
 WINDOW_S = 30
-MOST_RUNS = 8
-"""Runs of all jobs after which they must have come to rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +44,11 @@ def _case(settings: ChaosSettings, *, surveyed: bool) -> _Case:
     name = "surveyed" if surveyed else "unsurveyed"
     folder = settings.folder / name
     folder.mkdir()
-    parts = [FLEET.format(surveyed=str(surveyed).lower(), offset=3.0 if surveyed else 20.0)]
-    for code, wheelsets in WORN.items():
-        parts.append(VEHICLE.format(name=code))
-        parts += [WHEELSET.format(name=code, axle=i, worn=a, wear=b) for i, (a, b) in enumerate(wheelsets, start=1)]
-    file = folder / "scenario.toml"
-    file.write_text("".join(parts), encoding="utf-8")
-    scenario = read_scenario(file)
+    offset = 3.0 if surveyed else 20.0
+    scenario = small_fleet(
+        folder, "O", WORN, AXLES, 1.55, campaigns=3, surveyed=surveyed, km_between=20_000.0, position_m=offset,
+        within_m=150.0, seed=5,
+    )  # fmt: skip
     recorded = record(scenario, folder / "recordings", workers=1)
     empty = deploy(scenario, folder / "empty").model_copy(update={"window_length_s": WINDOW_S})
     full = copied(empty, folder / "full")
@@ -119,30 +68,9 @@ def _play(case: _Case, folder: Path, pieces: Sequence[Sequence[tuple[Window, flo
             with storage.write() as unit:
                 for window, mileage_km in piece:
                     unit.windows.put(window, mileage_km, context.clock.now_ns())
-            epochs += _run(context)
-        runs = 0
-        while (changed := _digest(storage)) and runs < MOST_RUNS:
-            epochs += _run(context)
-            runs += 1
-            if _digest(storage) == changed:
-                break
-        state = {name: digest for name, digest in final_state(storage).items() if name not in OF_HISTORY}
-        return _Played(state, epochs, runs < MOST_RUNS)
-
-
-def _run(context: JobContext) -> int:
-    """Run all jobs once; return how many epochs were computed."""
-    epochs = 0
-    for job in ALL_JOBS:
-        done = run_job(job, context, JobTrigger.CLI)
-        if done.error is not None:
-            raise TreadwatchError(f"job {job.name} failed: {done.error}")
-        epochs += done.counts.get("epochs", 0)
-    return epochs
-
-
-def _digest(storage: SqlStorage) -> str:
-    return repr(sorted(final_state(storage).items()))
+            epochs += sum(run(job, context).counts.get("epochs", 0) for job in ALL_JOBS)
+        counts, rest = come_to_rest(storage, context)
+        return _Played(compared_state(storage), epochs + counts["epochs"], rest)
 
 
 def _pieces(case: _Case, rng: random.Random, *, late: bool) -> list[list[tuple[Window, float]]]:
@@ -167,11 +95,7 @@ def _by_campaign(case: _Case) -> list[list[tuple[Window, float]]]:
 
 
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
-    """Yield how many final states there are, and how many epochs were computed for data that came in order.
-
-    Args:
-        settings: Rounds are shared by the surveyed and the unsurveyed fleet.
-    """
+    """Yield how many final states there are, and how many epochs were computed for data that came in order."""
     for surveyed in (False, True):
         case = _case(settings, surveyed=surveyed)
         campaigns = _by_campaign(case)

@@ -12,28 +12,27 @@ from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 
-import httpx
 import numpy as np
 
 from api import logs
 from api.factory import open_store
 from api.serving import create_server
 from api.settings import Settings
-from bench.chaos.kills import LEASE_S, estimate, free_port, schedule
-from bench.chaos.part import ChaosSettings
+from bench.chaos.kills import LEASE_S, schedule
+from bench.chaos.run import ChaosSettings
 from bench.chaos.small_deployment import (
     PASSWORD,
     Databases,
+    compared,
     databases,
-    faults,
     fork,
     ingest,
+    newest_run,
     recordings,
-    state,
-    until,
     wait_for,
 )
 from bench.report import BenchRow
+from bench.services import answers, free_port, until
 from ingest.receiver import ChunkReceipt
 
 SECONDS = 45.0
@@ -63,14 +62,14 @@ def _database_away(both: Databases, lengths: Sequence[float]) -> Iterator[BenchR
     pids = [fork(partial(schedule, broken, 2.0), log), fork(partial(_serve, serving), log)]
     url, back = f"http://127.0.0.1:{port}/v1/jobs", []
     try:
-        until(partial(_answers, url), BACK_WITHIN_S)
+        until(partial(answers, url), BACK_WITHIN_S)
         for length, path in zip(lengths, paths, strict=False):
             sender = fork(partial(_send_until_stored, broken, path), log)
             both.server.stop()
             time.sleep(length)
             both.server.start()
-            begin, known = time.monotonic(), _newest_run(broken)
-            reached = until(lambda known=known: _answers(url) and _newest_run(broken) > known, BACK_WITHIN_S)
+            begin, known = time.monotonic(), newest_run(broken)
+            reached = until(lambda known=known: answers(url) and newest_run(broken) > known, BACK_WITHIN_S)
             wait_for([sender])
             back.append(BACK_WITHIN_S if reached is None else time.monotonic() - begin)
         ended = [pid for pid in pids if os.waitpid(pid, os.WNOHANG)[0]]
@@ -80,7 +79,7 @@ def _database_away(both: Databases, lengths: Sequence[float]) -> Iterator[BenchR
                 os.kill(pid, signal.SIGKILL)
                 wait_for([pid])
     time.sleep(2.0 * LEASE_S)  # what a killed process ran is abandoned once its lease has ended
-    wrong = _compared(broken, alone, paths)
+    wrong = compared(both, broken, alone, paths)
     text = log.read_text(errors="replace")
     named = f"{len(lengths)} outages of PostgreSQL of {lengths[0]:.0f} to {lengths[-1]:.0f} s"
     yield BenchRow(f"{named}: lost or other than without them", f"{len(wrong)} {wrong}", "0", not wrong)
@@ -90,8 +89,6 @@ def _database_away(both: Databases, lengths: Sequence[float]) -> Iterator[BenchR
     yield BenchRow(f"{named}: until all go on by themselves, longest", f"{worst:.1f} s", reach, worst < BACK_WITHIN_S)
     yield BenchRow(f"{named}: password in the log", str(text.count(PASSWORD)), "0", PASSWORD not in text)
     yield BenchRow(f"{named}: size of the log", f"{len(text) / 1024:.0f} KiB", "< 1024 KiB", len(text) < 1 << 20)
-    both.drop(broken)
-    both.drop(alone)
 
 
 def _disk_full(both: Databases, kind: str, place: str) -> BenchRow:
@@ -112,7 +109,7 @@ def _disk_full(both: Databases, kind: str, place: str) -> BenchRow:
                 outcomes = ingest(broken, paths)
             filler.unlink()
             stored = sum(isinstance(outcome, ChunkReceipt) for outcome in outcomes)
-            wrong = _compared(broken, alone, paths)
+            wrong = compared(both, broken, alone, paths, keep=True)
             with closing(open_store(broken)) as storage, storage.read() as unit:
                 refused = sum(
                     row.state == "rejected" for row in unit.connection.exec_driver_sql("SELECT * FROM chunks")
@@ -139,9 +136,7 @@ def _not_mounted(both: Databases, kind: str) -> BenchRow:
     left = len(list(folder.iterdir()))
     folder.rmdir()
     away.rename(folder)
-    wrong = _compared(broken, alone, paths)
-    both.drop(broken)
-    both.drop(alone)
+    wrong = compared(both, broken, alone, paths)
     receipts = sum(isinstance(outcome, ChunkReceipt) for outcome in outcomes)
     return BenchRow(
         f"raw recordings not mounted, {kind}: receipts during it; files put beside it; other in the end than with it",
@@ -167,16 +162,6 @@ def _small_disk(folder: Path) -> Iterator[Path]:
         subprocess.run(["umount", "-l", str(folder)], check=True)  # noqa: S603, S607 - the same
 
 
-def _compared(broken: Settings, alone: Settings, paths: Sequence[Path]) -> list[str]:
-    """Bring both to rest and return what differs, and what is wrong with the broken one in itself."""
-    for deployment in (broken, alone):
-        ingest(deployment, paths)
-        estimate(deployment)
-    with closing(open_store(broken)) as first, closing(open_store(alone)) as second:
-        was, should = state(first), state(second)
-        return [name for name in was if was[name] != should[name]] + faults(broken, first)
-
-
 def _send_until_stored(settings: Settings, path: Path) -> None:
     """Send a recording as a depot does: until it has its receipt."""
     while True:
@@ -189,15 +174,3 @@ def _send_until_stored(settings: Settings, path: Path) -> None:
 def _serve(settings: Settings) -> None:
     logs.configure(settings)
     create_server(settings).run()
-
-
-def _answers(url: str) -> bool:
-    try:
-        return httpx.get(url, timeout=5.0).status_code == httpx.codes.OK
-    except httpx.HTTPError:
-        return False
-
-
-def _newest_run(settings: Settings) -> int:
-    with closing(open_store(settings)) as storage, storage.read() as unit:
-        return max((run.run_id for run in unit.jobs.page(None, None, 1)), default=0)

@@ -2,93 +2,160 @@
 
 from __future__ import annotations
 
-import hashlib
-import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import psycopg
-import sqlalchemy
-from psycopg import sql
 
-from api.pipeline import job_context, receiver, scheduled_jobs
+from api.comparison.trial import opened, receive
+from api.pipeline import receiver, scheduled_jobs
 from api.settings import Settings
-from bench.chaos.part import ChaosSettings
-from bench.chaos.registry_mistakes import MISTAKES, RESTORED
+from bench.chaos.final_state import final_state
+from bench.chaos.run import ChaosSettings
+from bench.counting import run
+from bench.put_values import put_mountings
 from bench.report import BenchRow
-from bench.standing_clock import StandingClock
-from estimation.jobs.job import run_job
-from estimation.values.runs import JobOutcome, JobTrigger
-from fleet_db.migrate import upgrade
-from fleet_db.packed_values import pack_bin_table, pack_geometry, pack_value
-from fleet_db.session import database_engine
-from fleet_db.storage import SqlStorage
-from ingest.receiver import Receiver
+from bench.small_fleets import Workload, deployed, small_fleet
+from estimation.jobs.job import JobContext
+from estimation.values.registry import Mounting, Reprofiling
+from estimation.values.units import HOUR_NS
+from fleet_db.records import Decision, RecordKind
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.stores.registry_history import RecordKey
 from ingest.registry_file import load_registry
-from ingest.simulator.fleet import FleetReport, run_fleet
-from ingest.simulator.scenario_file import load_scenario
-from ingest.vehicle_class_schema import class_of_package
-from tests.postgres_server import PostgresServer, stoppable_server
+from ingest.simulator.fleet import prepare
+from tests.postgres_server import stoppable_server
 
-SCENARIO = """\
-name = "registry"
-description = "one vehicle, two wheelsets, a reprofiling"
-seed = 23
+SECTION, VEHICLE = "C-1", "C-1"
+WHEELSETS = ("C-11", "C-12")
+UNDONE = Decision("chaos", "a mistake")
 
-[fleet]
-code = "C"
-name = "Chaos"
+Undo = Callable[[SqlUnitOfWork], None]
 
-[dynamics]
-load = 12263.0
 
-[section]
-code = "C-3"
-number = 3
-name = "Section"
-length_m = 3000.0
-alignment_std_mm = 2.0
-survey_alignment_std_mm = 0.05
+def _mounting(unit: SqlUnitOfWork, serial: str) -> Mounting:
+    return unit.registry.mountings(serial)[0]
 
-[speed]
-lowest_m_s = 15.0
-highest_m_s = 25.0
 
-[sensors]
-kind = "mems"
+def _void(kind: RecordKind, subject: str, at_ns: int | None = None) -> Undo:
+    return lambda unit: void(unit, RecordKey(kind, subject, at_ns))
 
-[bus]
-recorder_clock_offset_s = 1.5
 
-[sessions]
-start = 2024-01-08T05:30:00Z
-campaigns = 2
-minutes_each = 1.5
-first_odometer_km = 1000.0
-km_between = 30000.0
-km_per_day = 500.0
+def void(unit: SqlUnitOfWork, key: RecordKey) -> None:
+    """Void a record."""
+    unit.corrections.void(key, UNDONE)
 
-[[vehicles]]
-code = "C-1"
-class = "railcar"
-max_speed_km_h = 120.0
-axle_offsets_m = [2.0, 4.5]
 
-[[vehicles.wheelsets]]
-serial = "C-A"
-wear_mm_per_100000_km = 1.2
+def swapped(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:  # noqa: ARG001 - as every mistake
+    """Enter two wheelsets under each other's name; the right file puts it right."""
+    first, second = (_mounting(unit, serial) for serial in WHEELSETS)
+    put_mountings(unit, [replace(first, axle=second.axle), replace(second, axle=first.axle)])
+    return []
 
-[[vehicles.wheelsets]]
-serial = "C-B"
-initial_wear_mm = 2.4
-initial_mileage_km = 250000.0
-"""
+
+def turned_round(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
+    """Enter a wheelset the other way round."""
+    was = _mounting(unit, str(rng.choice(WHEELSETS)))
+    unit.registry.add_mounting(replace(was, reversed=not was.reversed))
+    return []
+
+
+def other_mileage(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
+    """Enter another mileage of a wheelset."""
+    was = _mounting(unit, str(rng.choice(WHEELSETS)))
+    unit.registry.add_mounting(
+        replace(was, wheelset_mileage_km=was.wheelset_mileage_km + float(rng.integers(1, 90000)))
+    )
+    return []
+
+
+def ended_early(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
+    """End a mounting between two campaigns, and mount the wheelset again the other way round or at another mileage."""
+    was = _mounting(unit, str(rng.choice(WHEELSETS)))
+    end_ns = was.from_ns + int(rng.integers(1, 40)) * 24 * HOUR_NS
+    unit.registry.add_mounting(replace(was, to_ns=end_ns))
+    turned = bool(rng.integers(2))
+    mileage_km = was.wheelset_mileage_km + (0.0 if turned else float(rng.integers(1, 90000)))
+    other = replace(was, from_ns=end_ns, reversed=turned is not was.reversed, wheelset_mileage_km=mileage_km)
+    unit.registry.add_mounting(other)
+    return [_void(RecordKind.MOUNTING, other.wheelset, end_ns)]
+
+
+def forgotten(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
+    """Take a mounting out that was right."""
+    was = _mounting(unit, str(rng.choice(WHEELSETS)))
+    key = RecordKey(RecordKind.MOUNTING, was.wheelset, was.from_ns)
+    void(unit, key)
+    return [lambda unit: _restored(unit, key)]
+
+
+def never_reprofiled(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
+    """Enter a reprofiling that never was."""
+    was = _mounting(unit, str(rng.choice(WHEELSETS)))
+    at_ns = was.from_ns + int(rng.integers(1, 40)) * 24 * HOUR_NS
+    unit.registry.add_reprofiling(Reprofiling(was.wheelset, at_ns, was.wheelset_mileage_km + 15_000.0))
+    return [_void(RecordKind.REPROFILING, was.wheelset, at_ns)]
+
+
+def other_radius(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
+    """Enter another nominal radius."""
+    was = unit.registry.wheelset(str(rng.choice(WHEELSETS)))
+    unit.registry.add_wheelset(replace(was, nominal_radius_m=was.nominal_radius_m - 0.02, mounting=None), 1)
+    return []
+
+
+def other_offsets(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
+    """Enter axles at other places."""
+    was = unit.registry.vehicle(VEHICLE)
+    moved = tuple(offset + float(rng.uniform(0.5, 3.0)) for offset in was.axle_offsets_m)
+    unit.registry.add_vehicle(replace(was, axle_offsets_m=moved), 1)
+    return []
+
+
+def other_number(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
+    """Enter the section under another number."""
+    unit.tracks.add_section(replace(unit.tracks.section(SECTION), number=int(rng.integers(100, 999))))
+    return []
+
+
+def no_section(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:  # noqa: ARG001 - as every mistake
+    """Void the section."""
+    key = RecordKey(RecordKind.SECTION, SECTION)
+    void(unit, key)
+    return [lambda unit: _restored(unit, key)]
+
+
+def _restored(unit: SqlUnitOfWork, key: RecordKey) -> None:
+    unit.corrections.restore(key, UNDONE)
+
+
+MISTAKES = (
+    swapped,
+    never_reprofiled,
+    turned_round,
+    other_mileage,
+    ended_early,
+    forgotten,
+    other_radius,
+    other_offsets,
+    other_number,
+    no_section,
+)
+
+
+RESTORED = (forgotten, no_section)
+"""Mistakes that are put right by restoring what was voided; the others need the right file, too."""
+
+
 WINDOW_S = 30.0
-AFTERWARDS_NS = 1_710_500_000_000_000_000
-"""Our time, some days behind the last campaign."""
+WORN = {"1": ((0.1, 1.2), (2.4, 0.0))}  # mm, and by 100,000 km
+KEPT = '[days]\nwindow_samples = "for ever"\nwindow_bin_tables = "for ever"\n'
+"""The recordings are older than what is kept by default."""
+
+OF_TRACK = ("alignments in force", "suspension", "fleet alerts")
+"""Not compared: what carries numbers of versions, or groups alerts by the times at which they opened."""
 
 SHORT = 4
 """Up to so many mistakes no PostgreSQL server is started for them."""
@@ -103,88 +170,28 @@ class Deployment:
 
     settings: Settings
     storage: SqlStorage
-    clock: StandingClock
-    receiver: Receiver
+    context: JobContext
     registry: Path
 
     def to_rest(self) -> None:
         """Run all jobs twice: alerts follow what the first run found."""
-        context = replace(job_context(self.settings, self.storage), clock=self.clock)
         for job in (*scheduled_jobs(self.settings), *scheduled_jobs(self.settings)):
-            run = run_job(job, context, JobTrigger.CLI)
-            if run.outcome is not JobOutcome.SUCCEEDED:
-                raise RuntimeError(f"job {run.job}: {run.error}")
+            run(job, self.context)
 
     def load(self) -> None:
         """Load the registry file, which is right."""
         with self.storage.write() as unit:
-            load_registry(self.registry, unit, self.clock.now_ns())
+            load_registry(self.registry, unit, self.context.clock.now_ns())
+
+    def derived(self) -> Mapping[str, str]:
+        """Return digests of what is derived and served, without times of recording and numbers of versions."""
+        return {name: digest for name, digest in final_state(self.storage).items() if name not in OF_TRACK}
 
 
-def deployment(folder: Path, url: str, report: FleetReport) -> Deployment:
-    """Return a deployment that knows the registry, with the recordings of a fleet received and estimated.
-
-    Args:
-        url: Its empty database.
-    """
-    folder.mkdir()
-    upgrade(url)
-    found = _opened(folder, url, report.registry, AFTERWARDS_NS)
-    found.load()
-    found.receiver.reassembler.work_off()
-    for item in report.recordings:
-        found.receiver.receive_file(item.path, item.vehicle)
-    found.to_rest()
-    return found
-
-
-def _opened(folder: Path, url: str, registry: Path, now_ns: int) -> Deployment:
-    settings = Settings(data_dir=folder, database_url=url, window_length_s=WINDOW_S, _env_file=None)
-    storage = SqlStorage(database_engine(url), folder, class_of_package)
-    clock = StandingClock(now_ns)
-    return Deployment(settings, storage, clock, receiver(settings, storage, clock), registry)
-
-
-def sqlite_url(folder: Path) -> str:
-    """Return the URL of the SQLite database in a folder."""
-    return f"sqlite:///{folder / 'treadwatch.sqlite3'}"
-
-
-def derived(storage: SqlStorage) -> Mapping[str, object]:
-    """Return all that is derived and served: windows, tables, positions, geometries, trends, open alerts.
-
-    Times of recording and numbers of versions are left out, and a result of no window counts as none.
-    """
-    found: dict[str, object] = {}
-    with storage.read() as unit:
-        for wheelset in unit.registry.wheelsets():
-            serial = wheelset.serial
-            found[f"windows {serial}"] = [
-                (w.start_ns, w.axle, w.track_section, w.mileage_km, w.content_digest, w.state, w.reason)
-                for w in unit.windows.list(serial)
-            ]
-            found[f"tables {serial}"] = [
-                (w.start_ns, _digest(pack_bin_table(table))) for w, table, _ in unit.tables.stream(serial, 0, None)
-            ]
-            places = [unit.tracks.position(serial, w.start_ns) for w in unit.windows.list(serial)]
-            found[f"positions {serial}"] = [
-                None if one is None else (one.offset_m, one.scale, one.reason, one.content_digest) for one in places
-            ]
-            current = unit.geometries.current(serial)
-            records = [*unit.geometries.intervals(serial), *([] if current is None else [current])]
-            found[f"geometries {serial}"] = [
-                (r.baseline, r.interval, r.mileage_km, r.from_ns, r.to_ns, _digest(pack_geometry(r.geometry)))
-                for r in records
-                if r.geometry.windows
-            ]
-            trend = unit.trends.latest(serial)
-            found[f"trend {serial}"] = None if trend is None else (trend.baseline, _digest(pack_value(trend.trend)))
-        found["alerts"] = sorted((a.wheelset or "", a.kind, str(a.severity)) for a in unit.alerts.all_open())
-    return found
-
-
-def _digest(blob: bytes) -> str:
-    return hashlib.sha256(blob).hexdigest()
+@contextmanager
+def _deployment(settings: Settings, registry: Path) -> Iterator[Deployment]:
+    with opened(settings) as (storage, context):
+        yield Deployment(settings, storage, context, registry)
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,91 +208,61 @@ class Corrected:
         return f"round {self.number}: {', '.join(self.wrong)}"
 
 
-def differing(expected: Mapping[str, object], now: Mapping[str, object]) -> tuple[str, ...]:
-    """Return the names of what is derived and not the same."""
-    return tuple(sorted(name for name in expected.keys() | now.keys() if expected.get(name) != now.get(name)))
+def _differing(expected: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
+    return tuple(sorted(name for name in expected if expected[name] != now[name]))
 
 
-def corrected(found: Deployment, number: int, rng: np.random.Generator, expected: Mapping[str, object]) -> Corrected:
-    """Make one mistake, correct it, and return what is not as before.
-
-    Args:
-        number: Of the round, from 0; it decides which mistake.
-        expected: What is derived where it was never made.
-    """
+def _corrected(found: Deployment, number: int, rng: np.random.Generator, expected: Mapping[str, str]) -> Corrected:
+    """Make the mistake of a round, correct it, and return what is not as where it was never made."""
     mistake = MISTAKES[number % len(MISTAKES)]
     with found.storage.write() as unit:
         undo = mistake(unit, rng)
     showed = None
     if rng.random() < FOUND_LATE:
         found.to_rest()
-        showed = bool(differing(expected, derived(found.storage)))
+        showed = bool(_differing(expected, found.derived()))
     with found.storage.write() as unit:
         for step in undo:
             step(unit)
     if mistake not in RESTORED:
         found.load()
     found.to_rest()
-    return Corrected(number, mistake.__name__, showed, differing(expected, derived(found.storage)))
+    return Corrected(number, mistake.__name__, showed, _differing(expected, found.derived()))
 
 
-def rounds(
-    settings: ChaosSettings, numbers: Sequence[int], report: FleetReport, server: PostgresServer | None = None
-) -> Iterator[Corrected]:
-    """Make mistakes one after another; one that leaves something wrong is followed by another deployment.
-
-    Args:
-        server: Where the databases are; without one they are SQLite files.
-    """
-    settings.folder.mkdir()
-    never = settings.folder / "never"
-    reference = deployment(never, _new_database(never, server, "template0"), report)
-    with closing(reference.storage):
-        expected = derived(reference.storage)
-    for number in numbers:
-        if number == numbers[0]:
-            found = _copied(reference, settings.folder / "mistaken-0", server)
-        rng = np.random.default_rng((settings.seed, number))
-        one = corrected(found, number, rng, expected)
-        yield one
-        if one.wrong:
-            found.storage.close()
-            found = _copied(reference, settings.folder / f"mistaken-{number + 1}", server)
-    found.storage.close()
-
-
-def _copied(reference: Deployment, folder: Path, server: PostgresServer | None) -> Deployment:
-    """Return a deployment with the files and the database of another, which is closed."""
-    shutil.copytree(reference.settings.data_dir, folder)
-    return _opened(folder, _new_database(folder, server, "never"), reference.registry, reference.clock.at_ns)
-
-
-def _new_database(folder: Path, server: PostgresServer | None, template: str) -> str:
-    """Return the URL of the database of a folder; on a server it is made from a template."""
-    if server is None:
-        return sqlite_url(folder)
-    names = sql.Identifier(folder.name), sql.Identifier(template)
-    with psycopg.connect(server.url, autocommit=True) as connection:
-        connection.execute(sql.SQL("CREATE DATABASE {} TEMPLATE {}").format(*names))
-    url = sqlalchemy.make_url(server.url).set(drivername="postgresql", database=folder.name)
-    return url.render_as_string(hide_password=False)
+def _rounds(settings: ChaosSettings, numbers: Sequence[int], server: str | None) -> Iterator[Corrected]:
+    """Make mistakes one after another; one that leaves something wrong is followed by another deployment."""
+    home = settings.folder / ("sqlite" if server is None else "postgresql") / "round"
+    scenario = small_fleet(settings.folder, "C", WORN, (2.0, 4.5), 1.5, km_between=30_000.0, seed=23)
+    retention = settings.folder / "retention.toml"
+    retention.write_text(KEPT, encoding="utf-8")
+    load = deployed(settings.folder, scenario, server, workers=1)
+    chosen = load.received.model_copy(update={"window_length_s": WINDOW_S, "retention_file": retention})
+    never = Workload(chosen, load.recordings, server)
+    registry = prepare(scenario, settings.folder / "registry")
+    with _deployment(never.received, registry) as reference:
+        receiver(never.received, reference.storage, reference.context.clock).reassembler.work_off()
+        receive(never.recorded, never.received)
+        reference.to_rest()
+        expected = reference.derived()
+    left = list(numbers)
+    while left:
+        with _deployment(never.copy(home / str(left[0])), registry) as mistaken:
+            while left:
+                number = left.pop(0)
+                found = _corrected(mistaken, number, np.random.default_rng((settings.seed, number)), expected)
+                yield found
+                if found.wrong:
+                    break
 
 
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
-    """Make mistakes, correct them, and compare with a state in which they were never made.
-
-    Args:
-        settings: ``size`` is the number of mistakes, half of them on each database; few are made on SQLite alone.
-    """
-    scenario = settings.folder / "scenario.toml"
-    scenario.write_text(SCENARIO, encoding="utf-8")
-    report = run_fleet(load_scenario(scenario), settings.folder / "recordings", workers=1)
+    """Make mistakes, half on each database or few on SQLite alone; compare with a state without them."""
     half = settings.size if settings.size <= SHORT else settings.size // 2
-    outcomes = list(rounds(replace(settings, folder=settings.folder / "sqlite"), range(half), report))
+    outcomes = list(_rounds(settings, range(half), None))
     if half < settings.size:
-        apart = replace(settings, folder=settings.folder / "postgresql")
         with stoppable_server() as server:
-            outcomes += rounds(apart, range(half, settings.size), report, server)
+            outcomes += _rounds(settings, range(half, settings.size), server.url)
     late = [one for one in outcomes if one.showed is not None]
     silent = [f"round {one.number}, {one.name}" for one in late if not one.showed]
     shown = "; ".join((f"{len(late) - len(silent)} of {len(late)}", *silent))

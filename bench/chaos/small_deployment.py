@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
-import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,16 +16,17 @@ import psycopg
 import sqlalchemy
 from psycopg import sql
 
-from api.factory import SystemClock, open_store, raw_store
-from api.pipeline import receiver
+from api.factory import SystemClock, open_store, process_name, raw_store
+from api.pipeline import job_context, receiver, scheduled_jobs
 from api.settings import Settings
-from estimation.values.runs import JobOutcome
+from bench.chaos.final_state import final_state
+from bench.services import created
+from estimation.jobs.job import run_job
+from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.kept_files import orphaned_recordings
 from fleet_db.migrate import upgrade
-from fleet_db.packed_values import pack_geometry
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import Base
 from ingest.frames import take
 from ingest.logs import write_blf
 from ingest.vehicle_class_schema import shipped_class
@@ -34,11 +34,7 @@ from tests.ingest.vehicle_bus import START_NS, VEHICLE, Run, register
 from tests.postgres_server import SAFE, PostgresServer, stoppable_server
 
 WINDOW_S = 10.0
-STATE = {
-    "chunks": ("digest", "vehicle", "state", "reason_code", "first_ns", "last_ns", "frames"),
-    "windows": ("wheelset", "start_ns", "mileage_km", "track_section", "state", "reason_code", "content_digest"),
-    "window_bin_tables": ("wheelset", "start_ns", "window_digest", "parameter_key", "packed"),
-}
+OF_RECEIVED = ("receipts", "windows", "bin tables", "geometries")
 """What is a function of what was received: not when it was stored, and in which order."""
 
 
@@ -58,9 +54,7 @@ class Databases:
             shutil.copyfile(self.folder / "migrated.sqlite", home / "treadwatch.sqlite")
             url = f"sqlite:///{home / 'treadwatch.sqlite'}"
         else:
-            with psycopg.connect(self.server.url, autocommit=True) as connection:
-                connection.execute(sql.SQL("CREATE DATABASE {} TEMPLATE migrated").format(sql.Identifier(name)))
-            url = _database(self.server.url, name)
+            url = created(self.server.url, name, "migrated", PASSWORD)
         settings = Settings(database_url=url, data_dir=home, window_length_s=WINDOW_S, port=0, _env_file=None)
         with closing(open_store(settings)) as storage, storage.write() as unit:
             register(unit)
@@ -81,28 +75,15 @@ def databases(folder: Path) -> Iterator[Databases]:
     """Yield both databases, for the deployments of a part."""
     upgrade(f"sqlite:///{folder / 'migrated.sqlite'}")
     with stoppable_server(SAFE) as server:
-        with psycopg.connect(server.url, autocommit=True) as connection:
-            connection.execute("CREATE DATABASE migrated")
-        upgrade(_database(server.url, "migrated"))
+        upgrade(created(server.url, "migrated", password=PASSWORD))
         yield Databases(folder, server)
-
-
-def _database(url: str, name: str) -> str:
-    """Return the URL of a database of a server; with a password, which must be in no log."""
-    parsed = sqlalchemy.make_url(url).set(drivername="postgresql", database=name, password=PASSWORD)
-    return parsed.render_as_string(hide_password=False)
 
 
 PASSWORD = "not-for-the-log-4711"  # noqa: S105 - the server trusts everybody; it is looked for in the logs
 
 
 def recordings(folder: Path, cuts: Sequence[float], seconds: float, start_ns: int = START_NS) -> list[Path]:
-    """Write one journey of the vehicle as recordings that follow each other.
-
-    Args:
-        cuts: Where it is cut, as shares of its frames.
-        start_ns: When it begins, ns UTC.
-    """
+    """Write one journey of the vehicle as recordings that follow each other; cuts are shares of its frames."""
     frames = Run(seconds=seconds, start_ns=start_ns).frames()
     edges = [0, *sorted(round(cut * len(frames)) for cut in cuts), len(frames)]
     folder.mkdir(parents=True, exist_ok=True)
@@ -148,22 +129,9 @@ def wait_for(pids: Sequence[int]) -> list[int]:
 
 
 def state(storage: SqlStorage) -> dict[str, str]:
-    """Return digests of receipts, windows, bin tables, and the present geometries."""
-    found = {}
-    with storage.read() as unit:
-        for name, columns in STATE.items():
-            table = Base.metadata.tables[name]
-            chosen = sqlalchemy.select(*(table.c[column] for column in columns))
-            rows = sorted(repr(tuple(row)) for row in unit.connection.execute(chosen))
-            found[name] = _digest("\n".join(rows).encode())
-        current = [unit.geometries.current(f"WS-{axle}") for axle in (1, 2)]
-        packed = [b"" if record is None else pack_geometry(record.geometry) for record in current]
-        found["geometries"] = _digest(b"\n".join(packed))
-    return found
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:12]
+    """Return digests of receipts, windows, bin tables, and geometries."""
+    found = final_state(storage)
+    return {name: found[name] for name in OF_RECEIVED}
 
 
 def faults(settings: Settings, storage: SqlStorage) -> list[str]:
@@ -182,11 +150,36 @@ def faults(settings: Settings, storage: SqlStorage) -> list[str]:
     return wrong + ["a run without an end"] * sum(run.outcome is JobOutcome.RUNNING for run in runs)
 
 
-def until(reached: Callable[[], bool], seconds: float) -> float | None:
-    """Wait until something is so; return how long it took, s, or None."""
-    begin = time.monotonic()
-    while not reached():
-        if time.monotonic() - begin > seconds:
-            return None
-        time.sleep(0.02)
-    return time.monotonic() - begin
+def compared(
+    both: Databases, broken: Settings, alone: Settings, paths: Sequence[Path], *, keep: bool = False
+) -> list[str]:
+    """Bring both to rest; return what differs, and what is wrong with the broken one in itself; both are removed."""
+    log = both.folder / "end.log"
+    ends = [wait_for([fork(partial(_to_the_end, deployment, paths), log)]) for deployment in (broken, alone)]
+    wrong = ["the end was not reached"] * sum(codes != [0] for codes in ends)
+    with closing(open_store(broken)) as first, closing(open_store(alone)) as second:
+        was, should = state(first), state(second)
+        wrong += [name for name in was if was[name] != should[name]] + faults(broken, first)
+    for deployment in () if keep else (broken, alone):
+        both.drop(deployment)
+    return wrong
+
+
+def _to_the_end(settings: Settings, paths: Sequence[Path]) -> None:
+    ingest(settings, paths)
+    estimate(settings)
+
+
+def estimate(settings: Settings) -> None:
+    """Run the jobs once, as ``treadwatch estimate`` does."""
+    with closing(open_store(settings)) as storage:
+        context = job_context(settings, storage)
+        with storage.owned(JobTrigger.CLI, process_name(), context.lease_s) as owned:
+            for job in scheduled_jobs(settings):
+                run_job(job, job_context(settings, owned), JobTrigger.CLI)
+
+
+def newest_run(settings: Settings) -> int:
+    """Return the number of the newest run of a job."""
+    with closing(open_store(settings)) as storage, storage.read() as unit:
+        return max((run.run_id for run in unit.jobs.page(None, None, 1)), default=0)

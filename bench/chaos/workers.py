@@ -2,27 +2,173 @@
 
 from __future__ import annotations
 
+import os
 import random
 import shutil
 import signal
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import closing
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
-from api.comparison.trial import Recorded, receive
+from sqlalchemy import text
+
+from api.comparison.trial import Recorded, opened, receive
 from api.factory import open_store, raw_store
 from api.pipeline import job_context
-from bench.chaos.part import ChaosSettings
+from bench.chaos.final_state import come_to_rest, compared_state
+from bench.chaos.run import ChaosSettings
 from bench.chaos.small_deployment import PASSWORD
-from bench.chaos.worker_faults import HERE, ON_DASK, ON_SERVER, Strike
-from bench.chaos.worker_fleet import WorkerFleet, come_to_rest, compared_state, stored_twice, worker_fleet
-from bench.chaos.worker_services import DASK_WORKERS, PROCESSES, services
+from bench.chaos.worker_services import DASK_WORKERS, LEASE_S, PROCESSES, Cut, Services, services
 from bench.report import BenchRow
+from bench.small_fleets import FOUR_AXLES, Workload, cars, deployed, small_fleet
 from fleet_db.keeping.checks import check_deep
 from fleet_db.storage import SqlStorage
 from tests.postgres_server import SAFE, stoppable_server
+
+WINDOW_S = 10.0
+STORED = "chaos_stored_tables"
+NOTED = (
+    "NEW.wheelset || '@' || NEW.start_ns || ' ' || NEW.window_digest || ' ' || NEW.parameter_key || ' ' ||"
+    " COALESCE(NEW.track_version, 0) || ' ' || NEW.content_digest"
+)
+NOTE = f"INSERT INTO {STORED} VALUES ({NOTED});"  # noqa: S608 - our own words
+TRIGGER = f"CREATE TRIGGER {STORED}_noted BEFORE INSERT ON window_bin_tables"
+FUNCTION = f"CREATE FUNCTION {STORED}_note() RETURNS trigger LANGUAGE plpgsql"
+COUNTED = {
+    "sqlite": (f"{TRIGGER} BEGIN {NOTE} END",),
+    "postgresql": (
+        f"{FUNCTION} AS $$ BEGIN {NOTE} RETURN NEW; END $$",
+        f"{TRIGGER} FOR EACH ROW EXECUTE FUNCTION {STORED}_note()",
+    ),
+}
+"""Notes each table that is stored in the same transaction; also where the same one is there already."""
+TIMES = f"SELECT COUNT(*) AS times FROM {STORED} GROUP BY what"  # noqa: S608 - the same
+DOUBLED = f"SELECT COALESCE(SUM(times - 1), 0) FROM ({TIMES}) AS each_one"  # noqa: S608 - the same
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerFleet:
+    """Recordings by time, a deployment that has received none of them, and what they come to undisturbed."""
+
+    load: Workload
+    undisturbed: Mapping[str, str]
+
+
+def worker_fleet(folder: Path, vehicles: int, campaigns: int, server: str | None = None) -> WorkerFleet:
+    """Return the fleet, with what one process makes of its recordings when nobody disturbs it.
+
+    The server is PostgreSQL's; None for SQLite.
+    """
+    scenario = small_fleet(
+        folder, "W", cars(vehicles, wear=0.8), FOUR_AXLES, 2.0, campaigns=campaigns, surveyed=False, seed=11,
+        km_between=20_000.0, position_m=3.0,
+    )  # fmt: skip
+    load = deployed(folder, scenario, server, PASSWORD, workers=1)
+    load = replace(load, received=load.received.model_copy(update={"window_length_s": WINDOW_S}))
+    with closing(open_store(load.received)) as storage, storage.write() as unit:
+        unit.connection.execute(text(f"CREATE TABLE {STORED} (what TEXT NOT NULL)"))
+        for statement in COUNTED[unit.connection.dialect.name]:
+            unit.connection.execute(text(statement))
+    alone = load.copy(load.received.data_dir.parent / "undisturbed")
+    receive(load.recorded, alone)
+    with opened(alone) as (storage, context):
+        _, rest = come_to_rest(storage, context)
+        assert rest
+        return WorkerFleet(load, compared_state(storage))
+
+
+def stored_twice(storage: SqlStorage) -> int:
+    """Return how many tables of windows were stored although the same one had been."""
+    with storage.read() as unit:
+        return int(unit.connection.execute(text(DOUBLED)).scalar_one())
+
+
+Strike = Callable[[Services, int, random.Random], bool]
+"""Does harm to a process that is at work, or to others while it is, and mends it; returns whether it was any."""
+LONGEST_DELAY_S = 0.3
+"""Between the moment at which somebody is seen at work, and the harm, s."""
+
+
+def killed(_services: Services, pid: int, _rng: random.Random) -> bool:
+    """Kill a worker."""
+    return _signal([pid], signal.SIGKILL)
+
+
+def stood_still(_services: Services, pid: int, rng: random.Random) -> bool:
+    """Stop a worker for longer than its lease, and wake it."""
+    _signal([pid], signal.SIGSTOP)
+    time.sleep(LEASE_S * rng.uniform(1.2, 2.5))
+    return _signal([pid], signal.SIGCONT)
+
+
+def all_stood_still(services: Services, _pid: int, rng: random.Random) -> bool:
+    """Stop the scheduler with all its workers for longer than their leases, as a machine that is suspended."""
+    family = services.family()
+    _signal(family, signal.SIGSTOP)
+    time.sleep(LEASE_S * rng.uniform(1.2, 2.5))
+    return _signal(rng.sample(family, len(family)), signal.SIGCONT)
+
+
+def refused(services: Services, pid: int, rng: random.Random) -> bool:
+    """Close the connections of a worker to the database and refuse new ones."""
+    return _cut_off(services, pid, rng, Cut.CLOSED)
+
+
+def unreachable(services: Services, pid: int, rng: random.Random) -> bool:
+    """Let nothing through between a worker and the database; what was sent arrives when the link is mended."""
+    return _cut_off(services, pid, rng, Cut.SILENT)
+
+
+def scheduler_killed(services: Services, _pid: int, rng: random.Random) -> bool:
+    """Kill the process that hands out the work, and start it again."""
+    services.end_scheduler(signal.SIGKILL)
+    time.sleep(rng.uniform(0.0, LEASE_S))
+    services.start_scheduler()
+    return True
+
+
+def dask_scheduler_killed(services: Services, _pid: int, rng: random.Random) -> bool:
+    """Kill the scheduler of Dask, and start it again."""
+    assert services.cluster is not None
+    services.cluster.kill("scheduler")
+    time.sleep(rng.uniform(0.0, 2.0 * LEASE_S))
+    services.cluster.start_scheduler()
+    return True
+
+
+HERE: Sequence[Strike] = (killed, stood_still, all_stood_still, scheduler_killed)
+"""On one machine, whatever the database."""
+ON_SERVER: Sequence[Strike] = (*HERE, refused, unreachable)
+"""With a database that a worker can be cut off from."""
+ON_DASK: Sequence[Strike] = (killed, stood_still, refused, unreachable, scheduler_killed, dask_scheduler_killed)
+
+
+def _strike(strike: Strike, services: Services, rng: random.Random) -> bool:
+    """Strike after a drawn delay where somebody is at work; return whether somebody was harmed."""
+    at_work = services.at_work()
+    if not at_work:
+        return False
+    time.sleep(rng.uniform(0.0, LONGEST_DELAY_S))
+    return strike(services, rng.choice(at_work), rng)
+
+
+def _cut_off(services: Services, pid: int, rng: random.Random, how: Cut) -> bool:
+    assert services.link is not None
+    had = services.link.cut_off(pid, how)
+    time.sleep(rng.uniform(0.5, 3.0 * LEASE_S))
+    services.link.restore(pid)
+    return had > 0
+
+
+def _signal(pids: Sequence[int], number: signal.Signals) -> bool:
+    for pid in pids:
+        with suppress(ProcessLookupError):  # it has ended by itself, or was replaced
+            os.kill(pid, number)
+    return True
+
 
 VEHICLES, CAMPAIGNS = 2, 4
 AT_REST_S = 300.0
@@ -57,8 +203,7 @@ class _Tally:
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Yield for each kind of workers what faults did to their results.
 
-    Args:
-        settings: ``size`` is the number of faults, of all kinds of workers together.
+    ``size`` is the number of faults, of all kinds of workers together.
     """
     rng = random.Random(settings.seed)  # noqa: S311 - drawn moments, not secrets
     short = settings.size <= SHORT
@@ -104,13 +249,13 @@ def _harmed(half: _Half, settings: ChaosSettings, rng: random.Random, faults: in
 def _round(half: _Half, settings: ChaosSettings, rng: random.Random, tally: _Tally, order: list[Strike]) -> None:
     """Let recordings come in, with a fault after each, and compare the state at rest; faults done leave ``order``."""
     folder = settings.folder / "round"
-    deployed = half.fleet.copy(folder)
+    deployed = half.fleet.load.copy(folder)
     undisturbed = half.fleet.undisturbed
     with closing(open_store(deployed)) as storage:
         with services(storage, deployed, folder, dask=half.dask) as running:
-            for recording in half.fleet.recordings:
+            for recording in half.fleet.load.recordings:
                 receive(Recorded((recording,), recording[1]), deployed)
-                if order and order[-1](running, rng):
+                if order and _strike(order[-1], running, rng):
                     tally.faults[order.pop().__name__] += 1
             begin_s = time.monotonic()
             while compared_state(storage) != undisturbed and time.monotonic() - begin_s < AT_REST_S:
@@ -119,7 +264,8 @@ def _round(half: _Half, settings: ChaosSettings, rng: random.Random, tally: _Tal
             tally.rest_s.append(time.monotonic() - begin_s)
             running.end_scheduler(signal.SIGTERM)
             tally.leaked += running.said().count(PASSWORD)
-        come_to_rest(storage, job_context(deployed, storage))
+        _, rest = come_to_rest(storage, job_context(deployed, storage))
+        tally.wrong += [] if rest else ["no rest"]
         state = compared_state(storage)
         tally.states.add(tuple(sorted(state.items())))
         tally.wrong += [name for name in state if state[name] != undisturbed[name]]

@@ -27,8 +27,12 @@ from estimation.values.units import DAY_NS
 
 DELAYS = "delays"
 RUN_FROM = "run_from_km"  # among them: mileage of the first of the findings on end that are counted
-
-
+EVERY_KILOMETRE = (
+    DELAYS,
+    "distance_to_limit_km",
+    "date_of_limit_ns",
+    "probability_over_limit",
+)  # change, which is no news
 SEVERITY_RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
 
@@ -203,7 +207,7 @@ def _changed(before: Alert, after: Alert, events: tuple[AlertEventKind, ...]) ->
 
 def _material(alert: Alert) -> tuple[object, ...]:
     band = None if alert.probability is None else bisect_right(OF_FINDINGS.probability_bands, alert.probability)
-    evidence = {key: value for key, value in alert.evidence.items() if key != DELAYS}
+    evidence = {key: value for key, value in alert.evidence.items() if key not in EVERY_KILOMETRE}
     limits = (alert.raise_limit, alert.clear_limit)
     return alert.severity, alert.condition, band, evidence, alert.action, limits, alert.acknowledged_by
 

@@ -15,10 +15,6 @@ class FindingParameters:
     same_side: float = 0.8  # of the windows that show a side
     inside: float = 1.0e-3  # m: the reference
     outside: tuple[float, float] = (2.0e-3, 3.5e-3)  # m: what is compared with it
-    # conicity limit
-    last_points: int = 2  # of a trend: one alone may be an outlier
-    # least probability at 3 mm with which a conicity over the limit at a smaller amplitude is over it
-    not_below: float = 0.6
     # life cycle
     probability_bands: tuple[float, ...] = (0.05, 0.5, 0.8, 0.95, 0.99)
     # trend
@@ -33,7 +29,6 @@ class FindingParameters:
     alone: float = 0.3  # chance that a sensor's fault is one of a single wheelset's
     least_density: float = 1e-6
     half_step: float = 0.125e-3  # m: amplitudes nearer to each other are the same
-    probably_over: float = 0.5
     # identity
     same_size: float = 0.25  # of the step, by which the size may differ but for its sign
     common: float = 2.0  # published standard deviations besides, of what all intervals have in common

@@ -24,7 +24,7 @@ from estimation.alerts.rules.running_gear import LowAdhesionRule, SuspensionChan
 from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.assumptions import identity_change
-from estimation.jobs.steps.wheelset_facts import hunted_beside, windows_wanted
+from estimation.jobs.steps.wheelset_facts import hunted_beside, newest_mileage, windows_wanted
 from estimation.jobs.steps.window_creep import friction_parameters, pool_ends, pooled_ns
 from estimation.storage import UnitOfWork
 from estimation.trend.trend import TrendParameters, behind_step
@@ -172,12 +172,14 @@ def _facts(
         trend = TrendRecord(wheelset.serial, own[-1].baseline, fitted, "", "", at_ns)
         conicities = behind_step(conicities, fitted.step)
         own = [one for one in own if fitted.step is None or one.from_ns >= fitted.step.after_ns]
+    windows = _windows(history, mounting.from_ns, at_ns, book)
     return WheelsetFacts(
         wheelset=wheelset,
         vehicle=vehicle,
         geometry=geometry,
         trend=trend,
-        windows=_windows(history, mounting.from_ns, at_ns, book),
+        windows=windows,
+        mileage=newest_mileage(windows),
         intervals=[one for one in own if one.to_ns > mounting.from_ns],
         conicities=[one for one in conicities if one.to_ns > mounting.from_ns],
         open_alerts=[one for one in history.raised if one.kind == IDENTITY and _open_at(one, at_ns)],

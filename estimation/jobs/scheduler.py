@@ -8,12 +8,10 @@ and none is ever dropped for being late.
 from __future__ import annotations
 
 import logging
-import os
-import signal
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from threading import Event, Thread
+from threading import Event
 
 from apscheduler.events import (
     EVENT_JOB_ERROR,
@@ -38,7 +36,6 @@ CHECK_S = 1.0
 STEP_NS = 30_000_000_000
 """Between two looks the clock may go so much more or less than :data:`CHECK_S`; beyond it somebody has set it."""
 
-STOPPING = (signal.SIGTERM, signal.SIGINT)
 LONGEST_LEASE_S = 45.0
 """The place of a scheduler is free so long after its machine is lost, at most: another has it within a minute."""
 
@@ -54,7 +51,7 @@ def serve_jobs(
     """Run the jobs on their schedules until ``stop_event`` is set; a job that is running then ends at its next batch.
 
     Args:
-        stop_event: Set by whoever ends the service, see :func:`estimation.jobs.scheduler.stop_on_signals`.
+        stop_event: Set by whoever ends the service, as SIGTERM does.
         holder: Name that the refusal of a second scheduler contains, such as host and process number.
         wait: Stand by while another scheduler is at work, and take its place when it has ended.
 
@@ -167,23 +164,3 @@ def _report(event: JobEvent) -> None:
         _log.warning("a run of job %s was missed", event.job_id)
     else:
         _log.info("job %s is still running; its next run waits", event.job_id)
-
-
-def stop_on_signals(stop_event: Event) -> None:
-    """Set ``stop_event`` on SIGTERM and SIGINT; for the main thread of a service.
-
-    Python runs a handler in the main thread, and not before this goes on: a signal that comes just before it waits, or
-    to another thread, would be seen when the wait is over. So a thread of its own reads what C writes at once.
-    """
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
-
-    def stop() -> None:
-        while os.read(reading, 1)[0] not in STOPPING:
-            continue
-        stop_event.set()
-
-    Thread(target=stop, name="stopping", daemon=True).start()
-    for number in STOPPING:
-        signal.signal(number, lambda *_: None)
-    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)

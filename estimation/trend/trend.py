@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import ndtr
 
 from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, by_amplitude
+from estimation.trend.now import QUANTILES, probability_above
 from estimation.trend.wear_curve import POINTS_FOR_OUTLIERS, WearCurve, fit_wear_curve
+from estimation.values.alerts import NO_FORECAST
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.geometry import IntervalConicities, KnownConicity
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
@@ -50,7 +51,6 @@ def _scatter(value: FloatArray, std: FloatArray, params: TrendParameters) -> Flo
 
 
 ONE_DATE = Reason(ReasonCode.SINGLE_DATE, "all points have one date")
-NO_FORECAST = Forecast(None, None, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,32 +200,7 @@ def _estimated(
 
 
 def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:
-    return Forecast(*(curve.reaches(limit, probability, horizon) for probability in (0.1, 0.5, 0.9)))
-
-
-def probability_above(estimate: Estimate, limit: float) -> float | None:
-    """Return the probability that the true value is above ``limit``; None where nothing is estimated."""
-    # the value is taken as normal with its standard deviation
-    if estimate.value is None or estimate.std is None:
-        return None
-    if estimate.std <= 0.0:
-        return float(estimate.value > limit)
-    return float(ndtr((estimate.value - limit) / estimate.std))
-
-
-def probability_within(trend: WearTrend, distance_km: float) -> float | None:
-    """Return the probability that the limit is reached within a distance from the last point; None where not known."""
-    # Interpolated between the published quantiles, so that a reader of the trend can repeat it; beyond the last known
-    # quantile it stays at that quantile's probability.
-    if trend.status is not Status.ESTIMATED or trend.probability_over_limit is None:
-        return None
-    ahead = trend.distance_to_limit_km
-    distances, probabilities = [0.0], [trend.probability_over_limit]
-    for probability, distance in ((0.1, ahead.p10), (0.5, ahead.p50), (0.9, ahead.p90)):
-        if distance is not None and distance > distances[-1]:
-            distances.append(distance)
-            probabilities.append(max(probability, trend.probability_over_limit))
-    return float(np.interp(distance_km, distances, probabilities))
+    return Forecast(*(curve.reaches(limit, probability, horizon) for probability in QUANTILES.values()))
 
 
 ENOUGH_BEHIND = POINTS_FOR_OUTLIERS  # points among which a trend finds an outlier; with fewer it says so

@@ -14,7 +14,7 @@ from typing import Annotated
 
 from estimation.values.fields import JsonValue, Served
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.reasons import MeaningEnum, Reason, code_of, text_of
+from estimation.values.reasons import MeaningEnum, Reason, ReasonCode, code_of, text_of
 from estimation.values.registry import WheelsetRecord
 from estimation.values.units import SECOND_NS
 
@@ -168,12 +168,13 @@ class Transition:
 class Urgency(MeaningEnum):
     """How soon somebody has to look at a wheelset, the most urgent first; ``meaning`` is what puts it there."""
 
-    OVER_LIMIT = "The conicity limit is exceeded, or was when that could be assessed last."
+    OVER_LIMIT = "The conicity limit is exceeded (probability of 0.9 or more), or was when that could be assessed last."
+    PROBABLY_OVER = "The limit is exceeded with a probability of 0.5 or more, or the alert on it is not cleared yet."
     CRITICAL_ALERT = "A critical alert of another kind is open, hunting for one."
     DUE = "The limit may be reached within 30,000 km (p10), or the alert on its forecast is open."
-    WARNING_ALERT = "A warning of another kind is open."
+    WATCH = "A warning of another kind is open."
     UNKNOWN = "No number of it can be trusted; the reason says why."
-    NOT_DUE = "The limit is further away, and no alert is open."
+    FINE = "The limit is further away, or the whole interval of its conicity is below it; no warning is open."
     NOT_MOUNTED = "It runs under no vehicle."
 
     @property
@@ -218,27 +219,71 @@ class MileageNow:
     at_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class WorklistState:
-    """How a wheelset is now."""
+NO_FORECAST = Forecast(None, None, None)
 
-    status: Annotated[Status, Served("Of the conicity now.")]
+
+@dataclass(frozen=True, slots=True)
+class LimitNow:
+    """What is believed of a wheelset and its conicity limit as of its newest believed mileage."""
+
     conicity: Annotated[Estimate, Served("Equivalent conicity at 3 mm of the current profile.", "conicity_1")]
-    measured_until_ns: Annotated[int | None, Served("End of the newest data behind the conicity.", "measured_until")]
     slope_per_1000_km: Annotated[Estimate, Served("Of the trend since the last reprofiling.", "slope_1_per_1000_km")]
-    limit: Annotated[float | None, Served("Conicity limit that the trend is held against.", "limit_1")]
+    limit: Annotated[float | None, Served("Conicity limit by class and speed of its vehicle.", "limit_1")]
     probability_over_limit: Annotated[
-        float | None, Served("That the limit is exceeded; null means unknown.", "probability_over_limit_1")
+        float | None,
+        Served("That the limit is exceeded at `mileage_km`; null means unknown.", "probability_over_limit_1"),
     ]
     distance_to_limit_km: Forecast
     since_trend_km: Annotated[float | None, Served("Run since the last point of the trend.")]
     date_of_limit_ns: Forecast  # quantiles of the date
     forecast_reason: Reason | None  # why a quantile is missing; None where none is
     mileage: MileageNow | None
+
+    @property
+    def below_limit(self) -> bool:
+        """Whether the whole 95 % interval of the conicity is below the limit."""
+        known = self.conicity.status is Status.ESTIMATED and self.conicity.high is not None and self.limit is not None
+        return known and self.conicity.high < self.limit  # type: ignore[operator]  # both are known
+
+
+OVER = frozenset({Urgency.OVER_LIMIT, Urgency.PROBABLY_OVER})
+FAR_KM = 1e9  # stands for a distance that is not known, behind all that are
+BAND_KM = 1e10  # from one class of urgency to the next
+
+
+@dataclass(frozen=True, slots=True)
+class WorklistState(LimitNow):
+    """How a wheelset is now."""
+
+    status: Annotated[Status, Served("Of the conicity now.")]
+    measured_until_ns: Annotated[int | None, Served("End of the newest data behind the conicity.", "measured_until")]
     last_data_ns: Annotated[int | None, Served("End of the newest data that are estimated or wait for it.")]
     alerts: Annotated[tuple[OpenAlert, ...], Served("Open alerts, the worst first.")]
     urgency: Urgency
     reasons: tuple[Reason, ...]  # why, the most important one first
+
+    @property
+    def urgency_key(self) -> float:
+        """What orders wheelsets by urgency, the most urgent first."""
+        # within a class the limit that may be reached first (p10) comes first; over it, the most certain one
+        within = FAR_KM if self.distance_to_limit_km.p10 is None else self.distance_to_limit_km.p10
+        if self.urgency in OVER:
+            within = 1.0 - (self.probability_over_limit or 0.0)
+        return self.urgency.rank * BAND_KM + min(within, FAR_KM)
+
+    @property
+    def distance_key(self) -> float | None:
+        """What orders wheelsets by the median of their distance to the limit; None where it is not known.
+
+        A median beyond the horizon comes behind all others, those first whose limit may be reached within it (p10).
+        """
+        p10, p50 = self.distance_to_limit_km.p10, self.distance_to_limit_km.p50
+        if p50 is not None:
+            return p50
+        if p10 is not None:
+            return FAR_KM + p10
+        beyond = self.forecast_reason is not None and self.forecast_reason.code is ReasonCode.BEYOND_HORIZON
+        return 2.0 * FAR_KM if beyond else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,6 +296,7 @@ class WorklistRow:
     state: WorklistState
 
 
+SHOWN_DIGITS = 6  # of what other faces show as well: more than any of them prints, so that all round alike
 MOST_NS = 2.0**63 - SECOND_NS  # so that the rounded time is within 64 bits
 
 
@@ -303,10 +349,12 @@ def number_evidence(value: float | None, digits: int = 4) -> float | None:
 def estimate_evidence(value: Estimate) -> dict[str, JsonValue]:
     """Return an estimate with its interval and status, as the API writes it."""
     return {
-        "value": number_evidence(value.value),
-        "std": number_evidence(value.std, 3),
-        "interval_95": None if value.low is None else [number_evidence(value.low), number_evidence(value.high)],
-        "n_windows": number_evidence(value.count),
+        "value": number_evidence(value.value, SHOWN_DIGITS),
+        "std": number_evidence(value.std, SHOWN_DIGITS),
+        "interval_95": None
+        if value.low is None
+        else [number_evidence(e, SHOWN_DIGITS) for e in (value.low, value.high)],
+        "n_windows": number_evidence(value.count, SHOWN_DIGITS),
         "status": str(value.status),
         "reason": text_of(value.reason),
         "reason_code": code_of(value.reason),
@@ -318,7 +366,7 @@ def unknown_evidence(reason: Reason | None) -> dict[str, JsonValue]:
     return {"unknown_because": text_of(reason), "unknown_because_code": code_of(reason)}
 
 
-def forecast_evidence(value: Forecast, digits: int = 3) -> dict[str, JsonValue]:
+def forecast_evidence(value: Forecast, digits: int = SHOWN_DIGITS) -> dict[str, JsonValue]:
     """Return the quantiles of a forecast."""
     return {name: number_evidence(getattr(value, name), digits) for name in ("p10", "p50", "p90")}
 

@@ -213,7 +213,7 @@ class ReasonCode(MeaningEnum):
     SENSOR_FAULTY = "The sensor is faulty according to the sensor fault rule."
     IDENTITY_DOUBTFUL = "The wheelset is not the recorded one, or is mounted the other way round."
     # worklist
-    LIMIT_EXCEEDED = "The conicity limit is exceeded. Turn the wheelset, or measure its profiles."
+    LIMIT_EXCEEDED = "The conicity limit is exceeded, or probably is. Turn the wheelset, or measure its profiles."
     LIMIT_AHEAD = "The conicity limit is forecast to be reached."
     ALERT_OPEN = "An alert of the wheelset is open."
     NOT_MOUNTED = "The wheelset runs under no vehicle."

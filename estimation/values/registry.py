@@ -44,9 +44,7 @@ class VehicleRecord:
         Code, Served("Code of its class; while that is not on file the vehicle is not estimated.", example="coach")
     ]
     axles: Annotated[Axle, Served(example=4)]
-    max_speed_m_s: Annotated[
-        float, Interval(ge=1.0, le=600.0), SPEED_IN_FILES, Key("max_speed_km_h"), Served(example=44.4)
-    ]
+    max_speed_m_s: Annotated[float, Interval(ge=1.0, le=600.0), SPEED_IN_FILES, Key("max_speed_km_h")]
     axle_offsets_m: Annotated[
         tuple[Annotated[float, Interval(ge=-FARTHEST_M, le=FARTHEST_M)], ...],
         Served(

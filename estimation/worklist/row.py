@@ -7,124 +7,114 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 from estimation.alerts.rule_book import ALERT_RULES
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.alerts.rules.trend import LimitForecastRule
-from estimation.trend.extrapolation import conicity_at_limit_amplitude
+from estimation.trend.now import BEYOND, SCALE, limit_now
 from estimation.values.alerts import (
     AxlePosition,
     BogiePlace,
     Condition,
+    LimitNow,
     OpenAlert,
     Severity,
     Urgency,
     WorklistRow,
     WorklistState,
 )
+from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.reasons import Reason, ReasonCode, code_of, utc_text
+from estimation.values.reasons import Reason, ReasonCode, utc_text
 from estimation.values.runs import JobOutcome, JobRun, Quarantined
 from estimation.values.track import AlignmentRecord, AlignmentSource
-from estimation.values.trend import TrendRecord
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
 from estimation.worklist.stored import WorklistInputs
 
-
-@dataclass(frozen=True, slots=True)
-class WorklistParameters:
-    """When a wheelset is due."""
-
-    # A wheelset is due where the limit is reached within this distance with a probability of 10 %. It is the distance
-    # beyond which the shipped rule on the forecast lets its alert go.
-    due_within_km: float = 30_000.0
-    more_likely_than_not: float = 0.5
-
-
-OF_WORKLIST = WorklistParameters()
-
-
 TURN = "turn the wheelset, or measure its profiles"
-FAR_KM = 1e9  # stands for a distance that is not known, behind all that are
-BAND_KM = 1e10  # from one class of urgency to the next
 ADVICE = {rule.kind: rule.advice for rule in ALERT_RULES if rule.advice}
 HIDING = {rule.kind: rule.hides_wear for rule in ALERT_RULES if rule.hides_wear is not None}
-NOWHERE = Forecast(None, None, None)
-URGENCY_OF = {Severity.CRITICAL: Urgency.CRITICAL_ALERT, Severity.WARNING: Urgency.WARNING_ALERT}
+URGENCY_OF = {Severity.CRITICAL: Urgency.CRITICAL_ALERT, Severity.WARNING: Urgency.WATCH}
 OF_LIMIT = (ConicityLimitRule.kind, LimitForecastRule.kind)
-
-
-@dataclass(frozen=True, slots=True)
-class Ahead:
-    """What is known of the limit: quantiles of the distance, whether it is exceeded, and what is missing."""
-
-    distance_km: Forecast
-    probability_over_limit: float | None
-    reason: Reason | None
-    date_ns: Forecast = NOWHERE
-    since_trend_km: float | None = None  # run since the last point of the trend
-
-    @property
-    def known(self) -> bool:
-        """Whether anything is known: that the limit is beyond the horizon is."""
-        return self.reason is None or self.reason.code is ReasonCode.BEYOND_HORIZON
+EXCEEDED = {Urgency.OVER_LIMIT: "limit exceeded", Urgency.PROBABLY_OVER: "limit probably exceeded"}
+_Why = tuple[Urgency, Reason]
 
 
 def judged(
-    *, mounted: bool, ahead: Ahead, alerts: Sequence[OpenAlert], last_ns: int | None, refused: bool = False
+    *, mounted: bool, now: LimitNow, alerts: Sequence[OpenAlert], last_ns: int | None, refused: bool = False
 ) -> tuple[Urgency, tuple[Reason, ...]]:
     """Return how urgent a wheelset is, and why."""
     standing = [alert for alert in alerts if alert.condition in {Condition.ACTIVE, Condition.UNKNOWN}]
-    found: list[tuple[Urgency, Reason]] = []
-    if not mounted:
-        found.append((Urgency.NOT_MOUNTED, Reason(ReasonCode.NOT_MOUNTED, "runs under no vehicle")))
-    found += _of_limit(ahead, [alert for alert in standing if alert.kind in OF_LIMIT])
-    found += [_of_alert(alert, last_ns, refused=refused) for alert in standing if alert.kind not in OF_LIMIT]
-    exceeded = any(one.kind == ConicityLimitRule.kind and one.condition is Condition.ACTIVE for one in standing)
-    if not ahead.known and ahead.reason is not None and not exceeded:
-        found.append((Urgency.UNKNOWN, ahead.reason))
-    if not mounted:
-        return Urgency.NOT_MOUNTED, tuple(reason for _, reason in found)
-    ordered = sorted(found, key=lambda pair: pair[0].rank)
-    return ordered[0][0], tuple(reason for _, reason in ordered)
+    of_limit = {alert.kind: alert for alert in standing if alert.kind in OF_LIMIT}
+    exceeded, not_known = of_limit.get(ConicityLimitRule.kind), _why_not_known(now)
+    why = _of_limit(now, exceeded, of_limit.get(LimitForecastRule.kind), not_known)
+    why += [_of_alert(alert, last_ns, refused=refused) for alert in standing if alert.kind not in OF_LIMIT]
+    if not_known is not None and (exceeded is None or exceeded.condition is not Condition.ACTIVE):
+        why.append(_of_conicity(now, not_known))
+    why.sort(key=lambda pair: pair[0].rank)
+    if mounted:
+        return why[0][0], tuple(reason for _, reason in why)
+    nowhere = Reason(ReasonCode.NOT_MOUNTED, "runs under no vehicle")
+    return Urgency.NOT_MOUNTED, (nowhere, *(reason for _, reason in why))
 
 
-def _of_limit(ahead: Ahead, alerts: Sequence[OpenAlert]) -> list[tuple[Urgency, Reason]]:
-    exceeded = next((alert for alert in alerts if alert.kind == ConicityLimitRule.kind), None)
-    forecast = next((alert for alert in alerts if alert.kind == LimitForecastRule.kind), None)
-    probability, distance = ahead.probability_over_limit, ahead.distance_km
-    if exceeded is not None or (probability is not None and probability >= OF_WORKLIST.more_likely_than_not):
-        return [(Urgency.OVER_LIMIT, Reason(ReasonCode.LIMIT_EXCEEDED, _exceeded(exceeded, probability)))]
-    if forecast is not None or (distance.p10 is not None and distance.p10 <= OF_WORKLIST.due_within_km):
-        text = _due(distance) if ahead.known else "the limit was forecast near when it could be assessed last"
+def _why_not_known(now: LimitNow) -> Reason | None:
+    """Return why nothing is forecast; None where something is: that the limit is beyond the horizon is."""
+    reason = now.forecast_reason
+    return None if reason is None or reason.code is ReasonCode.BEYOND_HORIZON else reason
+
+
+def _of_limit(
+    now: LimitNow, exceeded: OpenAlert | None, forecast: OpenAlert | None, not_known: Reason | None
+) -> list[_Why]:
+    """Return how urgent the limit makes a wheelset, by what is believed now and the open alerts on the limit."""
+    over, distance = SCALE.over(now.probability_over_limit), now.distance_to_limit_km
+    if over is not None or exceeded is not None:
+        return [_exceeded(over, exceeded, now.probability_over_limit)]
+    if forecast is not None or SCALE.due(distance):
+        text = _due(distance) if not_known is None else "the limit was forecast near when it could be assessed last"
         return [(Urgency.DUE, Reason(ReasonCode.LIMIT_AHEAD, text))]
-    if not ahead.known:
+    if not_known is not None:
         return []
     if distance.p10 is None:
-        return [(Urgency.NOT_DUE, ahead.reason or Reason(ReasonCode.BEYOND_HORIZON, "not within the horizon"))]
-    return [(Urgency.NOT_DUE, Reason(ReasonCode.LIMIT_AHEAD, _due(distance)))]
+        return [(Urgency.FINE, now.forecast_reason or BEYOND)]
+    return [(Urgency.FINE, Reason(ReasonCode.LIMIT_AHEAD, _due(distance)))]
 
 
-def _exceeded(alert: OpenAlert | None, probability: float | None) -> str:
-    if alert is not None and alert.condition is Condition.UNKNOWN:
-        return f"limit exceeded when it could be assessed last: {TURN}"
-    if probability is None or probability < OF_WORKLIST.more_likely_than_not:
-        return f"limit exceeded: {TURN}"
-    return f"limit exceeded (probability {probability:.0%}): {TURN}"
+def _of_conicity(now: LimitNow, not_known: Reason) -> _Why:
+    """Return how urgent a wheelset is by its conicity alone: nothing is forecast of it."""
+    if not now.below_limit:
+        return Urgency.UNKNOWN, not_known
+    text = f"conicity of at most {now.conicity.high:.2f} below the limit of {now.limit:.2f}; {not_known.text}"
+    return Urgency.FINE, Reason(not_known.code, text)
+
+
+def _exceeded(over: Urgency | None, alert: OpenAlert | None, probability: float | None) -> _Why:
+    """Return that the limit is exceeded, or probably, or was; an alert that is open still makes it probable."""
+    hidden = alert is not None and alert.condition is Condition.UNKNOWN
+    if over is not None and not hidden:
+        return over, Reason(ReasonCode.LIMIT_EXCEEDED, f"{EXCEEDED[over]} (probability {probability:.0%}): {TURN}")
+    if probability is None or hidden:
+        critical = alert is not None and alert.severity is Severity.CRITICAL
+        last = over or (Urgency.OVER_LIMIT if critical else Urgency.PROBABLY_OVER)
+        return last, Reason(ReasonCode.LIMIT_EXCEEDED, f"{EXCEEDED[last]} when it could be assessed last: {TURN}")
+    text = f"the alert on the limit is not cleared yet (probability {probability:.0%}): {TURN}"
+    return Urgency.PROBABLY_OVER, Reason(ReasonCode.LIMIT_EXCEEDED, text)
 
 
 def _due(distance: Forecast) -> str:
-    if distance.p50 is not None and distance.p50 <= 0.0:
-        return "due now"
+    may = "" if distance.p10 is None else f" (p10 {rounded_km(distance.p10)} km)"
     if distance.p50 is None:
-        return "due beyond the horizon" + ("" if distance.p10 is None else f" (p10 {_km(distance.p10)})")
-    return f"due in {_km(distance.p50)}" + ("" if distance.p10 is None else f" (p10 {_km(distance.p10)})")
+        return f"due beyond the horizon{may}"
+    return "due now" if distance.p50 <= 0.0 else f"due in {rounded_km(distance.p50)} km{may}"
 
 
-def _km(distance_km: float) -> str:
-    return f"{round(distance_km, -2) if distance_km >= 1000.0 else round(distance_km):,.0f} km"  # noqa: PLR2004
+def rounded_km(distance_km: float) -> str:
+    """Return a distance as every text has it: three digits, which is what a forecast can claim."""
+    step = 10 ** max(0, math.floor(math.log10(max(1.0, distance_km))) - 2)
+    return f"{math.floor(distance_km / step + 0.5) * step:,}"
 
 
 def _of_alert(alert: OpenAlert, last_ns: int | None, *, refused: bool) -> tuple[Urgency, Reason]:
@@ -135,7 +125,7 @@ def _of_alert(alert: OpenAlert, last_ns: int | None, *, refused: bool) -> tuple[
         return Urgency.UNKNOWN, Reason(hides.code, text)
     if hides is not None:
         return Urgency.UNKNOWN, hides
-    urgency = URGENCY_OF.get(alert.severity, Urgency.NOT_DUE)
+    urgency = URGENCY_OF.get(alert.severity, Urgency.FINE)
     text = ADVICE.get(alert.kind) or f"{alert.severity.value} alert: {alert.kind.replace('_', ' ')}"
     if alert.condition is Condition.UNKNOWN:
         text += ", not assessable any more"
@@ -145,9 +135,6 @@ def _of_alert(alert: OpenAlert, last_ns: int | None, *, refused: bool) -> tuple[
 NO_GEOMETRY = Reason(ReasonCode.NO_GEOMETRY, "there is no geometry yet")
 REPROFILED = Reason(ReasonCode.NO_GEOMETRY_SINCE_REPROFILING, "there is no geometry since the last reprofiling")
 WITHOUT_GEOMETRY = (NO_GEOMETRY.code, REPROFILED.code)
-NO_TREND = Reason(ReasonCode.TOO_FEW_POINTS, "there is no trend since the last reprofiling yet")
-NOT_FINITE = Reason(ReasonCode.NOT_FINITE, "the calculation gave no finite number")
-BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
 REFUSALS_NAMED = 2
 _SEVERITIES = list(Severity)
 
@@ -173,34 +160,22 @@ def _position(inputs: WorklistInputs) -> AxlePosition | None:
 
 
 def _state(inputs: WorklistInputs) -> WorklistState:
-    conicity = _conicity(inputs)
-    trend = inputs.trend
-    if trend is not None and trend.baseline != len(inputs.wheelset.reprofilings):
-        trend = None  # of a profile that the wheelset has no more
-    ahead = _ahead(inputs, trend, conicity)
+    now = _now(inputs)
     worst_first = sorted(inputs.alerts, key=lambda alert: (-_SEVERITIES.index(alert.severity), alert.alert_id))
     ends = [inputs.last_window_ns, None if inputs.geometry is None else inputs.geometry.to_ns]
     last_data_ns = max((end for end in ends if end is not None), default=None)
     urgency, reasons = judged(
         mounted=inputs.wheelset.mounting is not None,
-        ahead=ahead,
+        now=now,
         alerts=worst_first,
         last_ns=last_data_ns,
         refused=bool(inputs.refused),
     )
-    has_geometry = inputs.geometry is not None and code_of(conicity.reason) not in WITHOUT_GEOMETRY
+    geometry = _geometry(inputs)
     return WorklistState(
-        status=conicity.status,
-        conicity=conicity,
-        measured_until_ns=inputs.geometry.to_ns if inputs.geometry is not None and has_geometry else None,
-        slope_per_1000_km=Estimate.unknown(NO_TREND) if trend is None else _published(trend.trend.slope_per_1000_km),
-        limit=None if trend is None else _finite(trend.trend.limit),
-        probability_over_limit=ahead.probability_over_limit,
-        distance_to_limit_km=ahead.distance_km,
-        since_trend_km=ahead.since_trend_km,
-        date_of_limit_ns=ahead.date_ns,
-        forecast_reason=ahead.reason,
-        mileage=inputs.mileage,
+        **{item.name: getattr(now, item.name) for item in fields(LimitNow)},
+        status=now.conicity.status,
+        measured_until_ns=geometry.to_ns if isinstance(geometry, GeometryRecord) else None,
         last_data_ns=last_data_ns,
         alerts=tuple(worst_first),
         urgency=urgency,
@@ -208,15 +183,29 @@ def _state(inputs: WorklistInputs) -> WorklistState:
     )
 
 
-def _conicity(inputs: WorklistInputs) -> Estimate:
-    geometry = inputs.geometry
+def _now(inputs: WorklistInputs) -> LimitNow:
+    geometry, trend = _geometry(inputs), inputs.trend
+    status = Status.UNESTIMATED if inputs.failure is None else Status.INVALID
+    unknown = Estimate.unknown(geometry, status=status) if isinstance(geometry, Reason) else None
+    of_profile = trend is not None and trend.baseline == len(inputs.wheelset.reprofilings)
+    return limit_now(
+        geometry.geometry if isinstance(geometry, GeometryRecord) else None,
+        trend.trend if trend is not None and of_profile else None,
+        None if trend is None else trend.trend.limit,  # of its vehicle, whatever the profile
+        inputs.mileage,
+        unknown,
+    )
+
+
+def _geometry(inputs: WorklistInputs) -> GeometryRecord | Reason:
+    """Return the geometry of the present profile, or why there is none."""
     if inputs.failure is not None:
-        return Estimate.unknown(inputs.failure, status=Status.INVALID)
-    if geometry is None or not geometry.geometry.windows:
-        return Estimate.unknown(_with_refusals(NO_GEOMETRY, inputs))
-    if geometry.baseline != len(inputs.wheelset.reprofilings):
-        return Estimate.unknown(_with_refusals(REPROFILED, inputs))
-    return _published(conicity_at_limit_amplitude(geometry.geometry))
+        return inputs.failure
+    if inputs.geometry is None or not inputs.geometry.geometry.windows:
+        return _with_refusals(NO_GEOMETRY, inputs)
+    if inputs.geometry.baseline != len(inputs.wheelset.reprofilings):
+        return _with_refusals(REPROFILED, inputs)
+    return inputs.geometry
 
 
 def _with_refusals(reason: Reason, inputs: WorklistInputs) -> Reason:
@@ -226,49 +215,6 @@ def _with_refusals(reason: Reason, inputs: WorklistInputs) -> Reason:
     refusals = ", ".join(f"{count} {code.value.replace('_', ' ')}" for code, count in named)
     rest = sum(inputs.refused.values()) - sum(count for _, count in named)
     return replace(reason, text=f"windows refused: {refusals}{f', {rest} other' if rest else ''}; {reason.text}")
-
-
-def _ahead(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Estimate) -> Ahead:
-    unknown = _why_unknown(inputs, trend, conicity)
-    if trend is None or unknown is not None:
-        return Ahead(NOWHERE, None, unknown or NO_TREND)
-    found, since = trend.trend, None
-    if inputs.mileage is not None and len(found.mileage_km):
-        since = max(0.0, inputs.mileage.mileage_km - float(found.mileage_km[-1]))
-    distance = _each(found.distance_to_limit_km, since or 0.0)
-    date = _each(found.date_of_limit_ns, 0.0)
-    beyond = BEYOND if None in (distance.p10, distance.p50, distance.p90) else None
-    return Ahead(distance, _finite(found.probability_over_limit), beyond, date, since)
-
-
-def _why_unknown(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Estimate) -> Reason | None:
-    if inputs.failure is not None:
-        return inputs.failure
-    if code_of(conicity.reason) in WITHOUT_GEOMETRY or conicity.status is Status.MODEL_MISMATCH:
-        return conicity.reason
-    if trend is None:
-        return NO_TREND
-    if trend.trend.not_comparable is not None:
-        return trend.trend.not_comparable
-    if trend.trend.status is not Status.ESTIMATED:
-        return trend.trend.reason or NO_TREND
-    return None
-
-
-def _each(forecast: Forecast, less: float) -> Forecast:
-    values = (_finite(value) for value in (forecast.p10, forecast.p50, forecast.p90))
-    return Forecast(*(None if value is None else max(0.0, value - less) for value in values))
-
-
-def _finite(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else float(value)
-
-
-def _published(estimate: Estimate) -> Estimate:
-    if None not in [_finite(value) for value in (estimate.value, estimate.std, estimate.low, estimate.high)]:
-        return estimate
-    status = Status.INVALID if estimate.status is Status.ESTIMATED else estimate.status
-    return Estimate.unknown(estimate.reason or NOT_FINITE, _finite(estimate.count) or 0.0, status)
 
 
 ESTIMATION, ALIGNMENT, GEOMETRIES = "estimate_windows", "refresh_alignment", "refresh_geometry"

@@ -24,6 +24,7 @@ from sqlalchemy import (
 )
 
 from estimation.errors import NotFoundError, PurgedError
+from estimation.values.alerts import MileageNow
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import SIGNATURES
 from estimation.values.windows import (
@@ -304,6 +305,17 @@ class WindowStore:
         for record in self._records(_in_service(wheelsets, count)):
             found.setdefault(record.wheelset, []).append(record)
         return found
+
+    def mileage_then(self, wheelset: str, as_of_ns: int) -> MileageNow | None:
+        """Return the newest mileage of the windows recorded until a time that is believed; None where none is."""
+        chosen = (
+            WINDOWS.c.wheelset == wheelset,
+            WINDOWS.c.recorded_ns <= as_of_ns,
+            WINDOWS.c.implausible_code.is_(None),
+        )
+        statement = select(WINDOWS.c.mileage_km, WINDOWS.c.start_ns).where(*chosen)
+        row = self.connection.execute(statement.order_by(WINDOWS.c.start_ns.desc()).limit(1)).first()
+        return None if row is None else MileageNow(*row)
 
     def page(self, wheelset: str, after_start_ns: int | None, limit: int) -> Sequence[WindowRecord]:
         """Return at most ``limit`` windows of a wheelset that start after ``after_start_ns``, oldest first."""

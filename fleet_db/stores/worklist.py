@@ -35,7 +35,7 @@ from estimation.values.runs import EVERYTHING, code_of_error, first_line
 from estimation.values.trend import TREND
 from estimation.values.windows import WindowState
 from estimation.vehicle.vehicle_class import VehicleClass
-from estimation.worklist.stored import FORM, STAGE, WorklistInputs, distance_key, urgency_key
+from estimation.worklist.stored import FORM, STAGE, WorklistInputs
 from fleet_db.packed_values import to_document
 from fleet_db.records import RecordKind
 from fleet_db.rows import equal, insert_new, replace_all, table_of, value_of_row
@@ -81,7 +81,7 @@ class WorklistReader:
             serial, mounting = record.serial, record.mounting
             vehicle = None if mounting is None else vehicles[mounting.vehicle]
             last_ns, mileage = windows[serial]
-            if mileage is None and mounting is not None:
+            if mounting is not None and (mileage is None or mileage.at_ns < mounting.from_ns):
                 mileage = MileageNow(mounting.wheelset_mileage_km, mounting.from_ns)
             current, trend = geometries.get(serial), trends.get(serial)
             failure = next((one for one in (current, trend) if isinstance(one, Reason)), None)
@@ -388,8 +388,8 @@ def _values(row: WorklistRow) -> dict[str, Any]:
         "status": state.status.value,
         "urgency": state.urgency.value,
         "worst_severity": state.alerts[0].severity.value if state.alerts else None,
-        "urgency_key": urgency_key(state),
-        "distance_key": distance_key(state),
+        "urgency_key": state.urgency_key,
+        "distance_key": state.distance_key,
         "conicity_key": state.conicity.value,
         "trend_key": state.slope_per_1000_km.value,
         "mileage_key": None if state.mileage is None else state.mileage.mileage_km,

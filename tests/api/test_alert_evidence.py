@@ -10,6 +10,7 @@ import api_fleet
 import httpx
 import numpy as np
 import pytest
+from believed_now import believed, limit_of
 from hypothesis import given
 from hypothesis import strategies as st
 from running_service import Service
@@ -22,7 +23,6 @@ from estimation.alerts.life_cycle import transition
 from estimation.alerts.rule_book import ALERT_RULES
 from estimation.alerts.rules.conicity_limit import (
     ConicityLimitRule,
-    LimitState,
     MeasureRule,
     conicity_limit_finding,
     measure_finding,
@@ -54,6 +54,7 @@ from estimation.alerts.rules.wheels import (
     WheelFlatRule,
     wheel_asymmetry_finding,
 )
+from estimation.trend.now import LimitState
 from estimation.values.alerts import AlertEventKind, Finding
 from estimation.values.opinions import CellFriction, GearDamper, SectionAdhesion
 from estimation.values.quantities import Estimate, Forecast, Status
@@ -103,6 +104,7 @@ TREND = WearTrend(
     probability_over_limit=0.0,
     status=Status.ESTIMATED,
 )
+AHEAD = limit_of(0.0, HIGH, distance_km=TREND.distance_to_limit_km, date_ns=TREND.date_of_limit_ns)
 DECIDES = {"unknown_because": None, "unknown_because_code": None}
 NO_WINDOWS = {"unknown_because": "0 windows, 3 needed", "unknown_because_code": "too_few_windows", "windows": 0}
 
@@ -116,7 +118,7 @@ def weak_damper() -> GearDamper:
 
 CASES: list[tuple[Finding | None, dict[str, Any]]] = [
     (
-        conicity_limit_finding(ConicityLimitRule(), "W", LimitState(HIGH), 5, 0.4, AT),
+        conicity_limit_finding(ConicityLimitRule(), "W", believed(LimitState(HIGH)), 5, AT),
         {
             "quantity": "equivalent_conicity",
             "amplitude_mm": 3.0,
@@ -130,9 +132,8 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
     (
         measure_finding(
             MeasureRule(),
-            LimitState(HIGH),
-            conicity_limit_finding(ConicityLimitRule(), "W", LimitState(HIGH), 5, 0.4, AT),
-            0.4,
+            believed(LimitState(HIGH)),
+            conicity_limit_finding(ConicityLimitRule(), "W", believed(LimitState(HIGH)), 5, AT),
             measured=False,
         ),
         {
@@ -146,11 +147,12 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
         },
     ),
     (
-        limit_forecast_finding(LimitForecastRule(), "W", TREND, AT),
+        limit_forecast_finding(LimitForecastRule(), "W", TREND, AHEAD, AT),
         {
             "quantity": "equivalent_conicity",
             "slope_1_per_1000_km": ESTIMATE | UNEXPLAINED,
             "fitted_1": ESTIMATE | UNEXPLAINED,
+            "probability_over_limit_1": 0.0,
             "distance_to_limit_km": {
                 "p10": 1000.0,
                 "p50": 2000.0,
@@ -249,7 +251,7 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
                 **UNEXPLAINED,
                 "value": -0.5,
                 "std": 0.1,
-                "interval_95": [-0.696, -0.304],
+                "interval_95": [-0.695996, -0.304004],
                 "n_windows": 3.0,
             },
             "step_probability_1": None,

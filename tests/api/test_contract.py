@@ -133,6 +133,7 @@ def test_numbers_say_their_unit_in_their_names() -> None:
         "_m",
         "_km",
         "_m_s",
+        "_km_h",
         "_m_s2",
         "_1",
         "_s",

@@ -12,16 +12,15 @@ LINES = [
     WheelsetLine(
         serial="WS-1034",
         mileage_km=298_765.4,
-        amplitude_mm=3.0,
         true=0.412,
         value=0.4051,
         low=0.385,
         high=0.4255,
-        slope_per_100000_km="+0.102 [+0.098, +0.106]",
-        distance="112 [88, beyond]",
+        slope_per_1000_km="+0.00102 [+0.00098, +0.00106]",
+        distance="112,000 [88,400, beyond]",
         alerts="conicity_limit (critical), limit_forecast (warning)",
     ),
-    WheelsetLine("WS-1032", None, None, None, None, None, None, "unknown", "unknown", "none"),
+    WheelsetLine("WS-1032", None, None, None, None, None, "unknown", "unknown", "none"),
 ]
 
 
@@ -39,7 +38,7 @@ def test_80_columns_hold_every_number_on_one_line() -> None:
     (estimate,) = [line for line in lines if "298,765" in line]
     assert "0.405 [0.385, 0.425]" in estimate or "0.405 [0.385, 0.426]" in estimate
     assert sum("WS-1034" in line for line in lines) == 3
-    assert any("112 [88, beyond]" in line for line in lines)
+    assert any("112,000 [88,400, beyond]" in line for line in lines)
     assert any("[p10, p90]" in line for line in lines)
     assert any("conicity_limit (critical), limit_forecast (warning)" in line for line in lines)
 

@@ -216,7 +216,7 @@ VEHICLE = {
     "fleet": "alpha",
     "vehicle_class": "coach",
     "axles": 2,
-    "max_speed_m_s": 44.4,
+    "max_speed_km_h": 160.0,
     "axle_offsets_m": [2.0, 4.56],
 }
 
@@ -224,7 +224,7 @@ VEHICLE = {
 def test_vehicles_wheelsets_and_classes_are_entered_and_changed(service: Service, pair: tuple[str, str, str]) -> None:
     code, serial = f"N-{pair[0]}", f"NW-{pair[1]}"
     new = service.client.post("/v1/vehicles", json=VEHICLE | {"code": code})
-    assert (new.status_code, new.json()["max_speed_m_s"]) == (201, pytest.approx(44.4, abs=1e-12))
+    assert (new.status_code, new.json()["max_speed_km_h"]) == (201, 160.0)
     assert service.client.get(f"/v1/vehicles/{code}").json() == new.json()
     assert service.client.post("/v1/vehicles", json=VEHICLE | {"code": code}).status_code == 409
     for wrong, field in (
@@ -239,10 +239,10 @@ def test_vehicles_wheelsets_and_classes_are_entered_and_changed(service: Service
     assert service.client.post("/v1/vehicles", json=VEHICLE | {"code": "V", "fleet": "none"}).status_code == 404
     path = f"/v1/vehicles/{code}"
     assert service.client.put(path, json=VEHICLE).status_code == 428
-    faster = VEHICLE | {"max_speed_m_s": 50.0}
+    faster = VEHICLE | {"max_speed_km_h": 180.0}
     assert service.client.put(path, json=faster, headers={"If-Match": '"old"'}).status_code == 412
     changed = service.client.put(path, json=faster, headers={"If-Match": tag_of(service, path)})
-    assert (changed.status_code, changed.json()["max_speed_m_s"]) == (200, 50.0)
+    assert (changed.status_code, changed.json()["max_speed_km_h"]) == (200, 180.0)
     wheelset = {"serial": serial, "fleet": "alpha", "wheel_profile": "S1002", "nominal_radius_mm": 920.0}
     refused = service.client.post("/v1/wheelsets", json=wheelset)
     assert (refused.status_code, "a diameter?" in refused.json()["detail"]) == (422, True)

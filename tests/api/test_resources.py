@@ -153,9 +153,9 @@ def test_an_extrapolated_current_conicity_is_one_number_too() -> None:
     assert shown.std is not None
     assert shown.std > 0.01
     of_trend = api_fleet.trend_record(5, 0.25)
-    assert trend_schema.trend(of_trend, record).current_1 == shown
+    assert trend_schema.trend(of_trend, record, None).current_1 == shown
     for other in (None, replace(record, baseline=1)):
-        unknown = trend_schema.trend(of_trend, other)
+        unknown = trend_schema.trend(of_trend, other, None)
         assert (unknown.current_1.value, unknown.current_mileage_km) == (None, None)
         assert unknown.current_1.reason_code == "no_geometry_since_reprofiling"
 

@@ -13,7 +13,7 @@ from estimation.values.trend import TrendRecord
 
 def test_a_step_is_served_with_its_place_size_and_probability() -> None:
     record = TrendRecord("W", 0, replace(TREND, step=STEP), "d", "v", AT)
-    found = trend(record, None).model_dump(mode="json")["step"]
+    found = trend(record, None, None).model_dump(mode="json")["step"]
     assert found == {
         "before_km": 41_000.0,
         "after_km": 42_000.0,
@@ -36,4 +36,4 @@ def test_a_step_is_served_with_its_place_size_and_probability() -> None:
 
 
 def test_a_trend_that_begins_with_its_profile_has_none() -> None:
-    assert trend(TrendRecord("W", 0, TREND, "d", "v", AT), None).step is None
+    assert trend(TrendRecord("W", 0, TREND, "d", "v", AT), None, None).step is None

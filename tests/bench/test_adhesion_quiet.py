@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bench.adhesion import SCENARIOS
-from bench.adhesion_quiet import OF, QUIET, quiet_scenario
+from bench.adhesion_rows import QUIET, QUIET_OF, quiet_scenario
 from ingest.simulator.scenario import Scenario
 
 DRY = [name for name in QUIET if "leaves" not in name]
@@ -23,7 +23,7 @@ def test_no_row_has_low_friction_that_does_not_say_so(name: str) -> None:
 
 
 def test_a_row_changes_what_it_says_and_nothing_else() -> None:
-    quiet, alone, smooth = scenario(OF), scenario("quiet_alone"), scenario("quiet_smooth")
+    quiet, alone, smooth = scenario(QUIET_OF), scenario("quiet_alone"), scenario("quiet_smooth")
     assert (len(quiet.vehicles), len(alone.vehicles)) == (2, 1)
     assert alone.section == quiet.section
     assert smooth.sensors == quiet.sensors

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.adhesion import FILES, GROUPS, ROWS, SCENARIOS
+from bench.adhesion import FILES, FRICTION_COLUMNS, GROUPS, LEAST_HELD, ROWS, SCENARIOS, friction_rows, summary
+from bench.adhesion_case import StoredPasses
 from bench.adhesion_fleet import GOOD, Fleet, SensedWindow, TrueForces, class_of
-from bench.adhesion_quiet import QUIET
-from bench.adhesion_stored import StoredPasses
-from bench.adhesion_table import FRICTION_COLUMNS, LEAST_HELD, friction_rows, summary
-from bench.adhesion_wrong import OF, ONE, WRONG, WrongFile, as_on_file, first_vehicle, with_others
+from bench.adhesion_rows import OF, ONE, QUIET, WRONG, WrongFile, as_on_file, first_vehicle, with_others
 from estimation.adhesion.window_adhesion import refused
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode

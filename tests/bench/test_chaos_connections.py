@@ -6,14 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from bench.chaos.catalogue import parts
-from bench.chaos.part import ChaosSettings
+from bench.chaos.run import PARTS, ChaosSettings
 
 pytestmark = pytest.mark.slow
 
 
 def test_300_half_open_connections_are_cut_and_leave_a_short_log(tmp_path: Path) -> None:
-    (part,) = (one for one in parts() if one.name == "connections")
+    (part,) = (one for one in PARTS if one.name == "connections")
     rows = list(part.rows(ChaosSettings(part.short, 0, tmp_path)))
     counted = [row for row in rows if not row.reach.endswith(" s")]
     assert len(counted) == 3

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from multicast import multicast_problem
 
-from bench.chaos.catalogue import parts
-from bench.chaos.part import ChaosSettings
+from bench.chaos.run import PARTS, ChaosSettings
 
 pytestmark = pytest.mark.slow
 
@@ -18,6 +17,6 @@ def test_kills_while_the_database_is_away_lose_and_double_nothing(tmp_path: Path
     problem = multicast_problem()
     if problem:
         pytest.skip(problem)
-    (part,) = (one for one in parts() if one.name == "live")
+    (part,) = (one for one in PARTS if one.name == "live")
     (row,) = part.rows(ChaosSettings(part.short, 0, tmp_path))
     assert row.met, row.measured

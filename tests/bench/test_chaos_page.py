@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench.chaos.page import write_section
+from bench.chaos.run import write_section
 
 
 def test_a_part_that_runs_again_replaces_its_section_and_leaves_the_others(tmp_path: Path) -> None:

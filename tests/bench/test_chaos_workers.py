@@ -6,14 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from bench.chaos.catalogue import parts
-from bench.chaos.part import ChaosSettings
+from bench.chaos.run import PARTS, ChaosSettings
 
 pytestmark = pytest.mark.slow
 
 
 def test_workers_that_are_harmed_lose_and_double_nothing(tmp_path: Path) -> None:
-    (part,) = (one for one in parts() if one.name == "workers")
+    (part,) = (one for one in PARTS if one.name == "workers")
     rows = [row for row in part.rows(ChaosSettings(part.short, 1, tmp_path)) if not row.reach.endswith(" s")]
     assert len(rows) == 3
     assert [(row.what, row.measured) for row in rows if not row.met] == []

@@ -6,10 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench.limits import worn_wheelsets
-from bench.limits_lives import Worn, judged, limit_at
-from bench.limits_running import amplitude_reached
-from bench.worn_family import AMPLITUDES, DISPLACEMENT
+from bench.limits import Worn, judged, limit_at, worn_wheelsets
+from bench.worn_family import AMPLITUDES, DISPLACEMENT, amplitude_reached
 
 HIGH = Worn("flat", np.full(len(AMPLITUDES), 0.5), 1.75e-3, 160.0 / 3.6, 3)
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from rich.console import Console
 
-from bench.section_table import KINDS, SHORT, summaries, summary_table
+from bench.report import ResultTable
+from bench.section import KINDS, SHORT, summaries, tables
 
 CONICITIES, BINS = 96, 200
+NO_GAUGE = {"gauge": 0.0, "gauge_published": 0, "gauge_covered": 0}
 
 
 def count(published: int, covered: int) -> dict[str, int]:
@@ -19,8 +20,7 @@ def count(published: int, covered: int) -> dict[str, int]:
 def case(row: str = "known", error: float = 0.004, **covered: int) -> dict[str, Any]:
     """Return a case of one wheelset as JSON holds it; ``covered`` says of how many of 200 intervals by kind."""
     counts = {kind: count(BINS, covered.get(kind, 190)) for kind in KINDS} | {"zero_crossing": count(0, 0)}
-    amplitudes = [error] * CONICITIES
-    wheelset = counts | {"serial": "W00", "error": error, "signed": error, "amplitudes": amplitudes, "stds": amplitudes}
+    wheelset = counts | {"serial": "W00", "error": error, "signed": error, "asked": CONICITIES}
     return {
         "row": row,
         "pair": "P8/113A",
@@ -30,8 +30,14 @@ def case(row: str = "known", error: float = 0.004, **covered: int) -> dict[str, 
         "alignment": None,
         "status": "recorded",
         "reason": "",
-        "seconds": [0.0, 0.0, 1.0],
+        "cpu_s": [0.0, 0.0, 1.0],
     }
+
+
+def printed(cases: list[dict[str, Any]]) -> str:
+    (table,) = tables(cases)
+    assert isinstance(table, ResultTable)
+    return table.markdown()
 
 
 def test_nothing_is_outside_where_everything_covers_as_it_should() -> None:
@@ -68,23 +74,20 @@ def test_few_intervals_say_nothing() -> None:
 
 def test_places_of_the_alignment_count_too() -> None:
     aligned = case("unknown")
-    aligned["alignment"] = {"band": 4e-5, "filtered": 3e-5, **count(1000, 999)}
+    aligned["alignment"] = NO_GAUGE | {"band": 4e-5, "filtered": 3e-5, **count(1000, 999)}
     (row,) = summaries([aligned])
     assert row.outside == ("alignment 99.9 %",)
 
 
 def test_the_table_names_every_kind_and_what_is_outside() -> None:
-    console = Console(width=300)
-    with console.capture() as shown_there:
-        console.print(summary_table([case(nonlinearity=198)]))
-    shown = shown_there.get()
+    shown = printed([case(nonlinearity=198)])
     assert "NP 99.0 %" in shown
     assert "outside 92-98 %" in shown
     assert all(name in shown for name in SHORT.values())
 
 
 def test_a_found_gauge_is_reported_and_a_row_without_a_limit_is_not_taken_for_one_without_information() -> None:
-    found = {"band": 1e-4, "filtered": 1e-4, "published": 200, "covered": 190}
+    found = NO_GAUGE | {"band": 1e-4, "filtered": 1e-4, "published": 200, "covered": 190}
     scored = found | {"gauge": 0.26e-3, "gauge_published": 200, "gauge_covered": 188}
     cases = [case("mine") | {"alignment": one, "status": "estimated"} for one in (found, scored)]
     (row,) = summaries(cases)
@@ -92,8 +95,6 @@ def test_a_found_gauge_is_reported_and_a_row_without_a_limit_is_not_taken_for_on
     assert row.gauge == pytest.approx(0.26e-3)
     assert row.false_estimated == 0
     assert row.met
-    console = Console(width=400, record=True)
-    console.print(summary_table(cases))
-    printed = console.export_text()
-    assert "0.26 mm" in printed
-    assert "none estimated" not in printed
+    shown = printed(cases)
+    assert "0.26 mm" in shown
+    assert "none estimated" not in shown

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from bench.steps import NEVER, REACH, SIZES, WITHIN, false_steps, found_in
-from bench.steps_ideal import odds
-from bench.steps_lives import MOST_KM, MOST_WEAR, Case, life
+from bench.steps_lives import MOST_KM, MOST_WEAR, Case, life, odds
 
 PAGE = Path(__file__).parents[2] / "docs" / "results" / "steps.md"
 

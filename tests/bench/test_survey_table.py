@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.results_page import RESULTS
+from bench.report import RESULTS
 from bench.survey_fleets import drawn_track
-from bench.survey_table import Figures, Paired, differences, most_share, rows_of, summary
-from bench.surveys import ROWS, SURVEYS
+from bench.surveys import ROWS, SURVEYS, Paired, differences, figures_of, most_share, rows_of, summary
 
 
 def conicity(error: float, half_width: float = 0.02, key: str = "W 3") -> dict[str, Any]:
@@ -32,11 +31,11 @@ def met(cases: list[dict[str, Any]], what: str) -> bool:
 
 
 def test_figures_of_published_numbers() -> None:
-    found = Figures([conicity(0.01), conicity(-0.03)])
+    found = figures_of([conicity(0.01), conicity(-0.03)])
     assert (found.count, found.cover) == (2, 0.5)
     assert found.error == pytest.approx(0.02)
     assert found.score == pytest.approx(0.04 + 0.5 * 40 * 0.01)
-    assert found.z == pytest.approx(1.96 * (0.5 * (0.25 + 2.25)) ** 0.5)
+    assert found.z == pytest.approx(1.959964 * (0.5 * (0.25 + 2.25)) ** 0.5)
 
 
 def test_a_right_survey_that_is_refused_and_a_wrong_one_that_is_confirmed_fall_short() -> None:

@@ -1,4 +1,4 @@
-"""Tables of the vehicle bench: what counts as found, as a false alarm and as published; and scenarios of the curve."""
+"""Tables of the vehicle bench: what counts as found, as a false alarm and as published."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ from typing import Any
 
 import pytest
 
-from api.comparison.trial import recording_key
-from bench import vehicle_power
-from bench.vehicle_table import HEADER, POWER_HEADER, ROWS, page_body, power_rows, summary_rows
-from bench.vehicles import SCENARIOS, scenario_of, stored_cases
+from bench.study import stored_cases
+from bench.vehicles import HEADER, ROWS, SCENARIOS, summary_rows
 
 
 def case(row: str, statuses: list[str], *, covered: int = 0, error: float = 0.005, seed: int = 0) -> dict[str, Any]:
@@ -22,12 +20,16 @@ def case(row: str, statuses: list[str], *, covered: int = 0, error: float = 0.00
         for good in [status == "estimated"]
     ]
     wheelsets = [
-        {"error": error if item["published"] else None, "conicity": {"published": 20 * item["published"], "covered": n}}
+        {
+            "error": error if item["published"] else None,
+            "conicity": {"published": 20 * item["published"], "covered": n},
+            "published": [],
+        }
         for item in verdicts
         for n in [covered if item["published"] else 0]
     ]
-    cost = {"cpu_seconds": 6.0, "wheelset_hours": 3.0}
-    return {"row": row, "seed": seed, "verdicts": verdicts, "wheelsets": wheelsets, "half_widths": [], **cost}
+    cost = {"cpu_s": [1.0, 2.0, 3.0], "wheelset_hours": 3.0}
+    return {"row": row, "seed": seed, "verdicts": verdicts, "wheelsets": wheelsets, **cost}
 
 
 def cells(header: tuple[str, ...], row: tuple[str, ...]) -> dict[str, str]:
@@ -75,40 +77,13 @@ def test_a_fleet_without_alignment_has_the_verdict_on_its_survey_as_reason() -> 
     assert cells(HEADER, row)["reasons"] == "survey_unit"
 
 
-def test_the_power_curve_has_a_line_for_each_size_of_an_error() -> None:
-    none, half = "power:nothing:0", "power:yaw_stiffness:-50"
-    cases = [
-        case(half, ["model_mismatch"] * 3 + ["estimated"], covered=10, error=0.03),
-        case(none, ["estimated"] * 4, covered=19),
-    ]
-    first, second = (cells(POWER_HEADER, row) for row in power_rows(cases))
-    assert (first["parameter"], first["error on file"], first["mismatch"]) == ("nothing", "", "0 %")
-    assert (second["error on file"], second["mismatch"], second["published"]) == ("-50 %", "75 %", "25 %")
-    assert second["covers"] == "50.0 % of 20"
-    assert len(page_body(cases)) == 4
-    assert len(page_body([case("soft_known", ["estimated"], covered=19)])) == 2
-
-
 def test_every_row_is_a_scenario_file() -> None:
     assert {path.stem for path in SCENARIOS.glob("*.toml")} <= set(ROWS)
 
 
-def test_wrong_parameters_are_on_file_and_not_in_the_recordings(tmp_path: Path) -> None:
-    right = scenario_of(vehicle_power.BASE, 0, tmp_path)
-    wrong = scenario_of("power:yaw_stiffness:+20", 0, tmp_path)
-    assert recording_key(wrong) == recording_key(right)
-    assert wrong.class_on_file is not None
-    on_file = wrong.class_on_file.vehicle_class.parameters
-    assert on_file.yaw_stiffness == pytest.approx(1.2 * right.parameters.yaw_stiffness)
-    assert on_file.lateral_stiffness == right.parameters.lateral_stiffness
-    small = scenario_of("power:nominal_radius:-10", 0, tmp_path)
-    assert small.class_on_file is not None
-    assert small.class_on_file.nominal_radius == pytest.approx(0.414)
-
-
 def test_results_are_read_as_far_as_they_go_and_the_last_of_a_case_counts(tmp_path: Path) -> None:
     path = tmp_path / "vehicles.jsonl"
-    assert stored_cases(path) == []
+    assert stored_cases(path, ("row", "seed")) == []
     lines = [{"row": "a", "seed": 0, "x": 1}, {"row": "a", "seed": 1, "x": 2}, {"row": "a", "seed": 0, "x": 3}]
     path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
-    assert [(item["seed"], item["x"]) for item in stored_cases(path)] == [(0, 3), (1, 2)]
+    assert [(item["seed"], item["x"]) for item in stored_cases(path, ("row", "seed"))] == [(0, 3), (1, 2)]

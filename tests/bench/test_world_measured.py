@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.world import SCENARIOS, main
-from bench.world_measured import ROWS, measured_wheels, with_wheels
+from bench.world import MEASURED_ROWS, SCENARIOS, main, measured_wheels, with_wheels
 from estimation.contact.profiles import Profile, wheel_profile
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.errors import ScenarioError
@@ -51,7 +50,7 @@ def test_wheels_become_wheelsets_and_what_cannot_run_is_left_out_with_its_reason
     left, right = worn_wheel(tmp_path / "left_1.whl", 0.2e-3), worn_wheel(tmp_path / "right_1.whl", 0.25e-3)
     worn_wheel(tmp_path / "hollow.whl", 1.6e-3)
     (tmp_path / "broken.whl").write_text("ColumnDef=X,Y\n\n1 2\n")
-    section = small(ROWS[0], 0).section
+    section = small(MEASURED_ROWS[0], 0).section
     found = measured_wheels(tmp_path, section)
     assert set(found.pairs) == {(first, first), (second, second), (left, right), (first, second), (second, first)}
     assert [line.partition(":")[0] for line in found.left_out] == ["broken", "hollow"]
@@ -65,14 +64,14 @@ def test_wheels_become_wheelsets_and_what_cannot_run_is_left_out_with_its_reason
 def test_a_row_draws_its_wheelsets_by_seed(tmp_path: Path) -> None:
     wheels = [worn_wheel(tmp_path / f"{depth}.whl", 1e-4 * depth) for depth in (1, 3)]
     pairs = [(wheel, wheel) for wheel in wheels]
-    scenario, left_out = with_wheels(small(ROWS[1], 3), pairs)
+    scenario, left_out = with_wheels(small(MEASURED_ROWS[1], 3), pairs)
     assert left_out == ()
     assert scenario.section.rail_profile == "60E1"
     assert not scenario.section.surveyed
     files = [item.wheel_files for item in scenario.vehicles[0].wheelsets]
     assert set(files) <= set(pairs)
-    assert with_wheels(small(ROWS[1], 3), pairs)[0] == scenario
-    others = [with_wheels(small(ROWS[1], seed), pairs)[0].vehicles for seed in (4, 5)]
+    assert with_wheels(small(MEASURED_ROWS[1], 3), pairs)[0] == scenario
+    others = [with_wheels(small(MEASURED_ROWS[1], seed), pairs)[0].vehicles for seed in (4, 5)]
     assert any([item.wheel_files for item in other[0].wheelsets] != files for other in others)
 
 
@@ -80,14 +79,13 @@ def test_a_wheelset_that_runs_on_its_flange_is_left_out(tmp_path: Path) -> None:
     wrong = write_wheel(tmp_path / "wrong.whl", wheel_profile("S1002"), REVERSE)
     sound = worn_wheel(tmp_path / "sound.whl", 0.1e-3)
     with pytest.raises(ScenarioError, match=r"W00, wrong: flange contact in \d+% of campaign 1"):
-        with_wheels(small(ROWS[0], 0), [(wrong, wrong)])
-    scenario, left_out = with_wheels(small(ROWS[0], 0), [(sound, sound), *[(wrong, wrong)] * 3])
+        with_wheels(small(MEASURED_ROWS[0], 0), [(wrong, wrong)])
+    scenario, left_out = with_wheels(small(MEASURED_ROWS[0], 0), [(sound, sound), *[(wrong, wrong)] * 3])
     assert [item.wheel_files for item in scenario.vehicles[0].wheelsets] == [(sound, sound)] * 2
     assert left_out
     assert all("wrong: flange contact" in line for line in left_out)
 
 
-def test_the_rows_need_their_wheels(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["--rows", "measured_known"])
-    assert "measured_known, measured_unknown need --measured" in capsys.readouterr().err
+def test_the_rows_need_their_wheels(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="measured_known, measured_unknown need --measured"):
+        main(["--rows", "measured_known", "--out", str(tmp_path / "out")])

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
-from bench.world_table import HEADER, WIDTH_HEADER, page_body, summary_rows, width_rows
+from bench.report import write_page
+from bench.world import HEADER, WIDTH_HEADER, summary_rows, tables, width_rows
 
 
 def case(row: str, diversity: float, widths: list[float], *, covered: int, error: float = 0.01) -> dict[str, Any]:
     conicity = {"published": len(widths), "covered": covered}
-    wheelsets = [{"error": error, "conicity": conicity}] if widths else []
+    published = [(error, width, True) for width in widths]
+    wheelsets = [{"error": error, "conicity": conicity, "published": published}] if widths else []
     survey = "survey_confirmed" if row.startswith("known") else ""
-    return {"row": row, "survey": survey, "wheelsets": wheelsets, "half_widths": widths, "diversity": diversity}
+    return {"row": row, "survey": survey, "wheelsets": wheelsets, "diversity": diversity}
 
 
 def cells(header: tuple[str, ...], row: tuple[str, ...]) -> dict[str, str]:
@@ -36,7 +39,7 @@ def test_widths_are_printed_against_the_diversity_of_fleets_on_unknown_track() -
     assert rows[1]["error: median"] == "0.0300"
 
 
-def test_a_row_counts_the_fleets_of_which_nothing_was_published() -> None:
+def test_a_row_counts_the_fleets_of_which_nothing_was_published(tmp_path: Path) -> None:
     cases = [
         case("unknown_alike_02", 0.1, [], covered=0),
         case("unknown_alike_02", 0.1, [0.2], covered=1),
@@ -45,7 +48,7 @@ def test_a_row_counts_the_fleets_of_which_nothing_was_published() -> None:
     known, unknown = (cells(HEADER, row) for row in summary_rows(cases))
     assert (unknown["seeds"], unknown["nothing published"], unknown["met"]) == ("2", "1", "yes")
     assert (known["survey right"], known["covers"], known["met"]) == ("1 of 1", "95.0 % of 20", "NO")
-    page = "\n".join(page_body(cases))
+    page = write_page("world", "World", "bench", tables(cases), tmp_path).read_text()
     assert "| unknown_alike_02 | 2 | 1 |" in page
     assert "| 0 to 0.1 | 2 | 1 | 100.0 % of 1 | 0.200 | 0.0100 |" in page
-    assert len(page_body(cases[2:])) == 1  # nothing of unknown track
+    assert len(tables(cases[2:])) == 1  # nothing of unknown track

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from api.cli import LEVEL_3, choose_compiled_code, portable_cpu
@@ -130,9 +131,22 @@ def test_a_damaged_file_stops_nothing(installed: Path, writable: Path, damage: s
 
 
 @pytest.mark.slow
-def test_code_that_everybody_may_write_is_not_loaded(installed: Path, writable: Path) -> None:
+def test_a_bit_that_has_turned_anywhere_ends_no_process(installed: Path, writable: Path) -> None:
     run(installed, TREADWATCH_COMPILED_DIR=str(writable))
-    writable.joinpath("compiled").chmod(0o777)
+    (file,) = writable.rglob("*.nbc")
+    content = file.read_bytes()
+    for place in np.linspace(200, len(content) - 200, 9).astype(int):
+        file.write_bytes(content[:place] + bytes([content[place] ^ 0x10]) + content[place + 1 :])
+        done = run(installed, TREADWATCH_COMPILED_DIR=str(writable))
+        assert (counts(done), done.stderr) == (COMPILED, ""), place
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["compiled", "compiled/*.nbi", "compiled/*.nbc"])
+def test_code_that_everybody_may_write_is_not_loaded(installed: Path, writable: Path, what: str) -> None:
+    run(installed, TREADWATCH_COMPILED_DIR=str(writable))
+    (path,) = writable.glob(what)
+    path.chmod(0o777)
     assert counts(run(installed, TREADWATCH_COMPILED_DIR=str(writable))) == COMPILED
 
 

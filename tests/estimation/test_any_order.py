@@ -52,6 +52,7 @@ def at_rest(storage: SqlStorage) -> dict[str, str]:
     return {name: digest for name, digest in final_state(storage).items() if name not in OF_HISTORY}
 
 
+@pytest.mark.slow
 def test_windows_in_pieces_late_and_out_of_order_give_the_state_of_all_at_once(
     new_sqlite_storage: Callable[[], SqlStorage],
 ) -> None:

@@ -197,6 +197,7 @@ def as_they_were(storage: Storage, without: Storage, *names: str, recorded: bool
         assert abs(first - second) <= (1e-9 if recorded else 0.25 * std)
 
 
+@pytest.mark.slow
 def test_nothing_is_said_against_those_who_are_what_they_are(without: Storage, *, recorded: bool) -> None:
     assert mistakes(without) == {}
     with without.read() as unit:
@@ -204,6 +205,7 @@ def test_nothing_is_said_against_those_who_are_what_they_are(without: Storage, *
     assert {one.source for one in versions} == {AlignmentSource.RECORDED if recorded else AlignmentSource.FLEET}
 
 
+@pytest.mark.slow
 def test_two_swapped_wheelsets_are_reported_and_not_averaged(
     continued: Continued, without: Storage, tmp_path: Path, *, recorded: bool
 ) -> None:

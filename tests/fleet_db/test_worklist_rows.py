@@ -20,7 +20,8 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
-from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity, Urgency
+from estimation.trend.now import limit_now
+from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, MileageNow, Severity, Urgency
 from estimation.values.quantities import Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
@@ -175,20 +176,17 @@ def slow_row(unit: SqlUnitOfWork, serial: str) -> dict[str, Any]:
     baseline = len(record.reprofilings)
     usable = [one.start_ns + one.length_ns for one in windows if one.state is not WindowState.REFUSED]
     read = [one for one in windows if one.implausible is None]
-    mileage = read[-1].mileage_km if read else None
-    if mileage is None and record.mounting is not None:
-        mileage = record.mounting.wheelset_mileage_km
-    conicity = None
+    mileage = MileageNow(read[-1].mileage_km, read[-1].start_ns) if read else None
+    mounting = record.mounting
+    if mounting is not None and (mileage is None or mileage.at_ns < mounting.from_ns):
+        mileage = MileageNow(mounting.wheelset_mileage_km, mounting.from_ns)
+    conicity, shown = None, None
     if geometry is not None and geometry.geometry.windows and geometry.baseline == baseline:
-        conicity = conicity_at_limit_amplitude(geometry.geometry)
-    of_now = conicity is not None and conicity.status is not Status.MODEL_MISMATCH
+        conicity, shown = conicity_at_limit_amplitude(geometry.geometry), geometry.geometry
     current = trend is not None and trend.baseline == baseline
     slope = trend.trend.slope_per_1000_km.value if current else None
-    distance: list[float | None] = [None, None, None]
-    if of_now and current and trend.trend.status is Status.ESTIMATED:
-        since = 0.0 if mileage is None else max(0.0, mileage - trend.trend.mileage_km[-1])
-        ahead = trend.trend.distance_to_limit_km
-        distance = [None if one is None else max(0.0, one - since) for one in (ahead.p10, ahead.p50, ahead.p90)]
+    limit = None if trend is None else trend.trend.limit
+    ahead = limit_now(shown, trend.trend if current else None, limit, mileage).distance_to_limit_km
     return {
         "wheelset": record,
         "vehicle_class": None
@@ -196,8 +194,8 @@ def slow_row(unit: SqlUnitOfWork, serial: str) -> dict[str, Any]:
         else unit.registry.vehicle(record.mounting.vehicle).vehicle_class,
         "conicity": None if conicity is None else conicity.value,
         "slope": slope,
-        "distance": distance,
-        "mileage": mileage,
+        "distance": [ahead.p10, ahead.p50, ahead.p90],
+        "mileage": None if mileage is None else mileage.mileage_km,
         "last_data_ns": max([*usable, *([geometry.to_ns] if geometry is not None else [])], default=None),
         "alerts": sorted((one.alert_id, one.kind, one.severity, one.condition, one.shelved_until_ns) for one in alerts),
     }
@@ -266,7 +264,7 @@ def slow_order(rows: list[Any], order: WorklistOrder, *, descending: bool) -> li
         state, p10 = row.state, row.state.distance_to_limit_km.p10
         far = 1e9 if p10 is None else p10
         beyond = state.forecast_reason is not None and state.forecast_reason.code is ReasonCode.BEYOND_HORIZON
-        over = state.urgency is Urgency.OVER_LIMIT
+        over = state.urgency in {Urgency.OVER_LIMIT, Urgency.PROBABLY_OVER}
         p50 = state.distance_to_limit_km.p50
         return {
             WorklistOrder.SERIAL: 0,
@@ -352,7 +350,7 @@ def test_what_cannot_be_read_says_so_and_keeps_nobody_from_storing(storage: SqlS
         unit.alerts.save(alert, [AlertEventKind.RAISED], 1)
     with storage.read() as unit:
         state = from_document(unit.worklist.row(SERIALS[1])).state
-    assert (state.status, state.urgency) == (Status.INVALID, Urgency.WARNING_ALERT)
+    assert (state.status, state.urgency) == (Status.INVALID, Urgency.WATCH)
     assert {reason.code for reason in state.reasons} == {ReasonCode.ALERT_OPEN, ReasonCode.FILE_DAMAGED}
 
 
@@ -388,7 +386,7 @@ def test_filters_choose_by_where_it_runs_how_it_is_and_what_is_open(storage: Sql
     assert serials(alert_kind="no_data", fleet="beta") == []
     assert serials(alert_severity=Severity.WARNING) == SERIALS[1:3]
     assert serials(urgency=Urgency.NOT_MOUNTED) == SERIALS[8:]
-    assert serials(urgency=Urgency.WARNING_ALERT) == SERIALS[1:3]
+    assert serials(urgency=Urgency.WATCH) == SERIALS[1:3]
     assert serials(status=Status.UNESTIMATED) == SERIALS
     with storage.seen_by(frozenset({"beta"})).read() as unit:
         page = unit.worklist.page(WorklistFilter(), WorklistOrder.URGENCY, None, 100)

@@ -85,6 +85,7 @@ def eventually(condition: Callable[[], object], within_s: float = 60.0) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_chunks_become_windows(s3_server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with deployed(s3_server, tmp_path, monkeypatch) as service:
         with service.storage.write() as unit:
@@ -198,6 +199,7 @@ def test_two_services_that_get_the_same_chunk_at_once_store_it_once(
         assert bytes(both[0].objects.get(name_of(one)).bytes()) == one.content
 
 
+@pytest.mark.slow
 def test_the_commands_know_the_bucket(
     s3_server: S3Server, treadwatch: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

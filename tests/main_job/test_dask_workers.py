@@ -17,7 +17,7 @@ from tiny_fleet import Deployment, results
 
 from api.pipeline import job_context
 from api.workers.on_dask import DaskExecutor
-from bench.dask_cluster import DaskCluster, dask_cluster
+from bench.services import DaskCluster, dask_cluster
 from estimation.jobs.catalogue import job_named, run_all
 from estimation.jobs.job import run_job
 from estimation.values.runs import JobRun, JobTrigger

@@ -9,21 +9,29 @@ import subprocess
 import sys
 from pathlib import Path
 
+import httpx
 import numpy as np
 import pytest
+from faces import compared
 from in_process_command import Run
 from matplotlib import image
 from tiny_fleet import DEAD, WORN
 
+from api.settings import Settings
+from api.terminal.demo import free_port, serving_api
 from estimation.values.geometry import COMBINATIONS
 
 TREADWATCH = Path(sys.executable).with_name("treadwatch")
 
 
-def in_a_process(*arguments: str | Path, cwd: Path, columns: int = 200) -> subprocess.CompletedProcess[str]:
+def in_a_process(
+    *arguments: str | Path, cwd: Path, columns: int = 200, seconds: float = 300.0
+) -> subprocess.CompletedProcess[str]:
     environment = {k: v for k, v in os.environ.items() if not k.startswith("TREADWATCH_")} | {"COLUMNS": str(columns)}
     command = [str(TREADWATCH), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, env=environment, timeout=300)
+    return subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=cwd, env=environment, timeout=seconds
+    )
 
 
 @pytest.mark.slow
@@ -32,7 +40,7 @@ def test_the_demo_prints_its_table_and_ends(scenario_file: Path, tmp_path: Path)
     done = in_a_process(*arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     number = r"(\d\.\d{3})"
-    line = re.search(rf"{WORN}\s+91,000\s+[\d.]+\s+{number}\s+{number} \[{number}, {number}\]\s+(yes|no)", done.stdout)
+    line = re.search(rf"{WORN}\s+91,001\s+{number}\s+{number} \[{number}, {number}\]\s+(yes|no)", done.stdout)
     assert line is not None, done.stdout
     true, value, low, high = map(float, line.groups()[:4])
     assert abs(true - value) < 0.03
@@ -46,6 +54,18 @@ def test_the_demo_prints_its_table_and_ends(scenario_file: Path, tmp_path: Path)
     assert "limit exceeded when it could be assessed last: turn the wheelset" in first
     assert "http://" not in done.stdout  # nothing is served any more
     assert (tmp_path / "own" / "data" / "treadwatch.sqlite").is_file()
+
+
+@pytest.mark.slow
+def test_no_two_faces_of_the_demo_differ_in_a_number(tmp_path: Path) -> None:
+    done = in_a_process("demo", "--once", "--folder", "own", "--port", "0", cwd=tmp_path, seconds=1800.0)
+    assert done.returncode == 0, done.stderr
+    port = free_port("127.0.0.1", 0)
+    settings = Settings(data_dir=tmp_path / "own" / "data", port=port, log_level="warning", _env_file=None)
+    with serving_api(settings) as url, httpx.Client(base_url=url, timeout=60.0) as client:
+        found = compared(client, tmp_path)
+    assert found.differences == []
+    assert found.seen >= {"over_limit", "due", "fine", "conicity_limit", "measure"}
 
 
 @pytest.mark.slow

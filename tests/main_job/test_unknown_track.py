@@ -89,6 +89,7 @@ def unknown(migrated_sqlite_file: Path, tmp_path: Path, report: FleetReport) -> 
     found.storage.close()
 
 
+@pytest.mark.slow
 def test_conicity_comes_out_without_a_survey_and_journeys_are_put_where_they_ran(
     unknown: Deployment, scenario: Scenario, report: FleetReport
 ) -> None:

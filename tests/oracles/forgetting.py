@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from oracles.moments import Moments, collect
 
-from bench.moments import Moments, collect
 from estimation.values.arrays import FloatArray
 
 

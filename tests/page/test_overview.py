@@ -44,12 +44,12 @@ def test_wheelsets_are_ranked_by_urgency_each_with_its_reason(
         expect(rows.nth(index).locator(".c-why")).to_have_text(
             "; ".join(one["text"] for one in item["state"]["reasons"])
         )
-    assert wanted[0]["state"]["urgency"] == "over_limit"
-    expect(rows.first.locator(".badge").first).to_have_text("over limit")
+    assert wanted[0]["state"]["urgency"] == "probably_over"
+    expect(rows.first.locator(".badge").first).to_have_text("probably over")
 
 
 def test_an_estimate_has_its_interval_and_an_unknown_one_no_number(page: Page, page_service: ServiceProcess) -> None:
-    rows = opened(page, page_service, "?urgency=over_limit")
+    rows = opened(page, page_service, "?urgency=probably_over")
     known = rows.filter(has=page.get_by_text("WS-002", exact=True)).locator(".c-conicity")
     assert re.search(r"0\.\d{3}.*\n.*0\.\d{3} to 0\.\d{3}", known.inner_text()), known.inner_text()
     expect(known.locator("svg")).to_have_attribute("aria-label", re.compile(r"from 0\.\d+ to 0\.\d+, limit 0\.400"))
@@ -60,7 +60,7 @@ def test_an_estimate_has_its_interval_and_an_unknown_one_no_number(page: Page, p
 
 
 def test_old_data_are_marked_with_their_age(page: Page, page_service: ServiceProcess) -> None:
-    rows = opened(page, page_service, "?urgency=over_limit")
+    rows = opened(page, page_service, "?urgency=probably_over")
     cell = rows.filter(has=page.get_by_text("WS-000", exact=True)).locator(".c-data")
     assert re.fullmatch(r"(\d+ d|[\d.]+ years) ago\s+old", cell.inner_text())
 
@@ -69,13 +69,13 @@ def test_filters_narrow_the_list_and_stay_in_the_address(
     page: Page, page_service: ServiceProcess, client: httpx.Client
 ) -> None:
     opened(page, page_service)
-    page.select_option('select[name="urgency"]', "over_limit")
+    page.select_option('select[name="urgency"]', "probably_over")
     page.fill('input[name="vehicle"]', "V-1")
     page.press('input[name="vehicle"]', "Enter")
-    wanted = client.get("/v1/wheelsets?urgency=over_limit&vehicle=V-1&sort=urgency").json()["items"]
+    wanted = client.get("/v1/wheelsets?urgency=probably_over&vehicle=V-1&sort=urgency").json()["items"]
     expect(page.locator(ROWS)).to_have_count(len(wanted))
     assert serials(page) == [item["serial"] for item in wanted]
-    assert "urgency=over_limit" in page.url
+    assert "urgency=probably_over" in page.url
     page.reload()
     expect(page.locator(ROWS)).to_have_count(len(wanted))
     page.select_option('select[name="status"]', "invalid")

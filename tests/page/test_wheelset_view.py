@@ -88,7 +88,9 @@ def test_the_trend_has_its_fan_and_the_forecast_in_words(page: Page, page_servic
     fan = numbers(view, "trend-mileage", "p50")
     assert fan[-1] == ["22,001", text(0.4)]
     assert numbers(view, "trend-mileage", "p90") == [], "beyond the horizon: no line"
-    expect(view.locator('[data-panel="summary"]')).to_contain_text("in 11,000 km (p90 not reached within")
+    expect(view.locator('[data-panel="summary"]')).to_contain_text(
+        "in 11,000 km (80 %: 8,000 km to beyond the horizon)"
+    )
     expect(view.locator('[data-panel="events"]')).to_contain_text("reprofiled")
 
 

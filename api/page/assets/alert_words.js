@@ -25,7 +25,8 @@ const counted = (reasons) => Object.entries(reasons ?? {}).map(([name, count]) =
 
 const OF_KIND = {
   conicity_limit: (e, alert) => [
-    ...part(estimated(e.conicity_1), () => `equivalent conicity ${uncertain(e.conicity_1, 3)}${have(e.amplitude_mm) ? ` at ${number(e.amplitude_mm, 2)} mm` : ""}`),
+    ...part(estimated(e.current_1), () => `equivalent conicity ${uncertain(e.current_1, 3)} at 3 mm`),
+    ...part(estimated(e.conicity_1) && have(e.amplitude_mm) && e.amplitude_mm < 3, () => `${uncertain(e.conicity_1, 3)} at ${number(e.amplitude_mm, 2)} mm, as far as it moves`),
     ...part(have(e.limit_1 ?? alert.raise_limit), () => `limit ${number(e.limit_1 ?? alert.raise_limit, 3)}`),
     ...part(have(alert.probability_1), () => `exceeded with a probability of ${number(100 * alert.probability_1, 1)} %`),
   ],
@@ -34,10 +35,10 @@ const OF_KIND = {
     ...part(estimated(e.conicity_1), () => `equivalent conicity ${uncertain(e.conicity_1, 3)} at 3 mm${have(e.reached_mm) && e.reached_mm < 3 ? ", extrapolated" : ""}`),
     ...part(estimated(e.reached_1) && have(e.reached_mm) && e.reached_mm < 3, () => `${uncertain(e.reached_1, 3)} at ${number(e.reached_mm, 2)} mm, as far as it moves`),
     ...part(have(e.limit_1 ?? alert.raise_limit), () => `limit ${number(e.limit_1 ?? alert.raise_limit, 3)}`),
-    ...part(have(alert.probability_1), () => `exceeded with a probability of ${number(100 * alert.probability_1, 1)} %`),
+    ...part(have(alert.probability_1), () => `at 3 mm or as far as it moves exceeded with a probability of ${number(100 * alert.probability_1, 1)} %`),
   ],
   limit_forecast: (e) => [
-    ...part(have(e.distance_to_limit_km?.p50), () => `limit reached in ${roundKm(e.distance_to_limit_km.p50)} km`),
+    ...part(have(e.distance_to_limit_km?.p50), () => (e.distance_to_limit_km.p50 > 0 ? `limit reached in ${roundKm(e.distance_to_limit_km.p50)} km` : "limit reached already")),
     ...part(have(e.distance_to_limit_km?.p10), () => `p10 ${roundKm(e.distance_to_limit_km.p10)} km`),
     ...part(have(e.date_of_limit?.p50), () => `about ${date(e.date_of_limit.p50)}`),
     ...part(have(e.limit_1), () => `limit ${number(e.limit_1, 3)}`),
@@ -67,7 +68,7 @@ const OF_KIND = {
     ...part(have(e.hunting_windows, e.windows), () => `hunting in ${e.hunting_windows} of the latest ${e.windows} windows`),
     ...part(have(e.frequency_hz), () => `${number(e.frequency_hz, 1)} Hz`),
     ...part(have(e.amplitude_mm), () => `up to ${number(e.amplitude_mm, 1)} mm`),
-    ...part(have(e.speed_max_m_s), () => `up to ${number(3.6 * e.speed_max_m_s)} km/h`),
+    ...part(have(e.speed_max_m_s), () => `up to ${number(e.speed_max_m_s, 1)} m/s`),
   ],
   suspension_change: (e) => [
     ...part(estimated(e.change_1), () => `yaw stiffness has changed by ${number(100 * e.change_1.value)} % (95 %: ${e.change_1.interval_95.map((edge) => number(100 * edge)).join(" to ")} %)`),
@@ -99,7 +100,7 @@ const OF_KIND = {
   wheel_flat: (e) => [
     ...part(have(e.striking_windows, e.windows), () => `${have(e.wheel) ? `the ${e.wheel} wheel` : "a wheel"} strikes once a turn in ${e.striking_windows} of the latest ${e.windows} windows`),
     ...part(have(e.blow_m_s2), () => `blows of ${number(e.blow_m_s2)} m/s2`),
-    ...part(have(e.speed_max_m_s), () => `up to ${number(3.6 * e.speed_max_m_s)} km/h`),
+    ...part(have(e.speed_max_m_s), () => `up to ${number(e.speed_max_m_s, 1)} m/s`),
   ],
   fleet_alert: (e) => [
     ...part(have(e.member_count), () => `stands for ${e.member_count} alerts, ${e.open_member_count} of them open`),

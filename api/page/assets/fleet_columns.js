@@ -4,12 +4,17 @@ import { segment } from "./client.js";
 import { date, lastData, number, roundKm, words } from "./format.js";
 import { interval } from "./interval.js";
 
-export const URGENCY_TONES = { over_limit: "critical", critical_alert: "critical", due: "warning", warning_alert: "warning", unknown: "info" };
-const NAMES = { over_limit: "over limit", critical_alert: "critical", warning_alert: "warning", not_due: "not due", not_mounted: "not mounted" };
+const OVER = ["over_limit", "probably_over"];
+const TONES = { over_limit: "critical", probably_over: "warning", critical_alert: "critical", due: "warning", watch: "warning", unknown: "info" };
+const NAMES = { over_limit: "over the limit", critical_alert: "critical" };
+
+export const SLOPE_DIGITS = 5; // of a slope per 1,000 km: some 0.001
 
 /** Urgencies, the most urgent first, as the API names them. */
-export const URGENCIES = ["over_limit", "critical_alert", "due", "warning_alert", "unknown", "not_due", "not_mounted"];
+export const URGENCIES = ["over_limit", "probably_over", "critical_alert", "due", "watch", "unknown", "fine", "not_mounted"];
 export const nameOf = (urgency) => NAMES[urgency] ?? words(urgency);
+/** An urgency in its words and its tone, which is that of the alerts behind it; `kind` is how it is drawn. */
+export const urgencyBadge = (urgency, kind = "badge") => el("span", { class: `${kind} ${TONES[urgency] ?? ""}` }, nameOf(urgency));
 export const address = (row) => `#/wheelsets/${segment(row.serial)}`;
 const second = (...content) => el("span", { class: "second" }, ...content);
 
@@ -20,8 +25,8 @@ export const columns = (most) => [
   { name: "place", label: "Vehicle, axle", cell: place },
   { name: "why", label: "Why", cell: why },
   { name: "conicity", label: "Conicity at 3 mm, 95 %", sort: "-conicity", title: "Equivalent conicity with its 95 % interval; the line across is the limit", cell: (row) => conicity(row.state, most()) },
-  { name: "trend", label: "Per 100,000 km", class: "right", sort: "-trend", title: "Slope of the conicity since the last reprofiling", cell: (row) => slope(row.state.slope_1_per_1000_km) },
-  { name: "distance", label: "To the limit, km", class: "right", sort: "distance_to_limit", title: "Still to run: median, and p10 to p90", cell: (row) => distance(row.state) },
+  { name: "trend", label: "Per 1,000 km", class: "right", sort: "-trend", title: "Slope of the conicity since the last reprofiling", cell: (row) => slope(row.state.slope_1_per_1000_km) },
+  { name: "distance", label: "To the limit, km", class: "right", sort: "distance_to_limit", title: "Still to run: median, and p10 to p90", cell: (row) => distance(row.state.distance_to_limit_km) },
   { name: "limitdate", label: "Reached about", class: "right", title: "When the limit is reached: median, and p10", cell: (row) => limitDate(row.state) },
   { name: "mileage", label: "Mileage, km", class: "right", sort: "-mileage", title: "Since new", cell: (row) => known(row.state.mileage_km, number) },
   { name: "data", label: "Last data", class: "right", sort: "last_data", cell: (row) => lastData(row.state.last_data_at) },
@@ -31,7 +36,7 @@ function urgency({ state }) {
   const open = state.alerts.length;
   const taken = state.alerts.filter((alert) => alert.acknowledged || alert.shelved_until).length;
   const note = taken ? `${taken} of ${open} seen` : `${open} alert${open === 1 ? "" : "s"}`;
-  return [el("span", { class: `badge ${URGENCY_TONES[state.urgency] ?? ""}` }, nameOf(state.urgency)), open ? second(note) : null];
+  return [urgencyBadge(state.urgency), open ? second(note) : null];
 }
 
 function place(row) {
@@ -47,7 +52,7 @@ function why({ state }) {
 
 function conicity(state, most) {
   const found = state.conicity_1;
-  const drawing = interval(found, state.limit_1, most);
+  const drawing = interval(found, state.limit_1, most, OVER.includes(state.urgency));
   if (found.value === null) {
     const text = found.status === "invalid" ? "invalid" : found.status === "unestimated" ? "not estimated" : words(found.status);
     return el("span", { class: "drawn" }, drawing, el("span", { class: "unknown", title: found.reason }, text, second(found.reason)));
@@ -64,14 +69,14 @@ function conicity(state, most) {
 function slope(found) {
   if (found.value === null) return el("span", { class: "unknown", title: found.reason }, "not estimated");
   const [low, high] = found.interval_95;
-  const signed = (value) => `${value < 0 ? "" : "+"}${number(100 * value, 3)}`;
-  return [signed(found.value), second(`${number(100 * low, 3)} to ${number(100 * high, 3)}`)];
+  const signed = (value) => `${value < 0 ? "" : "+"}${number(value, SLOPE_DIGITS)}`;
+  return [signed(found.value), second(`${number(low, SLOPE_DIGITS)} to ${number(high, SLOPE_DIGITS)}`)];
 }
 
-function distance(state) {
-  const { p10, p50, p90, reason } = state.distance_to_limit_km;
+/** The distance that is left to the limit, from now: median, and p10 to p90. */
+export function distance({ p10, p50, p90, reason, reason_code: code }) {
   if (p10 === null && p50 === null) {
-    const beyond = state.distance_to_limit_km.reason_code === "beyond_horizon";
+    const beyond = code === "beyond_horizon";
     return el("span", { class: beyond ? "quiet" : "unknown", title: reason }, beyond ? "beyond horizon" : "not estimated");
   }
   if (p50 === null) return [`> ${roundKm(p10)}`, second("median beyond")];

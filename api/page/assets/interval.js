@@ -10,15 +10,14 @@ export function scaleOf(rows) {
   return Math.max(0.6, Math.ceil(Math.max(0, ...limits) * 1.5 * 10) / 10);
 }
 
-/** Draw an estimate; without a value only the scale and the limit are drawn. */
-export function interval(found, limit, most) {
+/** Draw an estimate, in red where `over` its limit; without a value only the scale and the limit are drawn. */
+export function interval(found, limit, most, over) {
   const at = (value) => EDGE + (Math.min(Math.max(value, 0), most) / most) * (WIDTH - 2 * EDGE);
   const middle = HEIGHT / 2;
   const known = found.value !== null;
   const parts = [svg("line", { class: "axis", x1: EDGE, x2: WIDTH - EDGE, y1: middle, y2: middle })];
   if (known) {
     const [low, high] = found.interval_95;
-    const over = limit !== null && found.value >= limit;
     parts.push(
       svg("rect", { class: over ? "bar over" : "bar", x: at(low), width: Math.max(1, at(high) - at(low)), y: middle - 4, height: 8, rx: 1.5 }),
       svg("line", { class: over ? "value over" : "value", x1: at(found.value), x2: at(found.value), y1: middle - 5.5, y2: middle + 5.5 }),

@@ -2,8 +2,8 @@
 import { get, getAll, segment, withQuery } from "./client.js";
 import { el } from "./dom.js";
 import { filters } from "./filters.js";
-import { URGENCY_TONES, nameOf } from "./fleet_columns.js";
-import { date, moment, number, roundKm } from "./format.js";
+import { distance, urgencyBadge } from "./fleet_columns.js";
+import { date, moment, number } from "./format.js";
 import { live } from "./live.js";
 import { keepQuery } from "./router.js";
 import { empty } from "./states.js";
@@ -92,10 +92,10 @@ const columns = [
   { name: "turnby", label: "Turn by", title: "When the first wheelset of the visit may reach its limit (p10)", cell: turnBy },
   { name: "visit", label: "Vehicle", cell: (line) => (line.first ? [el("a", { href: `#/?vehicle=${segment(line.vehicle)}`, tabindex: -1 }, line.vehicle), line.visit ? second(`visit ${line.visit}`) : null] : null) },
   { name: "axle", label: "Axle", cell: (line) => [`axle ${line.axle}`, line.bogie === null ? null : second(`bogie ${line.bogie}`)] },
-  { name: "serial", label: "Wheelset", cell: (line) => [el("a", { href: `#/wheelsets/${segment(line.wheelset)}`, tabindex: -1 }, line.wheelset), second(el("span", { class: `tone ${URGENCY_TONES[line.urgency] ?? ""}` }, nameOf(line.urgency)))] },
+  { name: "serial", label: "Wheelset", cell: (line) => [el("a", { href: `#/wheelsets/${segment(line.wheelset)}`, tabindex: -1 }, line.wheelset), second(urgencyBadge(line.urgency, "tone"))] },
   { name: "cause", label: "What", cell: cause },
   { name: "why", label: "Why", cell: (line) => el("span", { class: "clamp", title: line.reason }, line.reason) },
-  { name: "distance", label: "To the limit, km", class: "right", title: "Still to run: median, and p10 to p90", cell: distance },
+  { name: "distance", label: "To the limit, km", class: "right", title: "Still to run: median, and p10 to p90", cell: (line) => distance(line.distance_to_limit_km) },
   { name: "radius", label: "Radius, mm", class: "right", title: "After the visit, and before it", cell: radius },
 ];
 
@@ -109,12 +109,6 @@ function turnBy(line) {
 function cause(line) {
   const [text, tone] = CAUSES[line.cause] ?? [line.cause, ""];
   return el("span", { class: `badge ${tone}` }, text);
-}
-
-function distance(line) {
-  const { p10, p50, p90, reason, reason_code: code } = line.distance_to_limit_km;
-  if (p10 === null && p50 === null) return el("span", { class: "unknown", title: reason }, code === "beyond_horizon" ? "beyond horizon" : "unknown");
-  return [p50 === null ? "median beyond" : roundKm(p50), second(`${roundKm(p10)} to ${p90 === null ? "beyond" : roundKm(p90)}`)];
 }
 
 function radius(line) {

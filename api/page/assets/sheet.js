@@ -4,7 +4,7 @@ import { el } from "./dom.js";
 import { date, estimate, km, moment, number, words } from "./format.js";
 import { live } from "./live.js";
 import { conicityChart } from "./wheelset_curves.js";
-import { loadWheelset, newestMileage } from "./wheelset_data.js";
+import { loadWheelset } from "./wheelset_data.js";
 import { fact } from "./wheelset_panels.js";
 import { forecast, trendChart } from "./wheelset_trend.js";
 
@@ -17,7 +17,7 @@ export async function sheet({ params, signal, title }) {
 }
 
 function page(found) {
-  const { wheelset: one, geometry, trend, comparisons, mountings, alerts, quality } = found;
+  const { wheelset: one, now, geometry, trend, comparisons, mountings, alerts, quality } = found;
   const total = quality.total.reduce((sum, row) => sum + row.windows, 0);
   const used = quality.total.filter((row) => row.state === "estimated").reduce((sum, row) => sum + row.windows, 0);
   return el(
@@ -27,10 +27,10 @@ function page(found) {
     el("div", { class: "columns" },
       el("dl", { class: "facts" },
         fact("Fleet", one.fleet), fact("Runs on", one.mounting ? `${one.mounting.vehicle}, axle ${one.mounting.axle}` : "no vehicle"), fact("Wheel profile", one.wheel_profile),
-        fact("Nominal radius", `${number(one.nominal_radius_mm, 1)} mm`), fact("Mileage", newestMileage(found) === null ? "unknown" : km(newestMileage(found)))),
+        fact("Nominal radius", `${number(one.nominal_radius_mm, 1)} mm`), fact("Mileage", km(now?.mileage_km))),
       el("dl", { class: "facts" },
-        fact("Conicity at 3 mm", estimate(geometry?.equivalent_conicity_at_3_mm_1)), fact("Limit", trend?.limit_1 == null ? "none on file" : number(trend.limit_1, 2)),
-        fact("Limit reached", forecast(trend)), fact("Data", geometry ? `${date(geometry.measured_from)} to ${date(geometry.measured_to)}` : "none estimated"),
+        fact("Conicity at 3 mm", estimate(now?.conicity_1)), fact("Limit", now?.limit_1 == null ? "none known yet" : number(now.limit_1, 3)),
+        fact("Limit reached", forecast(now)), fact("Data", geometry ? `${date(geometry.measured_from)} to ${date(geometry.measured_to)}` : "none estimated"),
         fact("Windows", `${number(used)} of ${number(total)} used${refusals(quality)}`))),
     el("section", {}, el("h2", {}, "Conicity over its life"), trend || found.intervals.length ? trendChart(found, "mileage", 190) : el("p", { class: "absent" }, "Nothing has been estimated yet.")),
     el("div", { class: "columns" },

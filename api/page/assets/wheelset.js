@@ -1,10 +1,11 @@
 // One wheelset: what is known of it, how sure that is, why, and what was measured.
 import { segment } from "./client.js";
 import { el } from "./dom.js";
-import { estimate, km, lastData } from "./format.js";
+import { SLOPE_DIGITS, urgencyBadge } from "./fleet_columns.js";
+import { estimate, km, lastData, number } from "./format.js";
 import { live } from "./live.js";
 import { conicityChart, occupancy, radiusChart } from "./wheelset_curves.js";
-import { eventsOf, loadWheelset, newestMileage } from "./wheelset_data.js";
+import { eventsOf, loadWheelset } from "./wheelset_data.js";
 import { opinionsPanel } from "./wheelset_opinions.js";
 import { alertsPanel, eventsPanel, fact, fitPanel, measurementsPanel, panel, qualityPanel } from "./wheelset_panels.js";
 import { noEstimate } from "./wheelset_reasons.js";
@@ -47,15 +48,15 @@ function heading(one) {
 }
 
 export function summary(found) {
-  const { geometry, trend } = found;
-  const mileage = newestMileage(found);
-  const conicity = geometry?.equivalent_conicity_at_3_mm_1;
+  const { geometry, now } = found;
+  const conicity = now?.conicity_1;
   return el(
     "dl", { class: "facts" },
+    now ? fact("Urgency", urgencyBadge(now.urgency), el("span", { class: "second" }, now.reasons.map((one) => one.text).join("; "))) : null,
     fact("Conicity at 3 mm", estimate(conicity), conicity?.reason ? el("span", { class: "second" }, conicity.reason) : null),
-    fact("Limit", trend?.limit_1 == null ? "none on file" : String(trend.limit_1)),
-    fact("Slope per 1,000 km", estimate(trend?.slope_1_per_1000_km, 4)), fact("Limit reached", forecast(trend)),
-    fact("Mileage", mileage === null ? "unknown" : km(mileage)), fact("Last data", lastData(geometry?.measured_to ?? found.without?.last_data_at)),
+    fact("Limit", now?.limit_1 == null ? "none known yet" : number(now.limit_1, 3)),
+    fact("Slope per 1,000 km", estimate(now?.slope_1_per_1000_km, SLOPE_DIGITS)), fact("Limit reached", forecast(now)),
+    fact("Mileage", km(now?.mileage_km)), fact("Last data", lastData(now ? now.last_data_at : geometry?.measured_to)),
     fact("Reprofilings", String(found.wheelset.reprofilings.length)),
   );
 }

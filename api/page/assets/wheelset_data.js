@@ -6,7 +6,7 @@ const COMPARED = 4; // measurements that are shown beside estimates, the newest
 /** Everything of a wheelset; what there is none of yet is null or empty. */
 export async function loadWheelset(serial, signal) {
   const own = `/v1/wheelsets/${segment(serial)}`;
-  const wheelset = await get(own, signal);
+  const wheelset = (await getIfAny(`${own}/state`, signal)) ?? (await get(own, signal)); // a voided one has no state
   const list = (path) => getAll(`${path}${path.includes("?") ? "&" : "?"}limit=1000`, signal);
   const [recorded, recordedTrend, design, intervals, measurements, mountings, alerts, quality, signature, rails] = await Promise.all([
     get(`${own}/geometry`, signal), get(`${own}/trend`, signal), getIfAny(`${own}/contact`, signal),
@@ -19,7 +19,7 @@ export async function loadWheelset(serial, signal) {
   alerts.sort((a, b) => b.opened_at.localeCompare(a.opened_at));
   const [geometry, trend] = [recorded, recordedTrend].map((one) => (one.recorded_at === null ? null : one)); // ever estimated
   const without = recorded.unestimated_because && { ...recorded.unestimated_because, reason: recorded.reason };
-  return { wheelset, geometry, without, trend, design, intervals, measurements, comparisons, mountings, alerts, quality, signature, rails };
+  return { wheelset, now: wheelset.state ?? null, geometry, without, trend, design, intervals, measurements, comparisons, mountings, alerts, quality, signature, rails };
 }
 
 /** What happened to a wheelset, the newest first: `{at, what, detail, km}`. */
@@ -32,11 +32,4 @@ export function eventsOf({ wheelset, mountings, measurements, alerts }) {
     ...alerts.map((one) => ({ at: one.opened_at, what: "alert", detail: `${one.kind.replaceAll("_", " ")} (${one.severity})`, km: null })),
   ];
   return events.sort((a, b) => b.at.localeCompare(a.at));
-}
-
-/** The newest mileage that anything is known at; null where nothing is. */
-export function newestMileage({ trend, geometry, intervals }) {
-  const known = [...(trend?.points.mileage_km ?? []), geometry?.mileage_km, ...intervals.map((one) => one.mileage_km)];
-  const numbers = known.filter((km) => km !== null && km !== undefined);
-  return numbers.length ? Math.max(...numbers) : null;
 }

@@ -31,7 +31,7 @@ export function trendChart(found, over, height = 280) {
   const turned = wheelset.reprofilings.map((one) => ({ x: byMileage ? one.mileage_km : seconds(one.reprofiled_at), label: "reprofiled", role: "event" }));
   if (trend?.step) turned.push({ x: byMileage ? trend.step.after_km : seconds(trend.step.after_at), label: "step", role: "event" });
   const limit = trend?.limit_1;
-  if (limit != null) turned.push({ y: limit, label: `limit ${number(limit, 2)}`, role: "limit" });
+  if (limit != null) turned.push({ y: limit, label: `limit ${number(limit, 3)}`, role: "limit" });
   return el(
     "div", { class: "charted", data: { chart: `trend-${over}` } },
     chart({
@@ -59,14 +59,14 @@ function ownPoints(trend, byMileage) {
   return { label: "points of the trend, 95 %", role: "estimate", kind: "points", x: sorted.x, y, low: edge(-1), high: edge(1) };
 }
 
-/** Straight lines from the fitted value at the last point to the limit, where each quantile reaches it. */
+/** Straight lines from the fitted value at the last point to the limit, where each quantile reaches it from now on. */
 function fan(trend, byMileage) {
   if (!trend || trend.fitted_1.value === null || trend.limit_1 === null || trend.fitted_1.value >= trend.limit_1) return [];
   const at = trend.points;
   const begin = byMileage ? Math.max(...at.mileage_km.filter((km) => km !== null)) : Math.max(...at.measured_at.map(seconds));
   if (!Number.isFinite(begin)) return [];
   const ahead = byMileage ? trend.distance_to_limit_km : trend.date_of_limit;
-  const end = (value) => (byMileage ? begin + value : seconds(value));
+  const end = (value) => (byMileage ? begin + (trend.since_trend_km ?? 0) + value : seconds(value));
   return ["p10", "p50", "p90"].flatMap((name) => {
     if (ahead[name] === null) return [];
     const to = end(ahead[name]);
@@ -83,12 +83,11 @@ function missing(intervals) {
   return el("p", { class: "absent" }, `${unknown.length} of ${intervals.length} mileage intervals have no conicity at 3 mm and are left out: ${codes}.`);
 }
 
-/** The forecast in words. */
-export function forecast(trend) {
-  if (!trend) return "There is no trend yet.";
-  const km = trend.distance_to_limit_km, days = trend.date_of_limit;
-  if (trend.fitted_1.value !== null && trend.limit_1 !== null && trend.fitted_1.value >= trend.limit_1) return `The limit of ${number(trend.limit_1, 2)} is reached.`;
-  if (km.p50 === null) return km.reason ?? trend.reason ?? "not known";
-  const range = km.p10 === null || km.p90 === null ? `p90 ${km.reason ?? "not known"}` : `80 %: ${roundKm(km.p10)} to ${roundKm(km.p90)} km`;
-  return `in ${roundKm(km.p50)} km (${range})${days.p50 ? `, about ${date(days.p50)}` : ""}`;
+/** The forecast from now in words. */
+export function forecast(now) {
+  if (!now) return "nothing is known of it";
+  const { p10, p50, p90, reason } = now.distance_to_limit_km, day = now.date_of_limit.p50;
+  if (p50 === 0) return `reached already${now.probability_over_limit_1 === null ? "" : ` (probability ${number(100 * now.probability_over_limit_1)} %)`}`;
+  if (p50 === null) return reason ?? "not known";
+  return `in ${roundKm(p50)} km (80 %: ${roundKm(p10)} km to ${p90 === null ? "beyond the horizon" : `${roundKm(p90)} km`})${day ? `, about ${date(day)}` : ""}`;
 }

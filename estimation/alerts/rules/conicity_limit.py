@@ -1,19 +1,13 @@
-"""Rule: equivalent conicity over the limit of the vehicle's class and speed.
-
-A limit is held at 3 mm (EN 15302). A wheelset that does not move as far is extrapolated; what it does at the largest
-amplitude that it reaches is known better, and a conicity over the limit there is a danger whatever lies beyond. The
-trend is a smooth curve: the last two points of it, both over the limit, are over it too.
-"""
+"""Rules: equivalent conicity over the limit of the vehicle's class and speed, or not known well enough to say."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 from annotated_types import Interval
 
-from estimation.alerts.parameters import OF_FINDINGS
 from estimation.alerts.rules.rule import (
     IntervalsRule,
     Kilometres,
@@ -22,123 +16,14 @@ from estimation.alerts.rules.rule import (
     WindowCount,
     too_few_windows,
 )
-from estimation.trend.extrapolation import (
-    LIMIT_AMPLITUDE,
-    QUANTITY,
-    SAME_AMPLITUDE,
-    Extrapolation,
-    below_limit,
-    conicity_at_limit_amplitude,
-    extrapolated,
-)
-from estimation.trend.parameters import OF_TRENDS
-from estimation.trend.trend import probability_above
-from estimation.values.alerts import DecidingEvidence, Finding, Severity, number_evidence, unknown_evidence
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE, QUANTITY
+from estimation.trend.now import SCALE, LimitState, limit_now, limit_state
+from estimation.values.alerts import DecidingEvidence, Finding, LimitNow, Severity, number_evidence, unknown_evidence
 from estimation.values.fields import Served
-from estimation.values.quantities import Estimate, Status, with_interval
-from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.quantities import Estimate
+from estimation.values.reasons import Reason, code_of
 from estimation.values.registry import VehicleRecord
 from estimation.values.units import KM_H_IN_M_S
-
-
-@dataclass(frozen=True, slots=True)
-class Against:
-    """A conicity against a limit: which one decides, at which amplitude (m), and how probably it is over."""
-
-    conicity: Estimate
-    amplitude: float
-    probability: float
-
-
-@dataclass(frozen=True, slots=True)
-class LimitState:
-    """What is known of the conicity of a wheelset now.
-
-    ``reached`` is that at the largest amplitude covered, where that is below 3 mm and not too small to say anything of
-    a limit; ``last`` are the last points of a trend that a limit is held against; ``left_open`` says that the wheelset
-    moves as far as a limit is held against it, and its data leave the conicity open.
-    """
-
-    conicity: Estimate  # at 3 mm
-    reached: Estimate | None = None
-    reached_amplitude: float = LIMIT_AMPLITUDE  # m
-    last: Sequence[Estimate] = ()
-    beyond: Extrapolation | None = None  # how an extrapolated conicity is spread about its mean
-    left_open: bool = False
-
-    def at_limit(self, limit: float) -> Against | None:
-        """Return the conicity at 3 mm against a limit: of the trend, or of its last points; None where not known."""
-        of_trend = self._above(self.conicity, limit)
-        if of_trend is None:
-            return None
-        known = [(self.conicity, of_trend)]
-        if len(self.last) == OF_FINDINGS.last_points:
-            points = [(one, self._above(one, limit) or 0.0) for one in self.last]
-            known.append(min(points, key=lambda pair: pair[1]))
-        conicity, probability = max(known, key=lambda pair: pair[1])
-        return Against(conicity, LIMIT_AMPLITUDE, probability)
-
-    def at_reached(self, limit: float) -> Against | None:
-        """Return the conicity at the largest amplitude covered against a limit; None where that is 3 mm or unknown."""
-        probability = None if self.reached is None else probability_above(self.reached, limit)
-        if self.reached is None or probability is None:
-            return None
-        return Against(self.reached, self.reached_amplitude, probability)
-
-    def against(self, limit: float) -> Against | None:
-        """Return the conicity that decides whether the limit is exceeded; None where none does."""
-        # That is the one at 3 mm; at the amplitude reached where that one is over more probably and the one at 3 mm is
-        # unknown or not rather below. One that is below at a smaller amplitude alone decides nothing.
-        at_limit, at_reached = self.at_limit(limit), self.at_reached(limit)
-        if at_reached is None or at_reached.probability < OF_FINDINGS.not_below:
-            return at_limit
-        if at_limit is None:
-            return at_reached
-        if at_limit.probability < OF_FINDINGS.not_below:
-            return at_limit
-        return max(at_limit, at_reached, key=lambda one: one.probability)
-
-    def _above(self, estimate: Estimate, limit: float) -> float | None:
-        if self.beyond is None or estimate.value is None:
-            return probability_above(estimate, limit)
-        return replace(self.beyond, value=estimate.value).mixture().above(limit)
-
-    @property
-    def extrapolated(self) -> bool:
-        """Whether the conicity at 3 mm is extrapolated."""
-        return self.reached is not None
-
-
-def limit_state(facts: WheelsetFacts) -> LimitState | None:
-    """Return what is known of the conicity of a wheelset; None without a geometry."""
-    # the fitted trend says what is at 3 mm, or the current geometry where none is comparable
-    if facts.geometry is None:
-        return None
-    geometry, record = facts.geometry.geometry, facts.current_trend
-    trend = None if record is None or record.trend.not_comparable else record.trend
-    fitted = None if trend is None or trend.fitted.status is not Status.ESTIMATED else trend.fitted
-    conicity = conicity_at_limit_amplitude(geometry) if fitted is None else fitted
-    amplitude = geometry.reported_amplitude
-    reaches = OF_TRENDS.least_amplitude - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
-    known = reaches and geometry.equivalent_conicity.status is Status.ESTIMATED
-    beyond = extrapolated(below_limit(geometry)) if known else None
-    last: list[Estimate] = []
-    if trend is not None and fitted is not None:
-        pairs = zip(
-            trend.value[-OF_FINDINGS.last_points :].tolist(),
-            trend.std[-OF_FINDINGS.last_points :].tolist(),
-            strict=True,
-        )
-        last = [with_interval(value, std) for value, std in pairs]
-    left_open = any(
-        OF_TRENDS.least_amplitude - SAME_AMPLITUDE < at < LIMIT_AMPLITUDE + SAME_AMPLITUDE
-        and code_of(one.reason) is ReasonCode.CONICITY_OPEN
-        for at, one in zip(geometry.amplitude.tolist(), geometry.conicity, strict=True)
-    )
-    if not known:
-        return LimitState(conicity, last=last, left_open=left_open)
-    return LimitState(conicity, geometry.equivalent_conicity, amplitude, last, beyond, left_open)
-
 
 ANY_CLASS = "*"
 SPEED_DIGITS = 6  # of km/h: 120 km/h in m/s and back is 120.00000000000001, which belongs to the band up to 120
@@ -184,7 +69,6 @@ class ConicityLimitRule(IntervalsRule):
     raise_probability: Probability = 0.9
     clear_probability: Probability = 0.9
     clear_margin: float = 0.02  # of the clear limit below the raise limit
-    critical_margin: float = 0.05  # critical when over the limit by this much
     minimum_windows: WindowCount = 3
     bands: tuple[SpeedBand, ...] = DEFAULT_BANDS
 
@@ -206,58 +90,67 @@ class ConicityLimitRule(IntervalsRule):
     def find_now(self, facts: WheelsetFacts) -> Finding | None:
         """Return the finding on the limit, by the conicity at 3 mm, or at the amplitude reached where that is less."""
         # at 3 mm it is that of the fitted trend, or of the current geometry where no trend is comparable with the limit
-        limit, state = self.limit_of(facts), limit_state(facts)
-        if facts.geometry is None or limit is None or state is None:
+        believed = self.believed(facts)
+        if believed is None or facts.geometry is None:
             return None
         return conicity_limit_finding(
             self,
             facts.wheelset.serial,
-            state,
+            believed,
             facts.geometry.geometry.windows,
-            limit,
             facts.geometry.to_ns,
-            current=conicity_at_limit_amplitude(facts.geometry.geometry),
             not_assessable_reason=facts.not_assessable_reason,
         )
 
-    def limit_of(self, facts: WheelsetFacts) -> float | None:
-        """Return the limit of a wheelset; None in no vehicle, or where no band applies."""
-        return None if facts.vehicle is None else self.limit_for(facts.vehicle)
+    def believed(self, facts: WheelsetFacts) -> Believed | None:
+        """Return what is known of the conicity of a wheelset and its limit; None without a geometry or a limit."""
+        limit = None if facts.vehicle is None else self.limit_for(facts.vehicle)
+        if facts.geometry is None or limit is None:
+            return None
+        geometry, record = facts.geometry.geometry, facts.current_trend
+        trend = None if record is None else record.trend
+        return Believed(limit_state(geometry, trend), limit, limit_now(geometry, trend, limit, facts.mileage))
+
+
+@dataclass(frozen=True, slots=True)
+class Believed:
+    """What the data show of the conicity, its limit, and what is therefore believed now."""
+
+    state: LimitState
+    limit: float
+    now: LimitNow
 
 
 def conicity_limit_finding(
     rule: ConicityLimitRule,
     wheelset: str,
-    state: LimitState,
+    believed: Believed,
     windows: int,
-    limit: float,
     measured_ns: int,
     *,
-    current: Estimate | None = None,
     not_assessable_reason: Reason | None = None,
 ) -> Finding:
-    """Return the finding on the limit by the conicity."""
+    """Return the finding on the limit by the conicity: the data decide, and the alert says what is believed now."""
+    state, limit, now = believed.state, believed.limit, believed.now
     against = state.against(limit)
     reason = not_assessable_reason or too_few_windows(windows, rule.minimum_windows)
     if reason is None and against is None:
         reason = state.conicity.reason
     over = None if reason or against is None else against.probability
     clear_limit = limit - rule.clear_margin
-    severity = Severity.WARNING
-    if _probability(state.against(limit + rule.critical_margin)) >= rule.raise_probability:
-        severity = Severity.CRITICAL
+    severity = SCALE.severity(now.probability_over_limit)
     return Finding(
         wheelset=wheelset,
         kind=ConicityLimitRule.kind,
         breached=None if over is None else over >= rule.raise_probability,
         cleared=None if over is None else _is_clear(rule, state, clear_limit),
         severity=severity,
-        probability=number_evidence(over, 3),
+        probability=None if over is None else number_evidence(now.probability_over_limit, 3),
         evidence=ConicityLimitEvidence(
             quantity=QUANTITY,
             amplitude_mm=number_evidence(1e3 * (LIMIT_AMPLITUDE if against is None else against.amplitude)),
             conicity=state.conicity if against is None else against.conicity,
-            current=state.conicity if current is None else current,
+            current=now.conicity,
             windows=windows,
             limit=number_evidence(limit),
             unknown=reason,
@@ -271,13 +164,9 @@ def conicity_limit_finding(
 
 def _is_clear(rule: ConicityLimitRule, state: LimitState, clear_limit: float) -> bool | None:
     at_limit, at_reached = state.at_limit(clear_limit), state.at_reached(clear_limit)
-    if _probability(at_reached) >= rule.raise_probability:
+    if at_reached is not None and at_reached.probability >= rule.raise_probability:
         return False
     return None if at_limit is None else 1.0 - at_limit.probability >= rule.clear_probability
-
-
-def _probability(against: Against | None) -> float:
-    return 0.0 if against is None else against.probability
 
 
 ANY_PROBABILITY = Interval(ge=0.01, le=0.9)
@@ -316,30 +205,28 @@ class MeasureRule(IntervalsRule):
 
     def find_now(self, facts: WheelsetFacts) -> Finding | None:
         """Return the finding; None without a geometry or a limit."""
-        rule, state = facts.limit_rule, limit_state(facts)
-        if not isinstance(rule, ConicityLimitRule) or facts.geometry is None or state is None:
-            return None
-        limit = rule.limit_of(facts)
-        if limit is None:
+        rule = facts.limit_rule
+        believed = rule.believed(facts) if isinstance(rule, ConicityLimitRule) else None
+        if not isinstance(rule, ConicityLimitRule) or facts.geometry is None or believed is None:
             return None
         decided = conicity_limit_finding(
             rule,
             facts.wheelset.serial,
-            state,
+            believed,
             facts.geometry.geometry.windows,
-            limit,
             facts.geometry.to_ns,
             not_assessable_reason=facts.not_assessable_reason,
         )
         at_km = facts.profiles_measured_km
         measured = at_km is not None and facts.geometry.mileage_km - at_km <= self.measured_within_km
-        return measure_finding(self, state, decided, limit, measured=measured)
+        return measure_finding(self, believed, decided, measured=measured)
 
 
-def measure_finding(rule: MeasureRule, state: LimitState, decided: Finding, limit: float, *, measured: bool) -> Finding:
+def measure_finding(rule: MeasureRule, believed: Believed, decided: Finding, *, measured: bool) -> Finding:
     """Return whether the profiles are to be measured."""
+    state, limit, now = believed.state, believed.limit, believed.now
     at_limit, at_reached = state.at_limit(limit), state.at_reached(limit)
-    over = max((one.probability for one in (at_limit, at_reached) if one is not None), default=0.0)
+    over = max((one.probability for one in (at_limit, at_reached) if one is not None), default=None)
     needed = rule.extrapolated_probability if state.extrapolated else rule.raise_probability
     at_3_mm = 0.0 if at_limit is None else at_limit.probability
     reached = 0.0 if at_reached is None else at_reached.probability
@@ -360,9 +247,9 @@ def measure_finding(rule: MeasureRule, state: LimitState, decided: Finding, limi
         probability=None if silent else number_evidence(over, 3),
         evidence=MeasureEvidence(
             quantity=QUANTITY,
-            conicity=state.conicity,
+            conicity=now.conicity,
             reached_mm=number_evidence(1e3 * state.reached_amplitude),
-            reached=state.conicity if state.reached is None else state.reached,
+            reached=now.conicity if state.reached is None else state.reached,
             limit=number_evidence(limit),
         ).stored()
         | {name: decided.evidence[name] for name in ("windows", *unknown_evidence(None))},

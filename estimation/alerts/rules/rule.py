@@ -15,7 +15,7 @@ from estimation.alerts.identity import IdentityEvent
 from estimation.alerts.parameters import OF_FINDINGS
 from estimation.trend.extrapolation import conicity_points
 from estimation.trend.trend import TrendParameters, trend_up_to
-from estimation.values.alerts import Alert, Evidence, Finding, Severity, number_evidence
+from estimation.values.alerts import Alert, Evidence, Finding, MileageNow, Severity, number_evidence
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
 from estimation.values.opinions import GearDamper
 from estimation.values.reasons import Reason, ReasonCode
@@ -62,6 +62,7 @@ class WheelsetFacts:
     windows: Sequence[WindowRecord]  # of the mounting in service, the newest that any rule looks at
     intervals: Sequence[GeometryRecord] = ()  # that hold, of the profile in this mounting, oldest first: the newest
     conicities: Sequence[IntervalConicities] = ()  # of all of them; empty where ``intervals`` are all
+    mileage: MileageNow | None = None  # newest that is believed; None is that of the geometry
     open_alerts: Sequence[Alert] = ()
     identity: IdentityEvent | None = None  # since the last identity change
     suspension: SuspensionShown | None = None  # of its vehicle, where its alert stands at this wheelset
@@ -385,4 +386,4 @@ def _newest_first(facts: WheelsetFacts, intervals: Sequence[GeometryRecord]) -> 
             if shared_std is None:
                 shared_std = conicity_points(facts.all_conicities).spread
             trend = trend_up_to(facts.current_trend, record.mileage_km, shared_std, facts.trend_parameters)
-        yield replace(facts, geometry=record, trend=trend, not_assessable_reason=None)
+        yield replace(facts, geometry=record, trend=trend, mileage=None, not_assessable_reason=None)

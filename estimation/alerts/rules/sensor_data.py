@@ -176,6 +176,9 @@ class NoDataEvidence(Evidence):
     reason: Annotated[str | None, Served("Why the newest of the most frequent reason cannot be used.")] = None
 
 
+AT_ONCE_OFF = AlertDelays(off_evaluations=1)
+
+
 @dataclass(frozen=True, slots=True)
 class NoDataRule(AlertRule):
     """No window that could be estimated for some days."""
@@ -186,7 +189,7 @@ class NoDataRule(AlertRule):
     hides_wear = Reason(ReasonCode.NO_RECENT_DATA, "no usable data for too long")
     relations = (("critical_days", ">=", "days"),)
 
-    delays: AlertDelays = field(default_factory=lambda: AlertDelays(off_evaluations=1))
+    delays: AlertDelays = AT_ONCE_OFF
     days: Days = 7.0
     critical_days: float = 28.0
 

@@ -11,8 +11,8 @@ from annotated_types import Interval
 
 from estimation.alerts.parameters import OF_FINDINGS
 from estimation.alerts.rules.rule import AlertRule, IntervalsRule, Probability, WheelsetFacts
-from estimation.trend.trend import probability_within
-from estimation.values.alerts import DecidingEvidence, Evidence, Finding, Severity, number_evidence, restated
+from estimation.trend.now import SCALE, limit_now, probability_within
+from estimation.values.alerts import DecidingEvidence, Evidence, Finding, LimitNow, Severity, number_evidence, restated
 from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -241,9 +241,12 @@ class LimitForecastEvidence(DecidingEvidence):
     quantity: Annotated[str, Served("What the trend is of.", example="equivalent_conicity")]
     slope_per_1000_km: Annotated[Estimate, Served("Slope of the trend.", "slope_1_per_1000_km")]
     fitted: Annotated[Estimate, Served("The fitted trend at its last point.", "fitted_1")]
-    distance_to_limit_km: Annotated[Forecast, Served("Distance left to the limit.")]
+    probability_over_limit: Annotated[
+        float | None, Served("That the limit is exceeded now, as in the worklist.", "probability_over_limit_1")
+    ]
+    distance_to_limit_km: Annotated[Forecast, Served("Distance left to the limit from the newest mileage.")]
     date_of_limit_ns: Annotated[Forecast, Served("When the limit is reached; to the second.", "date_of_limit")]
-    within_km: Annotated[float, Served("Distance within which reaching the limit raises the alert.")]
+    within_km: Annotated[float, Served("Distance from now within which reaching the limit raises the alert.")]
     limit: Annotated[float | None, Served("Limit of the quantity.", "limit_1")]
     points: Annotated[int, Served("Points of the trend.")]
 
@@ -267,10 +270,12 @@ class LimitForecastRule(IntervalsRule):
         """Return the finding of the trend; None without one of the present profile."""
         if facts.geometry is None or facts.current_trend is None:
             return None
+        trend = facts.current_trend.trend
         return limit_forecast_finding(
             self,
             facts.wheelset.serial,
-            facts.current_trend.trend,
+            trend,
+            limit_now(facts.geometry.geometry, trend, trend.limit, facts.mileage),
             facts.geometry.to_ns,
             not_assessable_reason=facts.not_assessable_reason,
         )
@@ -280,34 +285,33 @@ def limit_forecast_finding(
     rule: LimitForecastRule,
     wheelset: str,
     trend: WearTrend,
+    now: LimitNow,
     measured_ns: int,
     *,
     not_assessable_reason: Reason | None = None,
 ) -> Finding:
-    """Return the finding on the distance that is left to the limit of the trend."""
+    """Return the finding on the distance that is left to the limit of the trend, from now."""
     points = len(trend.value)
     reason = not_assessable_reason or (trend.reason if trend.status is not Status.ESTIMATED else trend.not_comparable)
     reason = reason or trend.few_behind
     if reason is None and points < rule.minimum_points:
         reason = Reason(ReasonCode.TOO_FEW_POINTS, f"{points} points, {rule.minimum_points} needed")
-    within = None if reason else probability_within(trend, rule.within_km)
-    within_clear = None if reason else probability_within(trend, rule.clear_within_km)
-    over = (trend.probability_over_limit or 0.0) >= OF_FINDINGS.probably_over  # that is no mere information
-    urgent = within is not None and (over or within >= rule.clear_probability)
-    severity = Severity.WARNING if urgent else Severity.INFO
+    within = None if reason else _reached_within(rule.within_km, trend, now)
+    within_clear = None if reason else _reached_within(rule.clear_within_km, trend, now)
     return Finding(
         wheelset=wheelset,
         kind=LimitForecastRule.kind,
         breached=None if within is None else within >= rule.raise_probability,
         cleared=None if within_clear is None else 1.0 - within_clear >= rule.clear_probability,
-        severity=severity,
+        severity=SCALE.severity(now.probability_over_limit),
         probability=number_evidence(within, 2),
         evidence=LimitForecastEvidence(
             quantity=trend.quantity,
             slope_per_1000_km=trend.slope_per_1000_km,
             fitted=trend.fitted,
-            distance_to_limit_km=trend.distance_to_limit_km,
-            date_of_limit_ns=trend.date_of_limit_ns,
+            probability_over_limit=number_evidence(now.probability_over_limit, 3),
+            distance_to_limit_km=now.distance_to_limit_km,
+            date_of_limit_ns=now.date_of_limit_ns,
             within_km=rule.within_km,
             limit=number_evidence(trend.limit),
             points=points,
@@ -318,3 +322,9 @@ def limit_forecast_finding(
         clear_limit=rule.clear_within_km,
         measured_ns=measured_ns,
     )
+
+
+def _reached_within(distance_km: float, trend: WearTrend, now: LimitNow) -> float | None:
+    """Return the probability that the limit is reached within a distance from now; None where not known."""
+    within = probability_within(trend, distance_km + (now.since_trend_km or 0.0))
+    return None if within is None else max(within, now.probability_over_limit or 0.0)

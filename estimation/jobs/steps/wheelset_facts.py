@@ -23,7 +23,7 @@ from estimation.jobs.steps.assumptions import identity_changes
 from estimation.rails.cell import conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
 from estimation.trend.trend import behind_step
-from estimation.values.alerts import Alert
+from estimation.values.alerts import Alert, MileageNow
 from estimation.values.geometry import GeometryRecord, IntervalConicities
 from estimation.values.opinions import GEAR_DAMPERS, GearDamper
 from estimation.values.registry import VehicleRecord, WheelsetRecord
@@ -86,7 +86,7 @@ class _Read:
     changes: Mapping[str, IdentityChange]
     identities: Mapping[str, IdentityEvent]
     suspensions: Mapping[str, SuspensionShown]
-    windows: Mapping[str, Sequence[WindowRecord]]
+    windows: Mapping[str, tuple[Sequence[WindowRecord], MileageNow | None]]
     dampers: Mapping[tuple[str, int], GearDamper]
     measured: Mapping[str, tuple[int, float]]
     sensors_changed: Mapping[tuple[str, int], int]
@@ -184,7 +184,7 @@ def _facts(
             windows=(),
             open_alerts=alerts,
         )
-    trend, windows = read.trends.get(serial), tuple(read.windows.get(serial, ()))
+    trend, (windows, mileage) = read.trends.get(serial), read.windows[serial]
     step = step_of(trend, wheelset)
     around = StepSurroundings()
     if step is not None:
@@ -197,7 +197,8 @@ def _facts(
         geometry=read.geometries.get(serial),
         trend=trend,
         step_surroundings=around,
-        windows=windows,
+        windows=tuple(windows),
+        mileage=mileage or MileageNow(mounting.wheelset_mileage_km, mounting.from_ns),
         hunted=hunted_beside(unit, mounting.vehicle, windows),
         intervals=tuple(_geometries(unit, serial, looked_at)),
         conicities=tuple(conicities),
@@ -263,23 +264,31 @@ def windows_wanted(book: RuleBook) -> tuple[int, float]:
     return OF_FINDINGS.look_back * wanted, max(reach_km(rule.delays) for rule in (*rules, flats))
 
 
-def _latest_windows(unit: UnitOfWork, books: Mapping[str, RuleBook]) -> Mapping[str, Sequence[WindowRecord]]:
-    """Return the latest windows in the present mounting that any rule looks at, and all of the last kilometres."""
+def _latest_windows(
+    unit: UnitOfWork, books: Mapping[str, RuleBook]
+) -> Mapping[str, tuple[Sequence[WindowRecord], MileageNow | None]]:
+    """Return the latest windows in the present mounting that any rule looks at, all of the last kilometres; mileage."""
     wanted = {serial: windows_wanted(book) for serial, book in books.items()}
-    latest: dict[str, Sequence[WindowRecord]] = {}
+    latest: dict[str, tuple[Sequence[WindowRecord], MileageNow | None]] = {}
     count = max((windows for windows, _ in wanted.values()), default=0)
     while wanted:
         read = unit.windows.in_service(list(wanted), count)
         for serial, (least, far_km) in list(wanted.items()):
             windows = read.get(serial, ())
             mileages = [None if window.implausible else window.mileage_km for window in windows]
-            known = [at for at in mileages if at is not None]
-            as_far = far_km <= 0.0 or (bool(known) and known[0] < known[-1] - far_km)
+            known, newest = [at for at in mileages if at is not None], newest_mileage(windows)
+            as_far = newest is not None and (far_km <= 0.0 or known[0] < known[-1] - far_km)
             if as_far or len(windows) < count:
-                latest[serial] = windows[-within_reach(mileages, least, far_km) :] if windows else ()
+                latest[serial] = windows[-within_reach(mileages, least, far_km) :] if windows else (), newest
                 del wanted[serial]
         count *= MORE
     return latest
+
+
+def newest_mileage(windows: Sequence[WindowRecord]) -> MileageNow | None:
+    """Return the newest mileage of windows, oldest first, that is believed; None where none is."""
+    believed = (window for window in reversed(windows) if window.implausible is None)
+    return next((MileageNow(window.mileage_km, window.start_ns) for window in believed), None)
 
 
 def step_of(record: TrendRecord | None, wheelset: WheelsetRecord) -> TrendStep | None:

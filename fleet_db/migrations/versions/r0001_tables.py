@@ -489,7 +489,7 @@ table(
     "urgency S16, worst_severity S16 NULL, urgency_key REAL, distance_key REAL NULL, conicity_key REAL NULL, "
     "trend_key REAL NULL, mileage_key REAL NULL, last_data_ns BIG NULL, document TEXT",
     known("status", "unestimated estimated invalid model_mismatch"),
-    known("urgency", "over_limit critical_alert due warning_alert unknown not_due not_mounted"),
+    known("urgency", "over_limit probably_over critical_alert due watch unknown fine not_mounted"),
     known("worst_severity", "info warning critical"),
     indexes(
         "conicity_key wheelset",

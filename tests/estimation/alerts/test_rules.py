@@ -6,19 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from believed_now import ahead_of, believed
 from scipy import stats
 from wheelset_life import DAY_NS, geometry_of, known, window_record
 from windows_finding import silence_finding, windows_finding
 
-from estimation.alerts.rules.conicity_limit import ConicityLimitRule, LimitState, SpeedBand, conicity_limit_finding
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand, conicity_limit_finding
 from estimation.alerts.rules.sensor_data import NoDataRule, SensorFaultRule
 from estimation.alerts.rules.trend import LimitForecastRule, limit_forecast_finding
 from estimation.alerts.rules.wheels import WheelAsymmetryRule, asymmetry_of, wheel_asymmetry_finding
+from estimation.trend.now import LimitState
 from estimation.trend.trend import refresh
-from estimation.values.alerts import Severity
+from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.trend import TrendPoint
+from estimation.values.trend import TrendPoint, WearTrend
 
 WHY = Reason(ReasonCode.NO_RECENT_DATA, "silent")
 
@@ -43,12 +45,12 @@ def test_a_class_of_its_own_goes_before_the_bands_of_all() -> None:
 @pytest.mark.parametrize(("value", "std"), [(0.44, 0.02), (0.41, 0.02), (0.385, 0.02), (0.3, 0.02), (0.5, 0.02)])
 def test_conicity_is_judged_by_probability(value: float, std: float) -> None:
     rule = ConicityLimitRule()
-    found = conicity_limit_finding(rule, "W", LimitState(known(value, std)), 10, 0.4, 5)
+    found = conicity_limit_finding(rule, "W", believed(LimitState(known(value, std))), 10, 5)
     over, over_clear = stats.norm.sf(0.4, value, std), stats.norm.sf(0.38, value, std)
     assert found.probability == pytest.approx(over, rel=1e-2)
     assert found.breached == (over >= 0.9)
     assert found.cleared == (1 - over_clear >= 0.9)
-    assert found.severity is (Severity.CRITICAL if value == 0.5 else Severity.WARNING)
+    assert found.severity is (Severity.CRITICAL if over >= 0.9 else Severity.WARNING)
     assert found.raise_limit == 0.4
     assert found.clear_limit == pytest.approx(0.38)
 
@@ -59,9 +61,14 @@ def test_conicity_is_judged_by_probability(value: float, std: float) -> None:
 )
 def test_conicity_that_cannot_be_said_is_unknown(conicity: Estimate, windows: int, reason: Reason | None) -> None:
     state, rule = LimitState(conicity), ConicityLimitRule()
-    found = conicity_limit_finding(rule, "W", state, windows, 0.4, 5, not_assessable_reason=reason)
+    found = conicity_limit_finding(rule, "W", believed(state), windows, 5, not_assessable_reason=reason)
     assert (found.breached, found.cleared, found.probability) == (None, None, None)
     assert found.evidence["unknown_because"]
+
+
+def forecast(rule: LimitForecastRule, trend: WearTrend, reason: Reason | None = None) -> Finding:
+    now = ahead_of(geometry_of(conicity=0.2), trend)
+    return limit_forecast_finding(rule, "W", trend, now, 5, not_assessable_reason=reason)
 
 
 def test_a_limit_that_comes_near_is_forecast() -> None:
@@ -69,17 +76,17 @@ def test_a_limit_that_comes_near_is_forecast() -> None:
     trend = refresh(points, 0.4)
     assert trend.distance_to_limit_km.p50 == pytest.approx(20_000.0, rel=0.15)
     rule = LimitForecastRule(within_km=40_000.0, clear_within_km=60_000.0)
-    near = limit_forecast_finding(rule, "W", trend, 5)
+    near = forecast(rule, trend)
     assert (near.breached, near.cleared, near.severity) == (True, False, Severity.WARNING)
-    far = limit_forecast_finding(LimitForecastRule(within_km=3_000.0, clear_within_km=4_000.0), "W", trend, 5)
+    far = forecast(LimitForecastRule(within_km=3_000.0, clear_within_km=4_000.0), trend)
     assert (far.breached, far.cleared) == (False, True)
-    between = limit_forecast_finding(LimitForecastRule(within_km=3_000.0, clear_within_km=60_000.0), "W", trend, 5)
+    between = forecast(LimitForecastRule(within_km=3_000.0, clear_within_km=60_000.0), trend)
     assert (between.breached, between.cleared) == (False, False)
-    assert limit_forecast_finding(rule, "W", trend, 5, not_assessable_reason=WHY).breached is None
-    assert limit_forecast_finding(rule, "W", refresh(points[:2], 0.4), 5).breached is None
-    assert limit_forecast_finding(rule, "W", refresh([], 0.4), 5).breached is None
+    assert forecast(rule, trend, WHY).breached is None
+    assert forecast(rule, refresh(points[:2], 0.4)).breached is None
+    assert forecast(rule, refresh([], 0.4)).breached is None
     never = replace(trend, distance_to_limit_km=Forecast(None, None, None), probability_over_limit=0.01)
-    assert limit_forecast_finding(rule, "W", never, 5).cleared is True
+    assert forecast(rule, never).cleared is True
 
 
 def test_unequal_treads_show_in_the_even_part_whatever_the_offset() -> None:

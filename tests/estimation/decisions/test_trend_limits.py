@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from estimation.trend.trend import TrendParameters, probability_above, probability_within, refresh
+from estimation.trend.now import probability_above, probability_within
+from estimation.trend.trend import TrendParameters, refresh
 from estimation.trend.wear_curve import fit_wear_curve
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from oracles.moments import collect
 from paper_class import PAPER_CLASS
 
-from bench.moments import collect
 from estimation.geometry.model_fit import solve_with_shared_scales
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.arrays import FloatArray, IntArray

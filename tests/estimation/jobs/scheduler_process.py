@@ -12,9 +12,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from threading import Event
 
+from api.terminal.stopping import stop_on_signals
 from estimation.errors import AlreadyRunningError
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.scheduler import serve_jobs, stop_on_signals
+from estimation.jobs.scheduler import serve_jobs
 from estimation.jobs.settings import JobSettings
 from estimation.values.registry import FleetRecord
 from fleet_db.session import database_engine

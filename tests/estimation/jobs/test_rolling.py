@@ -214,6 +214,7 @@ def test_after_anything_the_sums_are_those_of_the_tables_that_are_there(
         assert exact(sqlite_storage) == kept
 
 
+@pytest.mark.slow
 def test_one_more_window_costs_itself(
     sqlite_storage: SqlStorage, tables: list[BinTable], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -258,6 +259,7 @@ def cost(storage: SqlStorage, monkeypatch: pytest.MonkeyPatch) -> tuple[int, int
     return added[0] // 2, len(executed)
 
 
+@pytest.mark.slow
 def test_few_windows_wait_before_their_sums_are_written(sqlite_storage: SqlStorage, tables: list[BinTable]) -> None:
     register(sqlite_storage)
     life = Life(sqlite_storage, tables, random.Random(2))  # noqa: S311

@@ -79,6 +79,7 @@ def lived(storage: Storage) -> Storage:
     return storage
 
 
+@pytest.mark.slow
 @on_sqlite
 def test_a_replay_of_other_rules_shows_more_fewer_earlier_and_later_and_writes_nothing(lived: Storage) -> None:
     stored = on_file(lived, "W1")
@@ -117,6 +118,7 @@ def alert(opened: int, closed: int | None, kind: str = "a", severity: Severity =
     return replace(base, closed_ns=closed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("before", "after", "change"),
     [
@@ -132,6 +134,7 @@ def test_two_alerts_that_were_open_at_one_time_are_one(before: Alert, after: Ale
     assert differences([before], [after]) == [Difference(change, before, after)]
 
 
+@pytest.mark.slow
 def test_alerts_apart_are_one_fewer_and_one_more() -> None:
     for other in (alert(6, 7), alert(1, 5, "b")):
         found = differences([alert(1, 5)], [other])

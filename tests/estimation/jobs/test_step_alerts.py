@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from believed_now import ahead_of
 from due_geometries import due_geometries
 from one_database import on_sqlite
 from test_wear_jobs import feed, open_alert, run_jobs
@@ -81,9 +82,10 @@ def test_a_fall_is_raised_with_its_place_and_size_and_the_trend_begins_behind_it
     assert code_of(now.fitted.reason) is code_of(now.slope_per_1000_km.reason) is ReasonCode.BEHIND_STEP
     assert code_of(now.reason) is code_of(now.few_behind) is ReasonCode.BEHIND_STEP
     assert now.distance_to_limit_km == now.date_of_limit_ns == Forecast(None, None, None)
-    served = served_trend(TrendRecord("W1", 0, now, "d", "v", 1), None)
+    ahead = ahead_of(geometry_of(conicity=0.12), now)
+    served = served_trend(TrendRecord("W1", 0, now, "d", "v", 1), None, ahead)
     assert served.distance_to_limit_km.reason_code is ReasonCode.BEHIND_STEP
-    finding = limit_forecast_finding(LimitForecastRule(), "W1", now, 1)
+    finding = limit_forecast_finding(LimitForecastRule(), "W1", now, ahead, 1)
     assert (finding.breached, finding.evidence["unknown_because_code"]) == (None, "behind_step")
     with storage.read() as unit:
         change = last_change(unit, unit.registry.wheelset("W1"))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.moments import collect
 from oracles.regression import both_equations
 from oracles.regression import regression as plain_regression
 from same_values import same_values
 
-from bench.moments import collect
 from estimation.tables import bin_table
 from estimation.tables.bin_table import LATERAL_COLUMNS, NOISE, BinParameters, fill_cells, group_of
 from estimation.values.arrays import FloatArray, IntArray

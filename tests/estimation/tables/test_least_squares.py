@@ -9,10 +9,10 @@ import padasip
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles import moments as moments_of
 from oracles import recursive_least_squares
 from oracles.forgetting import merge, one_cell
 
-from bench import moments as moments_of
 from estimation.tables import bin_table
 
 

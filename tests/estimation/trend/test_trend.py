@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from same_values import same_values
 from scipy import stats
 
-from estimation.trend.trend import TrendParameters, probability_above, probability_within, refresh
+from estimation.trend.now import probability_above, probability_within
+from estimation.trend.trend import TrendParameters, refresh
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import TrendPoint, WearTrend

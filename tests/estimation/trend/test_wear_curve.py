@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from scipy.optimize import brentq
 
-from bench.wear_histories import History, histories
+from bench.trend import History, histories
 from estimation.trend import wear_curve
 from estimation.trend.parameters import OF_TRENDS
 from estimation.trend.wear_curve import WearCurve, fit_wear_curve

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scenario_text import SMALL
 
-from bench.rails_sections import TEMPLATE
+from bench.rails_case import TEMPLATE
 from estimation.errors import ScenarioError
 from ingest.simulator.axle_motion import contact_of, rails_of, section_at, truth_of, wear_at, worn_contact
 from ingest.simulator.campaign import scenario_track

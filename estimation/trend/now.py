@@ -1,0 +1,270 @@
+"""What is believed of a wheelset and its limit as of its newest believed mileage: made here, printed everywhere else.
+
+A limit is held at 3 mm (EN 15302). A wheelset that does not move as far is extrapolated; what it does at the largest
+amplitude that it reaches is known better, and a conicity over the limit there is a danger whatever lies beyond. The
+trend is a smooth curve: the last two points of it, both over the limit, are over it too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import ndtr
+
+from estimation.trend.extrapolation import (
+    LIMIT_AMPLITUDE,
+    SAME_AMPLITUDE,
+    Extrapolation,
+    below_limit,
+    conicity_at_limit_amplitude,
+    extrapolated,
+)
+from estimation.trend.parameters import OF_TRENDS
+from estimation.values.alerts import NO_FORECAST, LimitNow, MileageNow, Severity, Urgency
+from estimation.values.geometry import WheelsetGeometry
+from estimation.values.quantities import Estimate, Forecast, Status, with_interval
+from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.trend import WearTrend
+
+QUANTILES = {"p10": 0.1, "p50": 0.5, "p90": 0.9}
+LAST_POINTS = 2  # of a trend: one alone may be an outlier
+NOT_BELOW = 0.6  # least probability at 3 mm with which a conicity over the limit at a smaller amplitude is over it
+NO_TREND = Reason(ReasonCode.TOO_FEW_POINTS, "there is no trend since the last reprofiling yet")
+NOT_FINITE = Reason(ReasonCode.NOT_FINITE, "the calculation gave no finite number")
+BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
+
+
+@dataclass(frozen=True, slots=True)
+class UrgencyScale:
+    """Where one word for a wheelset and its limit ends and the next begins: of urgencies and severities alike."""
+
+    over_probability: float = 0.9  # 1, that it is over the limit: as the shipped rule on the limit raises its alert
+    probably_over_probability: float = 0.5  # 1: more likely than not
+    due_within_km: float = 30_000.0  # km, p10 of the distance: beyond, the shipped rule on the forecast lets go
+
+    def over(self, probability: float | None) -> Urgency | None:
+        """Return whether the limit is exceeded, or probably is; None where it is not, or nothing is known."""
+        if probability is None or probability < self.probably_over_probability:
+            return None
+        return Urgency.OVER_LIMIT if probability >= self.over_probability else Urgency.PROBABLY_OVER
+
+    def severity(self, probability: float | None) -> Severity:
+        """Return the severity of an alert on the limit: critical where the limit is exceeded."""
+        return Severity.CRITICAL if self.over(probability) is Urgency.OVER_LIMIT else Severity.WARNING
+
+    def due(self, distance_km: Forecast) -> bool:
+        """Return whether the limit may be reached soon."""
+        return distance_km.p10 is not None and distance_km.p10 <= self.due_within_km
+
+
+SCALE = UrgencyScale()
+
+
+def probability_above(estimate: Estimate, limit: float) -> float | None:
+    """Return the probability that the true value is above ``limit``; None where nothing is estimated."""
+    # the value is taken as normal with its standard deviation
+    if estimate.value is None or estimate.std is None:
+        return None
+    if estimate.std <= 0.0:
+        return float(estimate.value > limit)
+    return float(ndtr((estimate.value - limit) / estimate.std))
+
+
+def probability_within(trend: WearTrend, distance_km: float) -> float | None:
+    """Return the probability that the limit is reached within a distance from the last point; None where not known."""
+    # Interpolated between the published quantiles, so that a reader of the trend can repeat it; beyond the last known
+    # quantile it stays at that quantile's probability.
+    if trend.status is not Status.ESTIMATED or trend.probability_over_limit is None:
+        return None
+    distances, probabilities = [0.0], [trend.probability_over_limit]
+    for name, probability in QUANTILES.items():
+        distance = getattr(trend.distance_to_limit_km, name)
+        if distance is not None and distance > distances[-1]:
+            distances.append(distance)
+            probabilities.append(max(probability, probabilities[0]))
+        elif distance is not None:
+            probabilities[-1] = max(probability, probabilities[-1])
+    return float(np.interp(distance_km, distances, probabilities))
+
+
+@dataclass(frozen=True, slots=True)
+class Against:
+    """A conicity against a limit: which one decides, at which amplitude (m), and how probably it is over."""
+
+    conicity: Estimate
+    amplitude: float
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
+class LimitState:
+    """What the data show of the conicity of a wheelset.
+
+    ``reached`` is that at the largest amplitude covered, where that is below 3 mm and not too small to say anything of
+    a limit; ``last`` are the last points of a trend that a limit is held against; ``left_open`` says that the wheelset
+    moves as far as a limit is held against it, and its data leave the conicity open.
+    """
+
+    conicity: Estimate  # at 3 mm
+    reached: Estimate | None = None
+    reached_amplitude: float = LIMIT_AMPLITUDE  # m
+    last: Sequence[Estimate] = ()
+    beyond: Extrapolation | None = None  # how an extrapolated conicity is spread about its mean
+    left_open: bool = False
+
+    def at_limit(self, limit: float) -> Against | None:
+        """Return the conicity at 3 mm against a limit: of the trend, or of its last points; None where not known."""
+        of_trend = self._above(self.conicity, limit)
+        if of_trend is None:
+            return None
+        known = [(self.conicity, of_trend)]
+        if len(self.last) == LAST_POINTS:
+            points = [(one, self._above(one, limit) or 0.0) for one in self.last]
+            known.append(min(points, key=lambda pair: pair[1]))
+        conicity, probability = max(known, key=lambda pair: pair[1])
+        return Against(conicity, LIMIT_AMPLITUDE, probability)
+
+    def at_reached(self, limit: float) -> Against | None:
+        """Return the conicity at the largest amplitude covered against a limit; None where that is 3 mm or unknown."""
+        probability = None if self.reached is None else probability_above(self.reached, limit)
+        if self.reached is None or probability is None:
+            return None
+        return Against(self.reached, self.reached_amplitude, probability)
+
+    def against(self, limit: float) -> Against | None:
+        """Return the conicity that decides whether the limit is exceeded; None where none does."""
+        # That is the one at 3 mm; at the amplitude reached where that one is over more probably and the one at 3 mm is
+        # unknown or not rather below. One that is below at a smaller amplitude alone decides nothing.
+        at_limit, at_reached = self.at_limit(limit), self.at_reached(limit)
+        if at_reached is None or at_reached.probability < NOT_BELOW:
+            return at_limit
+        if at_limit is None:
+            return at_reached
+        if at_limit.probability < NOT_BELOW:
+            return at_limit
+        return max(at_limit, at_reached, key=lambda one: one.probability)
+
+    def _above(self, estimate: Estimate, limit: float) -> float | None:
+        if self.beyond is None or estimate.value is None:
+            return probability_above(estimate, limit)
+        return replace(self.beyond, value=estimate.value).mixture().above(limit)
+
+    @property
+    def extrapolated(self) -> bool:
+        """Whether the conicity at 3 mm is extrapolated."""
+        return self.reached is not None
+
+
+def limit_state(geometry: WheelsetGeometry, trend: WearTrend | None) -> LimitState:
+    """Return what the data show of the conicity of a wheelset, by its current geometry and the trend of its profile."""
+    # the fitted trend says what is at 3 mm, or the current geometry where none is comparable
+    fitted = None if trend is None or trend.not_comparable else trend.fitted
+    conicity = fitted
+    if conicity is None or conicity.status is not Status.ESTIMATED:
+        conicity = conicity_at_limit_amplitude(geometry)
+    amplitude = geometry.reported_amplitude
+    reaches = OF_TRENDS.least_amplitude - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
+    known = reaches and geometry.equivalent_conicity.status is Status.ESTIMATED
+    beyond = extrapolated(below_limit(geometry)) if known else None
+    last: list[Estimate] = []
+    if trend is not None and conicity is fitted:
+        pairs = zip(trend.value[-LAST_POINTS:].tolist(), trend.std[-LAST_POINTS:].tolist(), strict=True)
+        last = [with_interval(value, std) for value, std in pairs]
+    left_open = any(
+        OF_TRENDS.least_amplitude - SAME_AMPLITUDE < at < LIMIT_AMPLITUDE + SAME_AMPLITUDE
+        and code_of(one.reason) is ReasonCode.CONICITY_OPEN
+        for at, one in zip(geometry.amplitude.tolist(), geometry.conicity, strict=True)
+    )
+    if not known:
+        return LimitState(conicity, last=last, left_open=left_open)
+    return LimitState(conicity, geometry.equivalent_conicity, amplitude, last, beyond, left_open)
+
+
+def limit_now(
+    geometry: WheelsetGeometry | None,
+    trend: WearTrend | None,
+    limit: float | None,
+    mileage: MileageNow | None,
+    unknown: Estimate | None = None,
+) -> LimitNow:
+    """Return what is believed now.
+
+    Args:
+        geometry: Current one of the present profile; None where there is none.
+        trend: Of the present profile.
+        limit: Of the conicity at 3 mm; None where none is known.
+        mileage: Newest that is believed; None counts from the last point of the trend.
+        unknown: What stands for the conicity without a geometry.
+    """
+    conicity = unknown or Estimate.unknown(NO_TREND)
+    if geometry is not None:
+        conicity = _published(conicity_at_limit_amplitude(geometry))
+    now = LimitNow(
+        conicity=conicity,
+        slope_per_1000_km=Estimate.unknown(NO_TREND) if trend is None else _published(trend.slope_per_1000_km),
+        limit=finite(limit),
+        probability_over_limit=None,
+        distance_to_limit_km=NO_FORECAST,
+        since_trend_km=None,
+        date_of_limit_ns=NO_FORECAST,
+        forecast_reason=_why_no_forecast(geometry, trend, conicity),
+        mileage=mileage,
+    )
+    if geometry is None or now.limit is None or conicity.status is Status.MODEL_MISMATCH:
+        return now
+    against = limit_state(geometry, trend).against(now.limit)
+    now = replace(now, probability_over_limit=None if against is None else finite(against.probability))
+    return now if trend is None or now.forecast_reason is not None else _ahead(now, trend)
+
+
+def _why_no_forecast(geometry: WheelsetGeometry | None, trend: WearTrend | None, conicity: Estimate) -> Reason | None:
+    if geometry is None or conicity.status is Status.MODEL_MISMATCH:
+        return conicity.reason or NO_TREND
+    if trend is None:
+        return NO_TREND
+    if trend.not_comparable is not None:
+        return trend.not_comparable
+    return trend.few_behind if trend.status is Status.ESTIMATED else trend.reason or NO_TREND
+
+
+def _ahead(now: LimitNow, trend: WearTrend) -> LimitNow:
+    """Return it with what the trend says, which counts from its last point."""
+    since, at_ns = None, -math.inf
+    if now.mileage is not None and len(trend.mileage_km):
+        since = max(0.0, now.mileage.mileage_km - float(trend.mileage_km[-1]))
+        at_ns = float(now.mileage.at_ns)
+    over = finite(probability_within(trend, since or 0.0))
+    by_data = now.probability_over_limit  # of the last points, or at a smaller amplitude, as the alert on the limit
+    if by_data is not None and (over is None or SCALE.over(by_data) is not None):
+        over = max(by_data, over or 0.0)
+    distance, date = {}, {}
+    for name, probability in QUANTILES.items():
+        far, day = (finite(getattr(one, name)) for one in (trend.distance_to_limit_km, trend.date_of_limit_ns))
+        reached = over is not None and over >= probability
+        distance[name] = 0.0 if reached else None if far is None else max(0.0, far - (since or 0.0))
+        date[name] = None if day is None else max(day, at_ns)
+        if reached and now.mileage is not None:
+            date[name] = at_ns
+    return replace(
+        now,
+        probability_over_limit=over,
+        distance_to_limit_km=Forecast(**distance),
+        date_of_limit_ns=Forecast(**date),
+        since_trend_km=since,
+        forecast_reason=BEYOND if None in distance.values() else None,
+    )
+
+
+def finite(value: float | None) -> float | None:
+    """Return a number; None where it is not finite."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def _published(estimate: Estimate) -> Estimate:
+    if None not in [finite(value) for value in (estimate.value, estimate.std, estimate.low, estimate.high)]:
+        return estimate
+    status = Status.INVALID if estimate.status is Status.ESTIMATED else estimate.status
+    return Estimate.unknown(estimate.reason or NOT_FINITE, finite(estimate.count) or 0.0, status)
