@@ -186,7 +186,7 @@ def _radius(name: str, of_row: Sequence[Case]) -> tuple[str, ...]:
         f"{np.median(error):+.1f} / {np.percentile(np.abs(error), 68):.1f}",
         f"{np.median(std):.1f}",
         f"{np.median(bound):.1f}",
-        str(int(np.sum(np.abs(error) + ROLLING_FIT.doubted * std > 100.0 * ROLLING_FIT.mistake))),
+        str(int(np.sum(np.abs(error) + ROLLING_FIT.doubted_stds * std > 100.0 * ROLLING_FIT.radius_mistake))),
     )
 
 

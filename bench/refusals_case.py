@@ -303,7 +303,7 @@ def _judged(
     refused = Counter(one.code for one in tables if isinstance(one, Reason))
     against = sum(count for code, count in refused.items() if code in CONTRADICTIONS)
     good = [one for one in tables if not isinstance(one, Reason)]
-    if not good or against > OF_STAGES.most_share * (against + len(good)):
+    if not good or against > OF_STAGES.most_refused_share * (against + len(good)):
         return Judged(published=False, code=str(refused.most_common(1)[0][0]), errors=(), covered=())
     bins = bin_parameters(parameters)
     uncertainty = ParameterUncertainty.of(vehicle_class).on([case.track])

@@ -177,7 +177,7 @@ def _retired_row(cases: Sequence[Case], name: str) -> BenchRow:
     text = (
         f"{total['found']} of {total['worked_on']} tamped stretches found, distances from {least:.1f};"
         f" {total['false']} of {total['others']} others retired, distances to {most:.1f}; limit"
-        f" {SignatureParameters().largest}"
+        f" {SignatureParameters().largest_distance}"
     )
     met = total["found"] >= 0.95 * total["worked_on"] and total["false"] <= 0.01 * total["others"]
     what = f"library entries of stretches tamped since, {name}"

@@ -208,7 +208,7 @@ def main() -> None:
     """Compute every pair and write the table beside its module."""
     parts = []
     for index, pair in enumerate(PAIRS):
-        rows = np.round(conicities_of(pair) / OF_TRENDS.unit)
+        rows = np.round(conicities_of(pair) / OF_TRENDS.stored_unit)
         parts.append(np.column_stack([np.full(len(rows), index), rows]))
     np.save(Path(wear.__file__).with_name(TABLE), np.concatenate(parts).astype(np.uint16))
 

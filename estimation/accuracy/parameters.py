@@ -10,13 +10,13 @@ class AccuracyParameters:
     """Where and how curves are compared with measured ones."""
 
     # fleet accuracy
-    tail: float = 0.025  # on either side of a 95 % interval
-    searched: float = 0.6e-3  # m
+    tail_probability: float = 0.025  # on either side of a 95 % interval
+    search_reach: float = 0.6e-3  # m
     search_step: float = 5e-6  # m
-    most_deviation: float = 3.0  # standard deviations that one bin counts at most
+    most_bin_stds: float = 3.0  # standard deviations that one bin counts at most
     # wheel contact
-    reach: float = 12e-3  # m: an amplitude of 8 mm about a centre that is 4 mm off
-    step: float = 0.1e-3  # m
+    displacement_reach: float = 12e-3  # m: an amplitude of 8 mm about a centre that is 4 mm off
+    displacement_step: float = 0.1e-3  # m
 
 
 OF_ACCURACY = AccuracyParameters()

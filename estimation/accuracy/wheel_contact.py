@@ -135,8 +135,9 @@ def _on_rails(wheels: WheelPair, one: RailShare) -> tuple[ContactTable, RadiusDi
     wheelset = WheelsetOnTrack(
         wheels.left, wheels.right, rail, rail, one.inclination, one.gauge, wheels.nominal_radius, wheels.nominal_radius
     )
-    x = OF_ACCURACY.step * np.arange(
-        -round(OF_ACCURACY.reach / OF_ACCURACY.step), round(OF_ACCURACY.reach / OF_ACCURACY.step) + 1
+    x = OF_ACCURACY.displacement_step * np.arange(
+        -round(OF_ACCURACY.displacement_reach / OF_ACCURACY.displacement_step),
+        round(OF_ACCURACY.displacement_reach / OF_ACCURACY.displacement_step) + 1,
     )
     table = contact_table(wheelset, x, method=ContactMethod.EN15302, outside="hold")
     return table, refined_curve(wheelset, table, 0)

@@ -84,7 +84,7 @@ def gear_segments(
     segments = []
     for parts in zip(*found, strict=True):
         rolls = tuple(
-            remove_wander(one.displacements[[ROLL]], one.run, one.known, OF_MOTION.integration_cutoff_wavelength)[0]
+            remove_wander(one.displacements[[ROLL]], one.run, one.known, OF_MOTION.roll_cutoff_wavelength)[0]
             for one in parts
         )
         segments.append(GearSegment(parts, rolls, _accelerations(windows, parts, rolls)))
@@ -179,10 +179,10 @@ def without_vibration(
     from scipy import signal  # noqa: PLC0415 - slow to import, and few need it
 
     rate = 1.0 / sample_interval_s
-    weights = signal.firwin(2 * round(OF_FORCES.half_length_s * rate) + 1, OF_FORCES.band_hz, fs=rate)
+    weights = signal.firwin(2 * round(OF_FORCES.low_pass_half_s * rate) + 1, OF_FORCES.band_hz, fs=rate)
     smooth = signal.fftconvolve(accelerations, weights[None], mode="same", axes=1)
     rest = (accelerations - smooth)[lateral][:, known]
-    if float(np.sqrt(np.mean(rest**2, axis=1)).max()) <= OF_FORCES.vibrating:
+    if float(np.sqrt(np.mean(rest**2, axis=1)).max()) <= OF_FORCES.vibration_rms:
         return accelerations, False
     return np.where(known, smooth, 0.0), True
 
@@ -229,8 +229,7 @@ def _smoothed(gear: GearSegments, segment: GearSegment, vehicle_class: VehicleCl
     speed = float(first.speed.mean())
     made = stationary_filter(vehicle_class, gear.sample_interval_s, speed)
     roll_rates = [
-        remove_wander(one.rates[[ROLL]], one.run, one.known, OF_MOTION.integration_cutoff_wavelength)[0]
-        for one in parts
+        remove_wander(one.rates[[ROLL]], one.run, one.known, OF_MOTION.roll_cutoff_wavelength)[0] for one in parts
     ]
     measurements = np.zeros((len(first.speed), len(made.measured)))
     lateral = slice(0, 2 * made.axles, 2)
@@ -317,7 +316,9 @@ class FileErrors:
     @property
     def creep_std(self) -> float:
         """Std of what the scales of the sensors leave, as a b of all vehicles."""
-        return math.hypot(OF_FORCES.yaw_as_creep * self.yaw_scale, OF_FORCES.lateral_as_creep * self.lateral_scale)
+        return math.hypot(
+            OF_FORCES.yaw_scale_as_creep * self.yaw_scale, OF_FORCES.lateral_scale_as_creep * self.lateral_scale
+        )
 
 
 def lateral_scale_std(sensors: SensorLayout) -> float:
@@ -363,14 +364,14 @@ class FrictionParameters:
     # std of the logarithm of a wheelset's scale beside the noise: its curve and its profiles
     wheelset_scatter: float = 0.1
     fewest_with_scale: int = 3  # of two that contradict each other nobody knows which is wrong
-    most_deviation: float = 3.0  # stds
-    wrong_share: float = 0.05  # of places, whose error is so many times that of the others
-    wrong_by: float = 3.0
+    most_deviation_stds: float = 3.0  # stds
+    wrong_place_share: float = 0.05  # of places, whose error is so many times that of the others
+    wrong_factor: float = 3.0
     least_likelihood: float = 1e-12  # of the largest: no place makes another one impossible
-    best: float = 2.0  # 1/mu of the best rails: what places show below is error
-    lowest: float = 0.1  # share of the places that may be below by their errors alone
-    least_common: float = 0.4  # std of what is common over all that is left: no section shows less
-    places_before: float = 20.0  # that are worth as much as the expectation that all of it is common
-    most_creep: float = 2.0  # stds of b that all vehicles have in common, from which the shape is asked
-    least_support: float = 0.8  # of the squares that an error of linear creep would leave, to be taken for one
-    learnt: float = 0.7  # of the std beforehand: with more, the passes say nothing of a place
+    best_inverse: float = 2.0  # 1/mu of the best rails: what places show below is error
+    below_best_share: float = 0.1  # share of the places that may be below by their errors alone
+    least_common_std: float = 0.4  # std of what is common over all that is left: no section shows less
+    prior_places: float = 20.0  # that are worth as much as the expectation that all of it is common
+    most_creep_stds: float = 2.0  # stds of b that all vehicles have in common, from which the shape is asked
+    least_creep_support: float = 0.8  # of the squares that an error of linear creep would leave, to be taken for one
+    learnt_std_share: float = 0.7  # of the std beforehand: with more, the passes say nothing of a place

@@ -46,13 +46,13 @@ def slippery_throughout(
 ) -> bool:
     """Return whether it is the rails that make the creep of all vehicles large."""
     common = float(np.mean(creep))
-    if common < parameters.most_creep * creep_error_std:
+    if common < parameters.most_creep_stds * creep_error_std:
         return False
     by_rails, by_creep = (_left(sums, b, slope) for b in (creep - common, creep))
     gg, gq = sums.saturated[:, 1], sums.saturated[:, 2]
     square = common**2 * float(sums.squares[:, 2].sum())
     error_alone = square + float(sums.by_place(gg - 2.0 * common * gq).min(axis=1).sum())
-    return by_rails - by_creep < parameters.least_support * error_alone
+    return by_rails - by_creep < parameters.least_creep_support * error_alone
 
 
 def _left(sums: PassSums, creep: FloatArray, slope: FloatArray) -> float:
@@ -220,7 +220,7 @@ def _cell(
     if n < parameters.fewest_passes:
         few = Reason(ReasonCode.TOO_FEW_PASSES, f"{n} of {parameters.fewest_passes} passes that are needed")
         return CellFriction(cell, Estimate.unknown(few, float(n)), 0.0, 0.0, n)
-    if left > parameters.learnt * parameters.usual_std:
+    if left > parameters.learnt_std_share * parameters.usual_std:
         small = Reason(ReasonCode.CREEP_TOO_SMALL, f"creep is so small in {n} passes that it shows no friction")
         return CellFriction(cell, Estimate.unknown(small, float(n)), 0.0, 0.0, n)
     sampled, by_creep, by_scale = stds
@@ -281,5 +281,7 @@ def touched(one: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tu
         return ()
     first, behind = CELL_LENGTH * one.sums.cells[0], CELL_LENGTH * (one.sums.cells[-1] + 1)
     return tuple(
-        (begin, end) for begin, end in stretches if begin < behind + OF_MOTION.margin and end > first - OF_MOTION.margin
+        (begin, end)
+        for begin, end in stretches
+        if begin < behind + OF_MOTION.low_friction_margin and end > first - OF_MOTION.low_friction_margin
     )

@@ -132,9 +132,10 @@ class Scales(FrozenArrays):
     @property
     def known(self) -> BoolArray:
         """(g,) those that a scale well below, or above the least of the grid, does not fit."""
-        below = self.logarithm - OF_FORCES.far
+        below = self.logarithm - OF_FORCES.scale_reach
         return np.asarray(
-            self.std_from(np.where(below >= SCALES[0], below, self.logarithm + OF_FORCES.far)) < OF_FORCES.most_std
+            self.std_from(np.where(below >= SCALES[0], below, self.logarithm + OF_FORCES.scale_reach))
+            < OF_FORCES.most_scale_std
         )
 
 
@@ -205,7 +206,7 @@ def _most_deviating(
     """Return the known group that deviates most from ``usual``, in stds of noise and ``stated``; None for no such."""
     deviation = np.where(known, np.abs(found.logarithm - usual) / np.hypot(found.std_from(usual), stated), 0.0)
     worst = int(np.argmax(deviation))
-    return worst if deviation[worst] > parameters.most_deviation else None
+    return worst if deviation[worst] > parameters.most_deviation_stds else None
 
 
 def _left_out(vehicle: str, wheelset: str | None, factor: float, others: str) -> LeftOut:
@@ -239,8 +240,8 @@ def along_track(
     own = np.exp(-0.5 * (values - values.min(axis=1, keepdims=True)))
     widened = np.empty_like(own)
     for std in np.unique(place_std):
-        spread = (1.0 - parameters.wrong_share) * _spread(std, width) + parameters.wrong_share * _spread(
-            parameters.wrong_by * std, width
+        spread = (1.0 - parameters.wrong_place_share) * _spread(std, width) + parameters.wrong_place_share * _spread(
+            parameters.wrong_factor * std, width
         )
         widened[place_std == std] = own[place_std == std] @ spread.T
     likelihoods = np.asarray(widened / widened.max(axis=1, keepdims=True) + parameters.least_likelihood)
@@ -285,13 +286,13 @@ def common_std(
     level = sums.by_place(sums.squares[:, 1] - b * sums.squares[:, 2] - a * sums.squares[:, 4])
     by_level = usual * level / (sums.by_place(gq) + TINY)
     # in parts of what one pass leaves, from where places seem to be
-    beyond = (by_level - parameters.best) / (one_pass + TINY)
+    beyond = (by_level - parameters.best_inverse) / (one_pass + TINY)
     shown, places = (
-        max(-float(np.quantile(beyond, parameters.lowest)) / NORMAL_90, parameters.least_common),
+        max(-float(np.quantile(beyond, parameters.below_best_share)) / NORMAL_90, parameters.least_common_std),
         len(beyond),
     )
     return np.asarray(
-        float(np.sqrt((places * shown**2 + parameters.places_before) / (places + parameters.places_before))) * one_pass
+        float(np.sqrt((places * shown**2 + parameters.prior_places) / (places + parameters.prior_places))) * one_pass
     )
 
 

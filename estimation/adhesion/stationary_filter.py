@@ -194,7 +194,7 @@ def _with_inputs(gear: GearEquations, load: float) -> tuple[FloatArray, FloatArr
     n = own + 2 * forces + gear.axles
     rates, noise, scale = np.zeros((n, n)), np.zeros((n, n)), np.full(n, 1e-3)
     rates[:own, :own], rates[:own, own : own + forces] = gear.rates, gear.inputs
-    corner = 1.0 / OF_FORCES.change_s
+    corner = 1.0 / OF_FORCES.force_change_s
     stds = load * np.array([OF_FORCES.force_share, OF_FORCES.moment_share] * gear.axles)
     for force, std in enumerate(stds):
         value, slope = own + force, own + forces + force
@@ -232,7 +232,7 @@ def _variances(
             drift.append(on_wheelset[int(turned)])
         else:
             drift.append(above[0] * (math.sqrt(2.0) / wheelbase if turned and wheelbase else 1.0))
-    density = np.maximum([*on_wheelset, *above], OF_FORCES.least_density)
-    anchors = np.maximum(drift, OF_FORCES.least_density) / corner**2
-    rolling = np.full(gear.axles, OF_FORCES.kinematic_std**2)
+    density = np.maximum([*on_wheelset, *above], OF_FORCES.least_noise_density)
+    anchors = np.maximum(drift, OF_FORCES.least_noise_density) / corner**2
+    rolling = np.full(gear.axles, OF_FORCES.rolling_angle_std**2)
     return np.concatenate([density**2 / (2.0 * dt), anchors**2 / (2.0 * dt), rolling])

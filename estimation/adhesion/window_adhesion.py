@@ -86,11 +86,11 @@ def contact_angles(
     left = expected - difference[known]
     misfit = np.sqrt(((left - left.mean(axis=1, keepdims=True)) ** 2).mean(axis=1))  # a diameter difference is no wear
     best = int(np.argmin(misfit))
-    if misfit[best] > OF_FORCES.most_misfit:
+    if misfit[best] > OF_FORCES.most_profile_misfit:
         return Reason(
             ReasonCode.PROFILES_UNKNOWN,
             f"{wheel} on {section.rail_profile}, however worn, miss the estimated rL - rR by"
-            f" {1e3 * misfit[best]:.2f} mm, at most {1e3 * OF_FORCES.most_misfit:.2f} mm are wear",
+            f" {1e3 * misfit[best]:.2f} mm, at most {1e3 * OF_FORCES.most_profile_misfit:.2f} mm are wear",
         )
     order = np.argsort(curves[best], kind="stable")
     return ContactAngles(curves[best][order], differences[best][order], sums[best][order], float(misfit[best]))
@@ -101,7 +101,7 @@ def _family(
     wheel: str, rail: str, inclination: float, gauge: float, radius: float
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return R, D and dL + dR (9, n) of a wheel worn more and more; None where it never touches the rail."""
-    centre, half_width = HOLLOWS.get(wheel, OF_FORCES.usual_hollow)
+    centre, half_width = HOLLOWS.get(wheel, OF_FORCES.usual_hollow_place)
     found = []
     try:
         on = rail_profile(rail)
@@ -202,7 +202,10 @@ def creep_signals(
     rows = sign * np.stack([forces.contact, forces.moment, R, forces.roll])
     finite = np.isfinite(rows).all(axis=0) & np.isfinite(motion.displacement)
     passed, valid = np.full(rows.shape, np.nan), np.zeros(len(V), np.bool_)
-    trim, shortest = round(OF_FORCES.trimmed_s / sample_interval_s), round(OF_FORCES.shortest_s / sample_interval_s)
+    trim, shortest = (
+        round(OF_FORCES.trimmed_end_s / sample_interval_s),
+        round(OF_FORCES.shortest_stretch_s / sample_interval_s),
+    )
     for start, stop in runs(finite):
         if stop - start < shortest:
             continue
@@ -230,7 +233,7 @@ def friction_sums(
 
     The curve has centres of bins of y - d (b,), m, and rL - rR there (b,), m, NaN where it is not known.
     """
-    p, step = vehicle, max(1, int(OF_FORCES.summed_s / sample_interval_s + 1e-6))
+    p, step = vehicle, max(1, int(OF_FORCES.sum_interval_s / sample_interval_s + 1e-6))
     difference = _on_curve(motion.displacement, *curve) - signals.linear_difference
     known = signals.valid & np.isfinite(difference) & np.isfinite(signals.lateral) & np.isfinite(distance)
     good = np.flatnonzero(known[::step]) * step
@@ -245,7 +248,7 @@ def friction_sums(
     saturated = np.zeros((len(cells), 4, len(INVERSE)))
     forces = np.stack([0.5 * moment / p.half_contact_distance, 0.5 * signals.lateral[good], signals.spin[good]])
     add_saturated(excess_table(), np.stack([e, q, x]), forces, index, 0.5 * p.load / INVERSE, saturated)
-    kept = counts * step * sample_interval_s >= OF_FORCES.fewest_s
+    kept = counts * step * sample_interval_s >= OF_FORCES.least_place_s
     return FrictionSums(cells[kept], counts[kept].astype(float), squares[kept], saturated[kept])
 
 
@@ -299,7 +302,7 @@ def window_adhesion(
         )
         return refused(*of_window, few)
     error = (
-        float(np.hypot(OF_FORCES.force_error, OF_FORCES.smoothed_error)) if forces.smoothed else OF_FORCES.force_error
+        float(np.hypot(OF_FORCES.force_std, OF_FORCES.smoothed_force_std)) if forces.smoothed else OF_FORCES.force_std
     )
     distance = inputs.correction.at(window.distance)
     of_samples = (found, motion, distance, curve, vehicle, window.sample_interval_s)
@@ -330,8 +333,8 @@ def _forces(
     along = 0.5 * found.moment / vehicle_class.parameters.half_contact_distance
     across = np.stack([0.5 * found.lateral + found.spin, 0.5 * found.lateral - found.spin])  # of left and right wheel
     larger = np.hypot(along, across)[:, found.valid].max(axis=0)
-    used = float(np.quantile(larger, OF_FORCES.used_quantile)) / (0.5 * vehicle_class.parameters.load)
-    error = math.hypot(OF_FORCES.lateral_error, of_lateral, of_load)
+    used = float(np.quantile(larger, OF_FORCES.saturation_quantile)) / (0.5 * vehicle_class.parameters.load)
+    error = math.hypot(OF_FORCES.lateral_creep_std, of_lateral, of_load)
     return (
         contact_force,
         with_interval(lateral, lateral * error),

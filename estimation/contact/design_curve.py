@@ -53,19 +53,19 @@ class DesignCurve(FrozenArrays):
 
 def nearest_design(kind: ProfileKind, points: FloatArray) -> DesignCurve | None:
     """Return the design nearest to measured points (n, 2), mm, moved to them; None if they are of no known one."""
-    shown = points[np.unique(np.linspace(0, len(points) - 1, OF_PROFILES.points).astype(np.int64))]
+    shown = points[np.unique(np.linspace(0, len(points) - 1, OF_PROFILES.placing_points).astype(np.int64))]
     found = []
     for name in _names(kind, shown):
         start = _start(_design(kind, name)[0], shown) if kind == "rail" else (0.0, 0.0, 0.0)
-        movement = _moved(kind, name, start, shown, OF_PROFILES.reaches[:1])
+        movement = _moved(kind, name, start, shown, OF_PROFILES.search_reaches[:1])
         found.append((_distance(kind, name, movement, shown), name, movement))
     finals = [
-        (name, _moved(kind, name, start, shown, OF_PROFILES.reaches[1:]))
-        for _, name, start in sorted(found)[: OF_PROFILES.finalists]
+        (name, _moved(kind, name, start, shown, OF_PROFILES.search_reaches[1:]))
+        for _, name, start in sorted(found)[: OF_PROFILES.finalist_designs]
     ]
     name, movement = min(finals, key=lambda final: _distance(kind, final[0], final[1], shown))
     design = _design(kind, name)[0]
-    if float(np.median(np.abs(_across(kind, name, movement, shown)[0]))) > OF_PROFILES.farthest:
+    if float(np.median(np.abs(_across(kind, name, movement, shown)[0]))) > OF_PROFILES.most_design_distance:
         return None
     turn = _rotation(movement[2])
     return DesignCurve(
@@ -82,18 +82,18 @@ def explains(design: DesignCurve, points: FloatArray, noise: FloatArray, length:
     at, tangent = design.at(arc)
     across = ((points - at) * np.column_stack([-tangent[:, 1], tangent[:, 0]])).sum(axis=1)
     inside = (arc >= design.inner[0]) & (arc <= design.inner[1])
-    if np.count_nonzero(inside) < OF_PROFILES.fewest_inside:
+    if np.count_nonzero(inside) < OF_PROFILES.fewest_design_points:
         return False
     across = across[inside] / noise[inside]
     spacing = float(np.median(np.diff(np.sort(arc[inside]))))
     alike = math.exp(-spacing / length) if length > 0.0 else 0.0
-    for window in OF_PROFILES.windows:
+    for window in OF_PROFILES.averaging_lengths:
         count = max(1, round(window / spacing))
         if count >= len(across):
             break
         mean = np.convolve(across, np.full(count, 1.0 / count), "valid")
         std = math.sqrt((1.0 + alike) / (1.0 - alike) / count)
-        if float(np.abs(mean).max()) > OF_PROFILES.significant * std:
+        if float(np.abs(mean).max()) > OF_PROFILES.significant_stds * std:
             return False
     return True
 
@@ -121,9 +121,9 @@ def _design(kind: ProfileKind, name: str) -> tuple[DesignCurve, cKDTree]:
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     y, z = points.T
     inside = (
-        (y >= OF_PROFILES.inner_wheel[0]) & (y <= OF_PROFILES.inner_wheel[1])
+        (y >= OF_PROFILES.design_wheel_range[0]) & (y <= OF_PROFILES.design_wheel_range[1])
         if kind == "wheel"
-        else z - z.min() <= OF_PROFILES.inner_rail
+        else z - z.min() <= OF_PROFILES.design_rail_depth
     )
     inner = float(arc[inside][0]), float(arc[inside][-1])
     return DesignCurve(name, arc, points, tangent, inner), cKDTree(points)
@@ -141,7 +141,7 @@ def _moved(
     kind: ProfileKind, name: str, movement: _Movement, points: FloatArray, reaches: tuple[float, ...]
 ) -> _Movement:
     for reach in reaches:
-        for _ in range(OF_PROFILES.rounds):
+        for _ in range(OF_PROFILES.search_rounds):
             across, at, normal = _across(kind, name, movement, points)
             # a small turn moves the foot at right angles to its arm
             matrix = np.column_stack([normal, at[:, 0] * normal[:, 1] - at[:, 1] * normal[:, 0]])
@@ -181,4 +181,4 @@ def _foot(design: DesignCurve, tree: cKDTree, points: FloatArray) -> tuple[Float
 
 def _distance(kind: ProfileKind, name: str, movement: _Movement, points: FloatArray) -> float:
     across = np.abs(_across(kind, name, movement, points)[0])
-    return float(np.minimum(across, OF_PROFILES.reaches[-1]).mean())
+    return float(np.minimum(across, OF_PROFILES.search_reaches[-1]).mean())

@@ -20,8 +20,8 @@ import numpy as np
 from estimation.compiled import compiled
 from estimation.contact.parameters import OF_PROFILES
 
-STRIDE = OF_PROFILES.stride
-RIVAL_MARGIN = OF_PROFILES.rival_margin
+STRIDE = OF_PROFILES.scan_stride
+RIVAL_MARGIN = OF_PROFILES.rival_gap
 ROLL_TOLERANCE = OF_PROFILES.roll_tolerance
 SLOPE_TOLERANCE = OF_PROFILES.slope_tolerance
 POSITION_TOLERANCE = OF_PROFILES.position_tolerance

@@ -11,8 +11,8 @@ class ProfileParameters:
     """Numbers of profiles and of their contact."""
 
     # kernels
-    stride: int = 10  # the first scan looks at every tenth point of the wheel's grid
-    rival_margin: float = 2e-5  # m, scan minima within this of the best are refined
+    scan_stride: int = 10  # the first scan looks at every tenth point of the wheel's grid
+    rival_gap: float = 2e-5  # m, scan minima within this of the best are refined
     roll_tolerance: float = 1e-11  # m, difference of the two gaps
     slope_tolerance: float = 1e-10  # of the gap, where it is smallest
     position_tolerance: float = 1e-10  # m, of the contact
@@ -22,21 +22,21 @@ class ProfileParameters:
     curve_tolerance: float = 2e-7  # m, of the radius difference half-way between two points of a refined curve
     curve_interval: float = 1e-9  # m, a jump of a refined curve is placed to within this
     # conicity
-    draws: int = 48
-    fewest: float = 0.8  # share of the draws that must cover an amplitude
-    seed: int = 20_15302
+    conicity_draws: int = 48
+    least_draw_share: float = 0.8  # share of the draws that must cover an amplitude
+    draw_seed: int = 20_15302
     # design curve
-    farthest: float = 0.3  # mm, median distance of the points, beyond which no design is tried
-    significant: float = 5.0  # standard deviations of a mean distance that noise does not explain
-    windows: tuple[float, float, float] = (2.0, 6.0, 20.0)  # mm of arc, over which distances are averaged
-    inner_wheel: tuple[float, float] = (-43.0, 50.0)  # mm from the tread datum: flange face to the outer tread
-    inner_rail: float = 13.0  # mm below the top
+    most_design_distance: float = 0.3  # mm, median distance of the points, beyond which no design is tried
+    significant_stds: float = 5.0  # standard deviations of a mean distance that noise does not explain
+    averaging_lengths: tuple[float, float, float] = (2.0, 6.0, 20.0)  # mm of arc, over which distances are averaged
+    design_wheel_range: tuple[float, float] = (-43.0, 50.0)  # mm from the tread datum: flange face to the outer tread
+    design_rail_depth: float = 13.0  # mm below the top
     # mm, beyond which a distance counts little, in the rounds of the search
-    reaches: tuple[float, float, float] = (3.0, 1.0, 0.3)
-    rounds: int = 5  # with each reach
-    fewest_inside: int = 100  # points
-    points: int = 300  # that place a design
-    finalists: int = 3
+    search_reaches: tuple[float, float, float] = (3.0, 1.0, 0.3)
+    search_rounds: int = 5  # with each reach
+    fewest_design_points: int = 100  # points
+    placing_points: int = 300  # that place a design
+    finalist_designs: int = 3
     thickness_step: float = 0.5  # mm
     head_depth: float = 5.0  # mm below its top, where the middle of a head is taken
     # profiles
@@ -44,25 +44,25 @@ class ProfileParameters:
     sampling_step_mm: float = 0.05  # distance between the points of an analytic profile, along its surface
     grid_step: float = 2e-5  # distance between grid points, m
     gauge_depth: float = 0.014  # depth below the top of the rail down to which the gauge is measured, m (EN 13848-1)
-    tip: float = 2e-3  # m, part of the flange that counts as its tip
-    least_flange: float = 15e-3  # m, a wheel profile flatter than this has no flange
-    steepest: float = math.tan(math.radians(82.0))
-    notch: float = 1e-3  # m of height that may be steeper without ending the surface
+    tip_height: float = 2e-3  # m, part of the flange that counts as its tip
+    least_flange_height: float = 15e-3  # m, a wheel profile flatter than this has no flange
+    steepest_slope: float = math.tan(math.radians(82.0))
+    notch_height: float = 1e-3  # m of height that may be steeper without ending the surface
     flange_face_end: float = -20e-3  # m from the tread datum
-    wall: float = math.tan(math.radians(70.0))  # a gauge face at least this steep may be continued straight down
+    wall_slope: float = math.tan(math.radians(70.0))  # a gauge face at least this steep may be continued straight down
     # wear
     deepest_hollow: float = 6e-3  # largest depth that the form is meant for, m
     # largest flange wear for which the moved flange still is one height per lateral position, m
     most_flange_wear: float = 4e-3
     # m, the flange moves fully at the first, the tread not at all from the second on
-    root: tuple[float, float] = (-0.040, -0.032)
+    root_range: tuple[float, float] = (-0.040, -0.032)
     # m, the tip stays up to the first, the face moves fully from the second on
-    wear_tip: tuple[float, float] = (-0.058, -0.048)
-    face_below_tread: float = 10e-3  # m, where the flange thickness is measured
-    face_above_tip: float = 2e-3  # m, upper point of the flange gradient
-    tread_from: float = -0.030  # m, field side of the flange root
+    tip_range: tuple[float, float] = (-0.058, -0.048)
+    face_depth: float = 10e-3  # m, where the flange thickness is measured
+    gradient_height: float = 2e-3  # m, upper point of the flange gradient
+    tread_begin: float = -0.030  # m, field side of the flange root
     rim_margin: float = 5e-3  # m, the outermost part belongs to the chamfer
-    fine: float = 2e-5  # m
+    wear_step: float = 2e-5  # m
     deepest_band: float = 4e-3  # largest depth that the form is meant for, m
     # penalised spline
     knot_step: float = 0.5  # mm of arc, unless points are farther apart
@@ -72,31 +72,33 @@ class ProfileParameters:
     correlation_lengths: tuple[float, ...] = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # mm
     # squares of logarithms by which a correlation must explain the differences better
     significant_correlation: float = 0.15
-    least_share: float = 1e-3  # of the variance that a difference keeps
-    fewest_spans: int = 12  # a difference spans 4 steps
-    farthest_alike: float = 2.0  # mm, beyond, noise is independent
-    most_alike: float = 0.98
-    least_noise: float = 0.05  # of the larger variance, height or lateral
-    first_rounds: int = 8
-    penalised_spline_rounds: int = 15
+    least_variance_share: float = 1e-3  # of the variance that a difference keeps
+    fewest_difference_spans: int = 12  # a difference spans 4 steps
+    correlated_reach: float = 2.0  # mm, beyond, noise is independent
+    most_correlation: float = 0.98
+    least_noise_share: float = 0.05  # of the larger variance, height or lateral
+    first_fit_rounds: int = 8
+    fit_rounds: int = 15
     # Factor on the std for what Wahba's model leaves out: the penalty is an estimate too, and joints of arcs are
     # rounded. The bench of contact geometry (noise on every design profile) shows what it covers.
-    unknown_penalty: float = 1.3
+    penalty_widening: float = 1.3
     first_third_derivative: float = 1e-2  # 1/mm^2, where the search for the local variance begins
     least_third_derivative: float = 1e-5  # 1/mm^2
-    unseen: float = 1e-2  # 1/mm^3, of the noise: the third derivative that a difference from a design may have unseen
-    least_determined: float = 1e-3
+    unseen_fourth_derivative: float = (
+        1e-2  # 1/mm^3, of the noise: the third derivative that a difference from a design may have unseen
+    )
+    least_determined_share: float = 1e-3
     # smoothed profile
-    exact_below: float = 1e-4  # mm: points with less noise are taken as they are
-    sampling_step: float = 0.05  # mm of arc between the points of a smoothed profile
-    closest: float = 1e-3  # mm across, nearer neighbours are one point
-    smoothed_profile_steepest: float = 50.0  # slope up to which a surface has one height per lateral position
-    outlier: float = 5.0  # times the local noise, across the curve
-    least_outlier: float = 0.02  # mm across the curve, no point nearer to it is an outlier
+    exact_noise: float = 1e-4  # mm: points with less noise are taken as they are
+    smoothed_step: float = 0.05  # mm of arc between the points of a smoothed profile
+    least_spacing: float = 1e-3  # mm across, nearer neighbours are one point
+    steepest_smoothed: float = 50.0  # slope up to which a surface has one height per lateral position
+    outlier_stds: float = 5.0  # times the local noise, across the curve
+    least_outlier_distance: float = 0.02  # mm across the curve, no point nearer to it is an outlier
     outlier_rounds: int = 5
-    alone: int = 3  # points to either side, of which only the farthest is left out at a time
-    neighbourhood: int = 40  # points to either side that show the local noise
-    near: int = 15  # points to either side, whose noise is that of the point between them
+    outlier_neighbours: int = 3  # points to either side, of which only the farthest is left out at a time
+    noise_neighbours: int = 40  # points to either side that show the local noise
+    middle_neighbours: int = 15  # points to either side, whose noise is that of the point between them
 
 
 OF_PROFILES = ProfileParameters()

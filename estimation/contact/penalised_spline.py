@@ -88,7 +88,7 @@ def fit_spline(
     weights = weight.copy()
     rough, length = correlated_noise(points)
     noise = noise_std**2 if noise_std is not None else max(rough**2, _TINY)
-    for rounds in (OF_PROFILES.first_rounds, OF_PROFILES.penalised_spline_rounds):
+    for rounds in (OF_PROFILES.first_fit_rounds, OF_PROFILES.fit_rounds):
         knots, basis = _basis(arc, spacing)
         rows = _whitened(points - design.at(arc)[0] if design else points, basis, weights, arc, length)
         fit = _evidence_fit(rows, noise, rounds, known=noise_std is not None, pooled=_on_design(design, knots))
@@ -100,14 +100,14 @@ def fit_spline(
     fit = _evidence_fit(
         rows,
         fit.noise,
-        OF_PROFILES.penalised_spline_rounds,
+        OF_PROFILES.fit_rounds,
         known=noise_std is not None,
         pooled=_on_design(design, knots),
     )
     if design is None:
         fit = _levelled(rows, fit, known=noise_std is not None)
     _, residual, _ = _projected(points, arc, knots, fit.coefficients, design)
-    root = np.asarray(np.linalg.cholesky(fit.covariance * OF_PROFILES.unknown_penalty**2), dtype=np.float64)
+    root = np.asarray(np.linalg.cholesky(fit.covariance * OF_PROFILES.penalty_widening**2), dtype=np.float64)
     return PenalisedSpline(fit.coefficients, knots, root, float(np.sqrt(fit.noise)), residual, design)
 
 
@@ -127,13 +127,13 @@ def correlated_noise(points: FloatArray) -> tuple[float, float]:
     """
     spacing = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
     steps = sorted({max(1, round(distance / max(spacing, _TINY))) for distance in OF_PROFILES.noise_distances})
-    steps = [step for step in steps if step == 1 or OF_PROFILES.fewest_spans * step < len(points)]
+    steps = [step for step in steps if step == 1 or OF_PROFILES.fewest_difference_spans * step < len(points)]
     found = np.log([max(rough_noise(points, step) ** 2, _TINY) for step in steps])
     best = (np.inf, 0.0, 0.0)
     white = np.inf
     for length in OF_PROFILES.correlation_lengths:
         alike = np.exp(-np.outer(np.array(steps) * spacing, np.arange(1, 5)) / length) if length else np.zeros((1, 4))
-        expected = np.log(np.maximum(1.0 + alike @ np.array(_PRODUCTS), OF_PROFILES.least_share))
+        expected = np.log(np.maximum(1.0 + alike @ np.array(_PRODUCTS), OF_PROFILES.least_variance_share))
         level = float(np.mean(found - expected))
         cost = float(((found - expected - level) ** 2).sum())
         white = cost if length == 0.0 else white
@@ -189,9 +189,9 @@ def _whitened(points: FloatArray, basis: FloatArray, weights: FloatArray, arc: F
     if length == 0.0:
         return design, target
     gap = np.abs(np.diff(arc[kept]))
-    alike = np.where(gap > OF_PROFILES.farthest_alike, 0.0, np.minimum(np.exp(-gap / length), OF_PROFILES.most_alike))[
-        :, np.newaxis
-    ]
+    alike = np.where(
+        gap > OF_PROFILES.correlated_reach, 0.0, np.minimum(np.exp(-gap / length), OF_PROFILES.most_correlation)
+    )[:, np.newaxis]
     own = np.sqrt(1.0 - alike**2)
     return (
         np.concatenate([design[:1], (design[1:] - alike * design[:-1]) / own]),
@@ -208,11 +208,11 @@ def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool, pooled
     for _ in range(rounds):
         third = np.diff(fit.coefficients, n=ORDER, axis=0)
         variance = np.diff(np.diff(fit.covariance, n=ORDER, axis=0), n=ORDER, axis=1).diagonal()
-        determined = np.clip(1.0 - variance / fit.local, OF_PROFILES.least_determined, 1.0)
+        determined = np.clip(1.0 - variance / fit.local, OF_PROFILES.least_determined_share, 1.0)
         squares = (third**2).sum(axis=1)
         local = np.maximum(_over_neighbours(squares) / _over_neighbours(determined), least)
         if pooled is not None:
-            unseen = (OF_PROFILES.unseen * np.sqrt(noise) * OF_PROFILES.knot_step**ORDER) ** 2
+            unseen = (OF_PROFILES.unseen_fourth_derivative * np.sqrt(noise) * OF_PROFILES.knot_step**ORDER) ** 2
             local[pooled] = max(float(squares[pooled].sum() / determined[pooled].sum()), unseen)
         noise = fit.noise if known else _noise(rows, fit)
         fit = _posterior(normal, noise, local)
@@ -287,6 +287,6 @@ def _relative_precision(tangent: FloatArray, residual: FloatArray, weight: Float
     for _ in range(OF_PROFILES.noise_rounds):
         scaled = np.sqrt(weight) / variance
         found, _ = nnls(share * scaled[:, np.newaxis], residual**2 * scaled)
-        found = np.maximum(found, max(OF_PROFILES.least_noise * float(found.max()), _TINY))
+        found = np.maximum(found, max(OF_PROFILES.least_noise_share * float(found.max()), _TINY))
         variance = share @ found
     return np.asarray(np.exp(np.log(variance).mean()) / variance)

@@ -62,7 +62,10 @@ def worn(wheel: Profile, wear: TreadWear) -> Profile:
     """Return the wheel profile after it has lost that material; the new profile is not touched."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear is applied to wheels", field="kind")
-    (root, root_rate), (tip, tip_rate) = _blend(wheel.y, *OF_PROFILES.root), _blend(wheel.y, *OF_PROFILES.wear_tip)
+    (root, root_rate), (tip, tip_rate) = (
+        _blend(wheel.y, *OF_PROFILES.root_range),
+        _blend(wheel.y, *OF_PROFILES.tip_range),
+    )
     moved = wear.flange_wear * (1.0 - root) * tip  # from how far field-wards the surface at y came
     rate = wear.flange_wear * ((1.0 - root) * tip_rate - root_rate * tip)
     source = np.clip(wheel.y + moved, wheel.y[0], wheel.y[-1])
@@ -122,15 +125,15 @@ def wear_measures(wheel: Profile) -> WearMeasures:
     """Return the wear measures of a whole wheel whose origin is the tread datum, 70 mm from the flange back."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear measures are a wheel's", field="kind")
-    if not wheel.y[0] < OF_PROFILES.tread_from or not wheel.y[-1] > 0.0:
+    if not wheel.y[0] < OF_PROFILES.tread_begin or not wheel.y[-1] > 0.0:
         raise ProfileError(f"{wheel.name!r} does not reach from the flange to the tread datum", field="y")
-    y = np.arange(wheel.y[0], wheel.y[-1], OF_PROFILES.fine)
+    y = np.arange(wheel.y[0], wheel.y[-1], OF_PROFILES.wear_step)
     z = wheel.height(y)
     tip = int(np.argmax(z))
     tread = float(wheel.height(np.zeros(1))[0])
-    thick = _face(y[tip:], z[tip:], tread + OF_PROFILES.face_below_tread)
-    high = _face(y[tip:], z[tip:], float(z[tip]) - OF_PROFILES.face_above_tip)
-    part = z[(y >= OF_PROFILES.tread_from) & (y <= y[-1] - OF_PROFILES.rim_margin)]
+    thick = _face(y[tip:], z[tip:], tread + OF_PROFILES.face_depth)
+    high = _face(y[tip:], z[tip:], float(z[tip]) - OF_PROFILES.gradient_height)
+    part = z[(y >= OF_PROFILES.tread_begin) & (y <= y[-1] - OF_PROFILES.rim_margin)]
     hollow = float((np.maximum.accumulate(part[::-1])[::-1] - part).max())  # below the highest point farther out
     return WearMeasures(float(z[tip]) - tread, thick + OF_PROFILES.tread_datum, thick - high, hollow)
 

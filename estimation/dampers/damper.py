@@ -45,7 +45,7 @@ def looked_at(first: Window) -> bool:
     """Return whether the damper is looked at in a window: in one of ``EVERY``, whatever others there are."""
     # Its start is mixed first, so that no recorder that runs at regular times is always left out. Both running gears of
     # a vehicle are looked at in the same windows.
-    return zlib.crc32(f"{first.vehicle} {first.start_ns // first.length_ns}".encode()) % OF_DAMPING.every == 0
+    return zlib.crc32(f"{first.vehicle} {first.start_ns // first.length_ns}".encode()) % OF_DAMPING.window_stride == 0
 
 
 def window_damper(
@@ -112,14 +112,14 @@ def _taken(
     """
     axles, known, dt = gear.axles, segment.axles[0].known, gear.sample_interval_s
     stride, half = stride_of(dt), len(low_pass(dt)) // 2
-    unknown = round(OF_DAMPING.unknown_s / (stride * dt))
+    unknown = round(OF_DAMPING.unknown_begin_s / (stride * dt))
     if len(known) - 2 * half < 2 * unknown * stride:
         return None
     signals = [segment.accelerations[: 2 * axles : 2], segment.accelerations[2 * axles :]]
     taken = [[thinned(bridged(one, known), dt) for one in rows] for rows in signals]
     (below, below_apart), (above, above_apart) = ((np.mean(rows, axis=0), 0.5 * (rows[0] - rows[-1])) for rows in taken)
     raised, raised_apart = between_samples(below), between_samples(below_apart)
-    late = OF_DAMPING.late_std_s / (stride * dt)
+    late = OF_DAMPING.clock_std_s / (stride * dt)
     counted = known[half : len(known) - half][::stride].copy()
     counted[:unknown] = counted[-1:] = False
     of_wheelsets = [raised, raised + apart[0] * raised_apart, raised, raised + late * np.gradient(raised_apart)]
@@ -132,11 +132,13 @@ def _judged(
 ) -> tuple[DamperSums | Reason, float]:
     whole = of_signals(filters, products)
     least = min(_least(one, count) for one in whole)
-    innovation = float(least) / (float(filters.noise[:, 0, 0].max()) + OF_DAMPING.most_unexplained * square / count)
+    innovation = float(least) / (
+        float(filters.noise[:, 0, 0].max()) + OF_DAMPING.most_unexplained_share * square / count
+    )
     if not (np.isfinite(innovation) and innovation <= 1.0):
         text = f"the innovations of the suspension's filters are {np.sqrt(innovation):.1f} times what is believed"
         return Reason(ReasonCode.DIVERGED, f"{text}; check class and sensors"), innovation
-    independent = count * min(2.0 * OF_DAMPING.passed_hz * filters.step_s, 1.0)
+    independent = count * min(2.0 * OF_DAMPING.pass_hz * filters.step_s, 1.0)
     scale = independent / (count * least + OF_DAMPING.model_error**2 * square)
     excited = _excitation(whole * scale, count * scale * filters.noise)
     if not excited > OF_DAMPING.least_excitation:
@@ -177,15 +179,17 @@ class DamperParameters:
     most_diverged: float = 0.2  # share of the windows
     surest: float = 0.99  # probability at which errors of the other parameters exceed those of any vehicle
     shares_between: int = 16  # shares at which the posterior is, from one particle to the next
-    groups: int = 12  # of windows that are left out together
+    window_groups: int = 12  # of windows that are left out together
     fewest_windows: int = 4  # windows
     largest_share: float = 1.9  # the particles end at 2
-    apart: float = 3.0  # standard deviations between two halves of the windows that do not belong together
-    changed: float = 0.1  # of the share, which halves differ by at least then
-    model_std: float = 0.05  # of a share, that cross level, clocks and scales of nodes make; docs/results/dampers.md
-    least_std: float = 0.01  # of any share, for the same
-    rounds: int = 5  # of Gauss and Newton
-    farthest: float = 6.0  # standard deviations that they look at
+    apart_stds: float = 3.0  # standard deviations between two halves of the windows that do not belong together
+    changed_share: float = 0.1  # of the share, which halves differ by at least then
+    model_share_std: float = (
+        0.05  # of a share, that cross level, clocks and scales of nodes make; docs/results/dampers.md
+    )
+    least_share_std: float = 0.01  # of any share, for the same
+    newton_rounds: int = 5  # of Gauss and Newton
+    farthest_stds: float = 6.0  # standard deviations that they look at
     # of the other parameters' information with their priors: below it noise makes all of it
     least_curvature: float = 0.2
 
@@ -246,12 +250,12 @@ def _share(
             " deviations off is none of this class; check class and sensors"
         )
         return Estimate.unknown(Reason(ReasonCode.DIVERGED, text), count, mismatch)
-    of_share = np.hypot(newest.mass_std, parameters.model_std) * found.share
-    systematic = float(np.linalg.norm([found.std, of_share, parameters.least_std]))
+    of_share = np.hypot(newest.mass_std, parameters.model_share_std) * found.share
+    systematic = float(np.linalg.norm([found.std, of_share, parameters.least_share_std]))
     std = float(np.hypot(sampled, systematic))
     if std > parameters.widest_std:
         return Estimate.unknown(_not_excited(f"the standard deviation of its share would be {std:.2f}"), count)
-    return with_interval(found.share, sampled, systematic, min(len(shown), parameters.groups), count)
+    return with_interval(found.share, sampled, systematic, min(len(shown), parameters.window_groups), count)
 
 
 def _not_excited(why: str) -> Reason:
@@ -265,7 +269,7 @@ def _newest_alike(shown: Sequence[WindowDamper], parameters: DamperParameters) -
         if old is None or new is None:
             return shown
         apart = abs(new.share - old.share)
-        if not apart > max(parameters.apart * float(np.hypot(old_std, new_std)), parameters.changed):
+        if not apart > max(parameters.apart_stds * float(np.hypot(old_std, new_std)), parameters.changed_share):
             return shown
         shown = halves[1]
     return shown
@@ -277,7 +281,7 @@ def _sums(shown: Sequence[WindowDamper]) -> FloatArray:
 
 def _replicated(shown: Sequence[WindowDamper], parameters: DamperParameters) -> tuple[Posterior | None, float]:
     sums = _sums(shown)
-    groups = np.array([part.sum(axis=0) for part in np.array_split(sums, min(len(sums), parameters.groups))])
+    groups = np.array([part.sum(axis=0) for part in np.array_split(sums, min(len(sums), parameters.window_groups))])
     total = groups.sum(axis=0)
     curved = next(one.sums.curved for one in shown if one.sums is not None)
     found = posterior(total, curved, parameters)
@@ -327,7 +331,7 @@ def _conditional(
     n, m, _ = products.shape
     k = m - 2 - curved
     errors, rows = np.zeros((n, k)), np.arange(curved)
-    for _ in range(parameters.rounds):
+    for _ in range(parameters.newton_rounds):
         signals = np.concatenate([np.ones((n, 1)), errors, errors[:, :curved] ** 2, between[:, None]], axis=1)
         changes = np.zeros((n, m, k))
         changes[:, 1 : 1 + k] = np.eye(k)
@@ -338,7 +342,9 @@ def _conditional(
             return None
         gradient = np.einsum("nak,na->nk", changes, left) + errors
         errors = np.clip(
-            errors - np.linalg.solve(precision, gradient[..., None])[..., 0], -parameters.farthest, parameters.farthest
+            errors - np.linalg.solve(precision, gradient[..., None])[..., 0],
+            -parameters.farthest_stds,
+            parameters.farthest_stds,
         )
     signals = np.concatenate([np.ones((n, 1)), errors, errors[:, :curved] ** 2, between[:, None]], axis=1)
     square = np.einsum("na,nab,nb->n", signals, products, signals) + (errors**2).sum(axis=1)

@@ -209,7 +209,7 @@ def _signals(physical: int, variants: int) -> FloatArray:
 def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) -> FloatArray:
     """Return what the noise of the sensors adds to the products of a sample on average, (q - 1, v + 2, v + 2)."""
     stride, taps = stride_of(dt), low_pass(dt)
-    count = round(OF_DAMPING.response_s / filters.step_s)
+    count = round(OF_DAMPING.memory_s / filters.step_s)
     variants = len(filters.source) + 1
     products = np.zeros((len(SHARES) - 1, variants, variants))
     counted, silent = np.ones(count, np.bool_), np.zeros((len(SOURCES), count))
@@ -223,7 +223,7 @@ def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) ->
             mean = np.tile(one, (len(SOURCES), 1))
             apart = silent.copy()
             apart[1 if below else 2] = filters.apart[0 if below else 1] * one
-            apart[3] = OF_DAMPING.late_std_s * np.gradient(one, filters.step_s)
+            apart[3] = OF_DAMPING.clock_std_s * np.gradient(one, filters.step_s)
             for signal in (mean, apart):
                 both = (signal, silent) if below else (silent, signal)
                 add_products(filters, both[0], both[1], counted, products)
@@ -298,5 +298,5 @@ def _held(rates: FloatArray, by_input: FloatArray, step_s: float) -> FloatArray:
 
 
 def _densities(sensors: SensorLayout, axles: int) -> tuple[float, float]:
-    found = [max(one.noise_density, OF_DAMPING.least_density) for one in (sensors.lateral, sensors.mass_lateral)]
+    found = [max(one.noise_density, OF_DAMPING.least_noise_density) for one in (sensors.lateral, sensors.mass_lateral)]
     return found[0] / math.sqrt(axles), found[1] / math.sqrt(axles)

@@ -110,10 +110,8 @@ def low_pass(sample_interval_s: float) -> FloatArray:
     """Return the taps (k,) of the low-pass, odd in number and symmetric."""
     from scipy.signal import firwin, kaiserord  # noqa: PLC0415 - slow to import, and few need it
 
-    count, beta = kaiserord(
-        OF_DAMPING.stopped_db, 2.0 * sample_interval_s * (OF_DAMPING.stopped_hz - OF_DAMPING.passed_hz)
-    )
-    corner = 0.5 * (OF_DAMPING.passed_hz + OF_DAMPING.stopped_hz)
+    count, beta = kaiserord(OF_DAMPING.stop_db, 2.0 * sample_interval_s * (OF_DAMPING.stop_hz - OF_DAMPING.pass_hz))
+    corner = 0.5 * (OF_DAMPING.pass_hz + OF_DAMPING.stop_hz)
     taps = firwin(count | 1, corner, window=("kaiser", beta), fs=1.0 / sample_interval_s)
     return frozen_array(taps, (None,), name="taps")
 

@@ -19,12 +19,12 @@ from estimation.estimators.parameters import OF_RIVALS
 from estimation.values.arrays import FloatArray
 from estimation.values.units import MILLIMETRE
 
-ALIGNMENT = OF_RIVALS.alignment
-YAW_RATE = OF_RIVALS.yaw_rate
-YAW = OF_RIVALS.yaw
-RENEWED = OF_RIVALS.renewed
-MOVED = OF_RIVALS.moved
-COOLING = OF_RIVALS.cooling
+ALIGNMENT = OF_RIVALS.alignment_intensity
+YAW_RATE = OF_RIVALS.yaw_rate_intensity
+YAW = OF_RIVALS.yaw_std
+RENEWED = OF_RIVALS.renewed_stds
+MOVED = OF_RIVALS.moved_share
+COOLING = OF_RIVALS.least_spread_share
 
 
 @compiled(nogil=True, error_model="numpy")

@@ -50,28 +50,28 @@ from estimation.vehicle.regressors import YAW_TARGETS, regression
 class HiddenParameters:
     """Prior and noise of the hidden displacement."""
 
-    freedom: float = 6.0  # of Student's t, of the difference between R and the curve
-    likely: float = 1e-3  # probability below which a value of the grid is left out of the sums
-    cell: float = 0.04e-3  # m of y - d
-    least_in_cell: float = 20.0  # samples
+    student_freedom: float = 6.0  # of Student's t, of the difference between R and the curve
+    least_probability: float = 1e-3  # probability below which a value of the grid is left out of the sums
+    cell_width: float = 0.04e-3  # m of y - d
+    least_cell_samples: float = 20.0  # samples
     prior_std: float = 0.1e-3  # m, of the hidden displacement
-    move: float = 0.08  # probability of a step to a neighbour in a chunk
+    step_probability: float = 0.08  # probability of a step to a neighbour in a chunk
     chunk_s: float = 0.02
-    noise: float = 0.06e-3  # m, std of R about the curve
-    share: float = 0.5  # how much one of neighbouring samples counts
-    jump_place: float = 0.012e-3  # m, std of where a contact jump is found
-    jump_share: float = 0.3  # of the std that the gauge moves contact jumps by
-    steep: float = 3.0  # times the median slope
-    least_step: float = 0.12e-3  # m of R
-    most_spread: float = 0.08e-3  # m, std of the rise over y - d
+    curve_noise_std: float = 0.06e-3  # m, std of R about the curve
+    sample_weight: float = 0.5  # how much one of neighbouring samples counts
+    jump_place_std: float = 0.012e-3  # m, std of where a contact jump is found
+    gauge_jump_share: float = 0.3  # of the std that the gauge moves contact jumps by
+    steep_factor: float = 3.0  # times the median slope
+    least_rise: float = 0.12e-3  # m of R
+    most_rise_spread: float = 0.08e-3  # m, std of the rise over y - d
     jump_reach: float = 4.0e-3  # m of y - d: beyond are the flanges
-    jump_sides: float = 1e-8  # m, from a jump to the points on both of its sides
+    jump_side_distance: float = 1e-8  # m, from a jump to the points on both of its sides
 
 
 HIDDEN = HiddenParameters()
-FREEDOM = HIDDEN.freedom
-LIKELY = HIDDEN.likely
-CELL = HIDDEN.cell
+FREEDOM = HIDDEN.student_freedom
+LIKELY = HIDDEN.least_probability
+CELL = HIDDEN.cell_width
 
 
 @compiled(nogil=True, error_model="numpy")
@@ -237,7 +237,7 @@ class HiddenDisplacement:
             raise ParameterError("the interval between samples is not known", field="sample_interval_s")
         chunk = max(round(HIDDEN.chunk_s / motion.sample_interval_s), 1) if state.parameters.band_limited else 1
         piece = HiddenPiece(
-            x, R[:, 0], np.append(first, len(x)), group_of(block[first], OF_RIVALS.groups),
+            x, R[:, 0], np.append(first, len(x)), group_of(block[first], OF_RIVALS.series_groups),
             chunk, weight,
         )  # fmt: skip
         return HiddenState(
@@ -259,7 +259,7 @@ class HiddenDisplacement:
             return nothing(too_few_blocks(groups), state.parameters, samples, state.stretches)
         sums, counts = self._expected(state)
         number = counts.sum(axis=0)
-        inside = run_around_middle((number >= HIDDEN.least_in_cell) & (span[0] < MIDDLES) & (span[1] > MIDDLES))
+        inside = run_around_middle((number >= HIDDEN.least_cell_samples) & (span[0] < MIDDLES) & (span[1] > MIDDLES))
         middles = MIDDLES[inside]
         sums, counts = sums[:, inside], counts[:, inside]
         total, number = sums.sum(axis=0), counts.sum(axis=0)
@@ -277,7 +277,7 @@ class HiddenDisplacement:
         sums, counts = _expectation(state, None)
         for _ in range(self.rounds if state.parameters.band_limited else 0):
             number = counts.sum(axis=0)
-            known = number >= min(HIDDEN.least_in_cell, number.max())
+            known = number >= min(HIDDEN.least_cell_samples, number.max())
             curve = np.asarray(np.interp(MIDDLES, MIDDLES[known], sums.sum(axis=0)[known] / number[known]))
             sums, counts = _expectation(state, curve)
         return sums, counts
@@ -288,15 +288,15 @@ def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArr
     grid: FloatArray = np.zeros(1) if curve is None else GRID
     prior = np.exp(-0.5 * (grid / HIDDEN.prior_std) ** 2)
     prior /= prior.sum()
-    sums, counts = np.zeros((2, OF_RIVALS.groups, FINE))
+    sums, counts = np.zeros((2, OF_RIVALS.series_groups, FINE))
     for piece in state.pieces:
         for group, first, last in zip(piece.group, piece.start[:-1], piece.start[1:], strict=True):
             x, R, chunk = piece.displacement[first:last], piece.difference[first:last], piece.chunk
             posterior = np.ones((len(x) // chunk, len(grid)))
             if curve is not None:
                 likelihood = np.empty_like(posterior)
-                weigh(x, R, chunk, curve, -REACH, CELL, grid, HIDDEN.noise, HIDDEN.share, likelihood)
-                smooth(likelihood, prior, HIDDEN.move, posterior)
+                weigh(x, R, chunk, curve, -REACH, CELL, grid, HIDDEN.curve_noise_std, HIDDEN.sample_weight, likelihood)
+                smooth(likelihood, prior, HIDDEN.step_probability, posterior)
             add_expected(x, R, chunk, posterior, grid, -REACH, CELL, piece.weight, sums[group], counts[group])
     return sums, counts
 
@@ -310,8 +310,8 @@ def _systematic(x: FloatArray, curve: FloatArray, state: HiddenState) -> FloatAr
     rows = [std * np.interp(x, coarse[seen], column) for std, column in zip(unknown.yaw(), means.T, strict=True)]
     middle = zero_crossing(x, curve)
     if state.parameters.band_limited and np.isfinite(middle):
-        of_gauge = HIDDEN.jump_share * unknown.jump_position_std
-        place = float(np.linalg.norm([HIDDEN.jump_place, unknown.jump_mean_std, of_gauge]))
+        of_gauge = HIDDEN.gauge_jump_share * unknown.jump_position_std
+        place = float(np.linalg.norm([HIDDEN.jump_place_std, unknown.jump_mean_std, of_gauge]))
         rows += [jumps_displaced(x, curve, middle, by) - curve for by in (place, -place)]
     return np.array(rows)
 
@@ -333,7 +333,7 @@ def stepped(x: FloatArray, curve: FloatArray) -> Stepped:
     middles, rise = 0.5 * (x[1:] + x[:-1]), np.diff(curve)
     near = np.abs(middles) < HIDDEN.jump_reach
     usual = float(np.median(rise[near])) if near.any() else 0.0
-    steep = near & (rise > HIDDEN.steep * max(usual, 0.0)) & (rise > 0.0)
+    steep = near & (rise > HIDDEN.steep_factor * max(usual, 0.0)) & (rise > 0.0)
     beyond = np.where(steep, rise - usual, 0.0)
     bounds = np.flatnonzero(np.diff(np.concatenate([[0], steep.astype(np.int64), [0]])))
     places, steps = [], []
@@ -343,11 +343,11 @@ def stepped(x: FloatArray, curve: FloatArray) -> Stepped:
         step = float(beyond[part].sum())
         place = float(beyond[part] @ middles[part]) / step
         spread = np.sqrt(float(beyond[part] @ (middles[part] - place) ** 2) / step + width**2 / 12.0)
-        if step >= HIDDEN.least_step and spread <= HIDDEN.most_spread:
+        if step >= HIDDEN.least_rise and spread <= HIDDEN.most_rise_spread:
             places.append(place)
             steps.append(step)
             smooth[part] -= beyond[part]
     jumps, heights = np.array(places), np.array(steps)
-    points = np.sort(np.concatenate([x, jumps - HIDDEN.jump_sides, jumps + HIDDEN.jump_sides]))
+    points = np.sort(np.concatenate([x, jumps - HIDDEN.jump_side_distance, jumps + HIDDEN.jump_side_distance]))
     base = np.interp(points, x, np.append(curve[0], curve[0] + np.cumsum(smooth)))
     return Stepped(points, base + (points[:, None] > jumps) @ heights, jumps)

@@ -93,8 +93,8 @@ class Estimator(Protocol[State]):
         """Return the curve and what follows from it."""
 
 
-WIDTH = OF_RIVALS.width
-REACH = OF_RIVALS.reach
+WIDTH = OF_RIVALS.bin_width
+REACH = OF_RIVALS.bin_reach
 
 
 CELLS = round(2 * REACH / WIDTH)
@@ -184,7 +184,7 @@ def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveE
         return nothing(too_few_blocks(g), parameters, curve.samples, curve.stretches)
     x, R, unknown = curve.displacement, curve.all_data, parameters.uncertainty
     # R and y - d are larger by one std of their scales
-    stretch = np.hypot(OF_GEOMETRY.scale_uncertainty if parameters.band_limited else 0.0, unknown.displacement)
+    stretch = np.hypot(OF_GEOMETRY.projection_scale_std if parameters.band_limited else 0.0, unknown.displacement)
     shifted = np.vstack([curve.shifted, R * (1.0 + unknown.scale), np.interp(x / (1.0 + stretch), x, R)])
     rows = np.concatenate([curve.all_data[None], curve.left_out, shifted])
     amplitude = np.array(parameters.curve.amplitudes)

@@ -238,7 +238,8 @@ class PaperAlgorithm:
         V = float(motion.speed[keep].mean())
         index = np.floor(motion.displacement[keep] / self.width + 0.5).astype(np.int64) + self._half
         features = (
-            np.column_stack([motion.yaw[keep], motion.roll_rate[keep], np.ones(int(keep.sum()))]) / OF_RIVALS.scale
+            np.column_stack([motion.yaw[keep], motion.roll_rate[keep], np.ones(int(keep.sum()))])
+            / OF_RIVALS.regressor_scale
         )
         output = yaw_output(motion, state.parameters.vehicle, V, keep)
         root = np.sqrt(weight)
@@ -278,9 +279,9 @@ class PaperAlgorithm:
         if run.stop == self._half or run.stop - run.start < OF_RIVALS.fewest_bins:
             text = f"fewer than {OF_RIVALS.fewest_bins} bins around the centre have reached the threshold"
             return nothing(Reason(ReasonCode.TOO_FEW_BINS, text), state.parameters, samples, state.stretches)
-        R = per_unit * state.theta[run, 2] / OF_RIVALS.scale[2]
+        R = per_unit * state.theta[run, 2] / OF_RIVALS.regressor_scale[2]
         variance = state.squares[run] / (state.count[run] - REGRESSORS)
-        std = abs(per_unit) * np.sqrt(variance * state.covariance[run, 2, 2]) / OF_RIVALS.scale[2]
+        std = abs(per_unit) * np.sqrt(variance * state.covariance[run, 2, 2]) / OF_RIVALS.regressor_scale[2]
         x = (np.arange(run.start, run.stop) - self._half) * self.width
         left_out = state.cells.left_out(x)
         if len(left_out) < OF_RIVALS.fewest_groups:
@@ -303,7 +304,7 @@ def _start(waiting: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         return np.full(REGRESSORS, np.nan), np.zeros((REGRESSORS, REGRESSORS)), 0.0
     root, triangle = np.linalg.qr(X / size)
     diagonal = np.abs(np.diag(triangle))
-    if diagonal.min() <= OF_RIVALS.least_rank * diagonal.max():
+    if diagonal.min() <= OF_RIVALS.least_rank_share * diagonal.max():
         return np.full(REGRESSORS, np.nan), np.zeros((REGRESSORS, REGRESSORS)), 0.0
     inverse = np.linalg.inv(triangle) / size[:, None]
     theta = inverse @ (root.T @ z)

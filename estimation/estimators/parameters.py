@@ -11,38 +11,42 @@ class RivalParameters:
 
     # block filters
     step_s: float = 0.012  # between the samples that a filter takes
-    shortest: int = 100  # samples of a block that is filtered
-    largest_square: float = 3.0  # mean of squared innovations over their variances of a filter that follows
-    most_diverged: float = 0.2  # share of blocks
-    least_noise: float = 0.03e-3  # m, std of y - d
-    steepest: float = 1.6  # of R per y - d that particles begin with: a conicity of 0.8
+    shortest_block: int = 100  # samples of a block that is filtered
+    most_innovation: float = 3.0  # mean of squared innovations over their variances of a filter that follows
+    most_diverged_share: float = 0.2  # share of blocks
+    least_noise_std: float = 0.03e-3  # m, std of y - d
+    steepest_slope: float = 1.6  # of R per y - d that particles begin with: a conicity of 0.8
     offset_std: float = 1e-3  # m
-    rows: int = 64  # of numbers drawn, used in turn
-    seed: int = 2003
-    smallest: float = 1e-9  # of the variance of the slope, relative to the prior's: particles that are all alike
+    drawn_rows: int = 64  # of numbers drawn, used in turn
+    draw_seed: int = 2003
+    least_slope_variance: float = (
+        1e-9  # of the variance of the slope, relative to the prior's: particles that are all alike
+    )
     # filter kernels
-    alignment: float = 1e-6  # m, intensity of d' per speed: slopes of 0.6 mm/m over 3 m
-    yaw_rate: float = 3e-8  # rad2/s, intensity of what psi' has besides: R is measured to 0.03 mm over some 0.05 s
-    yaw: float = 1e-5  # rad, std of psi
-    renewed: tuple[float, float] = (1e-3, 1e-3)  # m, rad, std of y - d and psi behind a gap
-    moved: float = 0.3  # of the spread of the particles, std by which copies are moved
-    cooling: float = 0.25  # of the spread that copies have at least, with every time that they are made
+    alignment_intensity: float = 1e-6  # m, intensity of d' per speed: slopes of 0.6 mm/m over 3 m
+    yaw_rate_intensity: float = (
+        3e-8  # rad2/s, intensity of what psi' has besides: R is measured to 0.03 mm over some 0.05 s
+    )
+    yaw_std: float = 1e-5  # rad, std of psi
+    renewed_stds: tuple[float, float] = (1e-3, 1e-3)  # m, rad, std of y - d and psi behind a gap
+    moved_share: float = 0.3  # of the spread of the particles, std by which copies are moved
+    least_spread_share: float = 0.25  # of the spread that copies have at least, with every time that they are made
     # series
-    groups: int = 16
+    series_groups: int = 16
     smallest_variance: float = 1e-18  # m2
-    spacing: float = 0.05e-3  # m of y - d at which the curve is given
-    least_share: float = 1e-9  # smallest to largest eigenvalue of scaled sums that still are solved
-    least_stiff: float = 0.2  # of the creep coefficient on file: below, the moments beside creep say too little
+    curve_spacing: float = 0.05e-3  # m of y - d at which the curve is given
+    least_eigenvalue_share: float = 1e-9  # smallest to largest eigenvalue of scaled sums that still are solved
+    least_creep_share: float = 0.2  # of the creep coefficient on file: below, the moments beside creep say too little
     # interface
-    width: float = 0.25e-3  # m
-    reach: float = 7.0e-3  # m
+    bin_width: float = 0.25e-3  # m
+    bin_reach: float = 7.0e-3  # m
     least_samples: int = 100
     fewest_groups: int = 4
     # paper algorithm
     paper_algorithm_groups: int = 16
-    scale: tuple[float, float, float] = (1e-3, 1e-3, 1.0)  # usual size of psi, phi' and the constant
+    regressor_scale: tuple[float, float, float] = (1e-3, 1e-3, 1.0)  # usual size of psi, phi' and the constant
     fewest_bins: int = 5
-    least_rank: float = 1e-9  # smallest to largest, of a triangle that still is solved
+    least_rank_share: float = 1e-9  # smallest to largest, of a triangle that still is solved
 
 
 OF_RIVALS = RivalParameters()

@@ -56,7 +56,10 @@ def empty(
     parameters: EstimatorParameters, functions: int, targets: int = len(YAW_TARGETS), sums: int = 1
 ) -> SeriesState:
     """Return empty sums for ``functions`` basis functions."""
-    gram, cross = np.zeros((OF_RIVALS.groups, functions, functions)), np.zeros((OF_RIVALS.groups, functions, targets))
+    gram, cross = (
+        np.zeros((OF_RIVALS.series_groups, functions, functions)),
+        np.zeros((OF_RIVALS.series_groups, functions, targets)),
+    )
     return SeriesState(parameters, gram, cross, 0.0, np.zeros((sums, CELLS)), np.zeros(CELLS), 0, 0)
 
 
@@ -73,7 +76,7 @@ def summed(
 ) -> SeriesState:
     """Return the state with the usable samples (n,) of ``motion`` added, ``by_cell`` (n, k) by displacement."""
     keep = usable(motion)
-    x, groups = motion.displacement[keep], group_of(motion.block[keep], OF_RIVALS.groups)
+    x, groups = motion.displacement[keep], group_of(motion.block[keep], OF_RIVALS.series_groups)
     gram, cross = state.gram.copy(), state.cross.copy()
     for group in np.unique(groups):
         in_group = groups == group
@@ -119,7 +122,7 @@ class SeriesFit(ABC):
         if len(present) < OF_RIVALS.fewest_groups:  # what is left without one of them may not determine the functions
             return nothing(too_few_blocks(len(present)), state.parameters, state.samples, state.stretches)
         low, high = span
-        x = np.linspace(low, high, round((high - low) / OF_RIVALS.spacing) + 1)
+        x = np.linspace(low, high, round((high - low) / OF_RIVALS.curve_spacing) + 1)
         gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
         small = _small(gram, self.ridge)
         theta = np.linalg.solve(gram + small, cross[:, 0])
@@ -192,7 +195,7 @@ class KnownIrregularity:
         if isinstance(span, Reason) or reason is not None:
             assert reason is not None  # it is ``span``
             return nothing(reason, state.parameters, state.samples, state.stretches)
-        x = np.linspace(*span, round((span[1] - span[0]) / OF_RIVALS.spacing) + 1)
+        x = np.linspace(*span, round((span[1] - span[0]) / OF_RIVALS.curve_spacing) + 1)
         gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
         theta = np.linalg.solve(gram, cross)
         value = _line(x, theta[:, 0])
@@ -232,11 +235,11 @@ def _refusal(state: SeriesState, groups: int) -> Reason | None:
     gram = state.gram.sum(axis=0)
     size = np.sqrt(np.diag(gram))
     eigenvalues = np.linalg.eigvalsh(gram / np.outer(size, size))
-    if eigenvalues[0] < OF_RIVALS.least_share:
+    if eigenvalues[0] < OF_RIVALS.least_eigenvalue_share:
         return Reason(ReasonCode.NOT_FINITE, "yaw rate and displacement are proportional")
     creep = float(np.linalg.solve(gram, state.cross.sum(axis=0)[:, 0])[0])
     share = creep / state.parameters.vehicle.longitudinal_creep_coefficient
-    if OF_RIVALS.least_stiff < share < 1.0 / OF_RIVALS.least_stiff:
+    if OF_RIVALS.least_creep_share < share < 1.0 / OF_RIVALS.least_creep_share:
         return None
     return Reason(ReasonCode.DIVERGED, f"the creep coefficient comes out as {share:.2f} times that on file")
 

@@ -44,10 +44,10 @@ class CurveParameters:
     largest_share: float = 0.25  # or relative to the conicity: one of 0.57 within 0.28 may be far over its limit
     blur_share: float = 0.3  # of what sharpening changes: what is not known of it
     slow_std: float = 0.1e-3  # m, of what the high-pass takes from y - d: the slow motion of the wheelset itself
-    alike_share: float = 0.15  # of the part of R that is alike on both sides: what the high-pass makes of it
-    alike_reach: float = 3e-3  # m of y - d: wheelsets hardly run further
-    alike_points: int = 61
-    independent: float = 0.8  # share of what is systematic at one end of NP that is not at the other
+    even_share: float = 0.15  # of the part of R that is alike on both sides: what the high-pass makes of it
+    even_reach: float = 3e-3  # m of y - d: wheelsets hardly run further
+    even_points: int = 61
+    independent_share: float = 0.8  # share of what is systematic at one end of NP that is not at the other
 
 
 _Row = tuple[FloatArray, FloatArray]  # displacement (k,), rolling radius difference (k,)
@@ -136,7 +136,7 @@ def _nonlinearity(
     low, high = (values[:, int(np.argmin(np.abs(amplitude - a)))] for a in ends)
     per_mm = 1.0 / (1e3 * (ends[1] - ends[0]))
     far = slice(groups + 1, None)
-    systematic = parameters.independent * np.concatenate([high[far] - high[0], low[far] - low[0]])
+    systematic = parameters.independent_share * np.concatenate([high[far] - high[0], low[far] - low[0]])
     both = np.concatenate([high[: groups + 1] - low[: groups + 1], high[0] - low[0] + systematic])
     return _estimate(per_mm * both, groups, count, not_covered(ends[1]))
 
@@ -191,9 +191,9 @@ def _lost_to_filters(
     """Return what the high-pass changes of the conicity (a,) where left and right wheel are unlike."""
     # the part of R that is alike on both sides of the centre grows and falls with the amplitude; what is slow of that
     # is lost, and comes back as an error of R of some share of it
-    beside = np.linspace(0.0, min(-x[0], x[-1], parameters.alike_reach), parameters.alike_points)
+    beside = np.linspace(0.0, min(-x[0], x[-1], parameters.even_reach), parameters.even_points)
     alike = 0.5 * (np.interp(beside, x, curve) + np.interp(-beside, x, curve)) - np.interp(0.0, x, curve)
-    return np.asarray(parameters.alike_share * np.mean(np.abs(alike)) / (2.0 * amplitude))
+    return np.asarray(parameters.even_share * np.mean(np.abs(alike)) / (2.0 * amplitude))
 
 
 def _systematic(
@@ -251,7 +251,7 @@ def _conicity(values: FloatArray, groups: int, count: float, amplitude: float, p
     found = _estimate(values, groups, count, not_covered(amplitude))
     if found.value is None or found.high is None or found.std is None:
         return found
-    if found.std <= max(OF_GEOMETRY.largest_std, parameters.largest_share * found.value):
+    if found.std <= max(OF_GEOMETRY.largest_conicity_std, parameters.largest_share * found.value):
         return found
     text = f"the data leave the conicity at {1e3 * amplitude:g} mm open by {found.high - found.value:.2f} either way"
     return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), count)

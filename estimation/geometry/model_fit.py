@@ -43,13 +43,15 @@ from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
 class RollingFitParameters:
     """When the motion contradicts a rolling radius on file."""
 
-    smallest: float = 1e-200  # variance, so that without any sample the shared coefficients are zero
+    smallest_variance: float = 1e-200  # variance, so that without any sample the shared coefficients are zero
     most_displacement_error: float = 0.2  # of the power of y - d: what the interval of a curve allows for
-    most_widened: float = 2.0  # std of a conicity over itself by it
-    rounds: int = 4  # of weights that follow from what is left
-    outlying: float = 2.0  # times the median of what is left in the bands, over the noise: a band with more is left out
+    most_widening: float = 2.0  # std of a conicity over itself by it
+    weight_rounds: int = 4  # of weights that follow from what is left
+    outlying_factor: float = (
+        2.0  # times the median of what is left in the bands, over the noise: a band with more is left out
+    )
     short_bands: int = 2  # those of the shortest wavelengths, in which vibration shows
-    model_std: float = 5e-3  # m: without noise right radii are found 1 % too small
+    model_radius_std: float = 5e-3  # m: without noise right radii are found 1 % too small
     radius_noise_doubt: float = 0.1  # of what taking off the noise changes
     noise_doubt_left: float = 0.6  # the same, per noise that is left in all bands beyond that on file
     noise_doubt_vibrating: float = 0.4  # the same on axle boxes that vibrate
@@ -57,19 +59,19 @@ class RollingFitParameters:
     friction_share: float = 0.3
     # of the radius, per scale of yaw against lateral sensor: more than sensors have is what is missing
     scale_share: float = 0.5
-    most_unexplained: float = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
+    most_unexplained_share: float = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
     fewest_parts: int = 8
-    doubted: float = 2.0  # stds beyond which the radius on file is in doubt: right ones have 0.6 rms, at most 2.5
+    doubted_stds: float = 2.0  # stds beyond which the radius on file is in doubt: right ones have 0.6 rms, at most 2.5
     # of the radius on file: what the motion has to exclude, as wheels worn out on file as new ones
-    mistake: float = 0.10
-    certain: float = 4.0  # beyond which it is another: hundreds of wheelsets are looked at every 15 minutes
-    expected: tuple[float, ...] = (1.0, 0.0, 1.0, 1.0, 1.0, 0.0)  # of the unknowns; nothing of the radius
+    radius_mistake: float = 0.10
+    certain_stds: float = 4.0  # beyond which it is another: hundreds of wheelsets are looked at every 15 minutes
+    expected_unknowns: tuple[float, ...] = (1.0, 0.0, 1.0, 1.0, 1.0, 0.0)  # of the unknowns; nothing of the radius
     # gravity and curve stand for dL - dR, 100 times as large
-    expected_std: tuple[float, ...] = (0.01, 10.0, 0.1, 0.1, 300.0, 300.0)
+    expected_unknown_stds: tuple[float, ...] = (0.01, 10.0, 0.1, 0.1, 300.0, 300.0)
 
 
 ROLLING_FIT = RollingFitParameters()
-EXPECTED, EXPECTED_STD = np.array(ROLLING_FIT.expected), np.array(ROLLING_FIT.expected_std)
+EXPECTED, EXPECTED_STD = np.array(ROLLING_FIT.expected_unknowns), np.array(ROLLING_FIT.expected_unknown_stds)
 
 
 def solve_with_shared_scales(
@@ -106,7 +108,7 @@ def solve_with_shared_scales(
     right = np.where(known_bins, cross[:, :, :q, :] - coupling @ alone, 0.0).sum(axis=1)
     unshared = np.maximum(square - np.einsum("rbi,rbi->rb", alone[..., 0], cross[:, :, q:, 0]), 0.0)
     freedom = np.maximum(np.where(solvable, weight - (p - q), 0.0).sum(axis=1), 1.0)
-    variance = np.maximum(np.where(solvable, unshared, 0.0).sum(axis=1) / freedom, ROLLING_FIT.smallest)
+    variance = np.maximum(np.where(solvable, unshared, 0.0).sum(axis=1) / freedom, ROLLING_FIT.smallest_variance)
     counted = np.ones(q) if counted_as_one is None else np.asarray(counted_as_one)
     known = variance[:, None, None] * np.diag(counted / np.square(prior_stds))
     common = np.linalg.solve(left + known, right)[:, None]
@@ -153,7 +155,7 @@ def model_fit(
     if used.sum() < uncertainty.fewest_bins or present.sum() < uncertainty.fewest_bins:
         return None
     in_bogie = bins.wheelbase is not None
-    priors = (uncertainty.sensor_scale, uncertainty.sensor_scale, MOUNTING_STD) if in_bogie else (uncertainty.free,)
+    priors = (uncertainty.sensor_scale, uncertainty.sensor_scale, MOUNTING_STD) if in_bogie else (uncertainty.free_std,)
     shared = len(priors)
     regressors = shared + REGRESSORS - 1
     moments = sums[:, used], weight[:, used], regressors, len(YAW_TARGETS)
@@ -161,7 +163,9 @@ def model_fit(
     theta = solved.theta.reshape(len(weight), int(used.sum()), regressors, len(YAW_TARGETS))
     unit = 1.0 if in_bogie else 0.5 * p.half_contact_distance * p.load / p.yaw_stiffness
     of_spring = (
-        solve_with_shared_scales(*moments, (*priors[:2], uncertainty.straight))[0].theta if in_bogie else solved.theta
+        solve_with_shared_scales(*moments, (*priors[:2], uncertainty.straight_std))[0].theta
+        if in_bogie
+        else solved.theta
     )
     errors = unit * np.nanmedian(of_spring.reshape(theta.shape)[:, :, 0, 0], axis=1)
     per_metre = p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius
@@ -212,7 +216,7 @@ def displaced(fit: ModelFit) -> Contradiction | None:
         f" {ROLLING_FIT.most_displacement_error:.0%} may be: the conicity may be too small by as much;"
         " survey the section again"
     )
-    relative = min(share / max(1.0 - share, 1e-9), ROLLING_FIT.most_widened)
+    relative = min(share / max(1.0 - share, 1e-9), ROLLING_FIT.most_widening)
     return Contradiction(Reason(ReasonCode.CONICITY_OPEN, text), certain=False, relative=relative)
 
 
@@ -277,12 +281,12 @@ def check_radius(
         return None if measured else _open(on_file, "the motion does not show the radius on which the wheelset rolls")
     std = math.hypot(found.std, relative_std * on_file)
     stds = abs(found.value - on_file) / std
-    if stds <= ROLLING_FIT.doubted:
-        if measured or stds + ROLLING_FIT.doubted <= ROLLING_FIT.mistake * on_file / std:
+    if stds <= ROLLING_FIT.doubted_stds:
+        if measured or stds + ROLLING_FIT.doubted_stds <= ROLLING_FIT.radius_mistake * on_file / std:
             return None
         by_motion = f"{1e3 * found.value:.0f} mm (std {1e3 * found.std:.0f} mm)"
         return _open(on_file, f"the motion shows the radius on which the wheelset rolls as {by_motion}")
-    certain = stds > ROLLING_FIT.certain and not measured
+    certain = stds > ROLLING_FIT.certain_stds and not measured
     reason = Reason(
         ReasonCode.ROLLING_RADIUS_DIFFERS,
         f"the wheelset rolls as on wheels of {1e3 * found.value:.0f} mm radius (std {1e3 * found.std:.0f} mm),"
@@ -294,8 +298,9 @@ def check_radius(
 
 def _open(on_file: float, shown: str) -> Contradiction:
     text = (
-        f"{shown}, which does not confirm the {1e3 * on_file:.0f} mm on file: a radius {ROLLING_FIT.mistake:.0%} off"
-        f" moves the conicity by {ROLLING_FIT.mistake:.0%}; put its std on file, as measured or as wheels wear"
+        f"{shown}, which does not confirm the {1e3 * on_file:.0f} mm on file: a radius"
+        f" {ROLLING_FIT.radius_mistake:.0%} off moves the conicity by {ROLLING_FIT.radius_mistake:.0%};"
+        " put its std on file, as measured or as wheels wear"
     )
     return Contradiction(Reason(ReasonCode.ROLLING_RADIUS_OPEN, text), certain=False, relative=0.0)
 
@@ -317,32 +322,32 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
     taken_off = noise.copy()
     # curve and gravity are one where contact is straight: its noise is what keeps them apart there
     taken_off[..., 1 + _CURVE, 1 + _CURVE] = 0.0
-    with_noise = _solution(_weighted(np.ones(OF_MOTION.bands), total))
+    with_noise = _solution(_weighted(np.ones(OF_MOTION.wavelength_bands), total))
     share = min(1.0, float(np.min(_left(total, of_noise, with_noise))))  # sensors may be better than on file
-    weights = np.ones(OF_MOTION.bands)
-    left = np.ones(OF_MOTION.bands)
+    weights = np.ones(OF_MOTION.wavelength_bands)
+    left = np.ones(OF_MOTION.wavelength_bands)
     without_noise = products - share * taken_off
     by_band = without_noise.sum(axis=0)
-    for _ in range(ROLLING_FIT.rounds):
+    for _ in range(ROLLING_FIT.weight_rounds):
         left = _left(total, of_noise, _solution(_weighted(weights, by_band)))
-        weights = (left <= ROLLING_FIT.outlying * np.median(left)) / np.maximum(left, 1.0)
+        weights = (left <= ROLLING_FIT.outlying_factor * np.median(left)) / np.maximum(left, 1.0)
     sums = np.einsum("b,pbij->pij", weights, without_noise)
     whole = sums.sum(axis=0)
     information = whole[1:, 1:] + np.diag(1.0 / EXPECTED_STD**2)
     if np.linalg.eigvalsh(information)[0] <= 0.0:
         return None
     best = _solution(whole)
-    if best[_RADIUS] <= 0.0 or _unexplained_share(whole, best) > ROLLING_FIT.most_unexplained:
+    if best[_RADIUS] <= 0.0 or _unexplained_share(whole, best) > ROLLING_FIT.most_unexplained_share:
         return None
     replicates = np.array([best, *(_solution(whole - one) for one in sums)])
     bound = math.sqrt(float(np.linalg.inv(information)[_RADIUS, _RADIUS]))
     corrected = best[_RADIUS] - _solution(_weighted(weights, total))[_RADIUS]
     sampling = float(normal_equivalent(jackknife_std(replicates), len(sums))[_RADIUS])
-    vibrating = bool((left[-ROLLING_FIT.short_bands :] > ROLLING_FIT.outlying * np.median(left)).any())
+    vibrating = bool((left[-ROLLING_FIT.short_bands :] > ROLLING_FIT.outlying_factor * np.median(left)).any())
     doubt = ROLLING_FIT.noise_doubt_vibrating if vibrating else ROLLING_FIT.radius_noise_doubt
     stds = [
         max(sampling, bound, _std_of_bands(weights, by_band)),
-        ROLLING_FIT.model_std,
+        ROLLING_FIT.model_radius_std,
         (doubt + ROLLING_FIT.noise_doubt_left * max(float(left.min()) - 1.0, 0.0)) * corrected,
         ROLLING_FIT.friction_share * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),
         ROLLING_FIT.scale_share * best[_RADIUS] * abs(best[_SCALE] - 1.0),

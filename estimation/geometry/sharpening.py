@@ -57,32 +57,32 @@ from estimation.vehicle.vehicle_class import VehicleClass
 class SharpeningParameters:
     """How what filters have blurred is undone."""
 
-    held_slack: float = 1e-12  # of the largest gradient: below, an unknown that is held at 0 stays there
-    patience: int = 3  # exchanges of all without fewer on the wrong side, before it is one at a time
-    cells: int = 8  # in a bin
-    least_std: float = 5e-6  # m of a node: blurs are not quite normal
+    held_gradient_share: float = 1e-12  # of the largest gradient: below, an unknown that is held at 0 stays there
+    patient_exchanges: int = 3  # exchanges of all without fewer on the wrong side, before it is one at a time
+    bin_cells: int = 8  # in a bin
+    least_node_std: float = 5e-6  # m of a node: blurs are not quite normal
     # std that a change of the slope by 1 from cell to cell counts for; a contact jump has 2 to 10
     least_roughness: float = 0.25
-    roughness: float = 2.5e3  # 1/m, the same per blur: the longer it is, the less of the slopes is known
-    most_misfit: float = 1.0  # rms, in std of the nodes
+    blur_roughness: float = 2.5e3  # 1/m, the same per blur: the longer it is, the less of the slopes is known
+    most_misfit_rms: float = 1.0  # rms, in std of the nodes
     # of the longest that is to be expected
-    blurs: tuple[float, ...] = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)
-    samples: int = 8  # in a bin, for its quadratic
-    reach: float = 3.0  # std of the blur that the cells go beyond the bins
-    steps: int = 200  # of the search for slopes; most end after ten
-    steep: float = 2.0  # times the median slope: what is steeper is part of a jump
+    blur_shares: tuple[float, ...] = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)
+    bin_samples: int = 8  # in a bin, for its quadratic
+    reach_blurs: float = 3.0  # std of the blur that the cells go beyond the bins
+    search_steps: int = 200  # of the search for slopes; most end after ten
+    steep_factor: float = 2.0  # times the median slope: what is steeper is part of a jump
     # m, of left minus right wheel of an axle: EN 15313 allows 0.3 to 0.5 mm when turned, later 1 mm
     diameter_std: float = 0.3e-3
     # lambda, twice the conicity, at which the share is kept
-    slopes: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+    held_slopes: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
     roll_per_displacement: float = 0.03  # rad/m, of phi_c, of any wheel
     roll_per_radius: float = 0.3  # rad/m, of phi_c per R without its rises
     crown_depth: float = 0.16  # m, below the rail head: about where a wheel turns that passes its crown
 
 
 SHARPENING = SharpeningParameters()
-STEPS = SHARPENING.steps
-SLOPES = SHARPENING.slopes
+STEPS = SHARPENING.search_steps
+SLOPES = SHARPENING.held_slopes
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ def non_negative(gram: FloatArray, right: FloatArray, most: int) -> Bounded | No
     scale = 1.0 / np.sqrt(diagonal)
     matrix, wanted = gram * scale * scale[:, None], right * scale
     free = np.ones(len(right), dtype=np.bool_)
-    fewest, patience = len(right) + 1, SHARPENING.patience
+    fewest, patience = len(right) + 1, SHARPENING.patient_exchanges
     for _ in range(most):
         places = np.flatnonzero(free)
         try:
@@ -125,7 +125,7 @@ def non_negative(gram: FloatArray, right: FloatArray, most: int) -> Bounded | No
         wrong = _wrong(value, matrix @ value - wanted, free)
         if not wrong.any():
             return Bounded(value * scale, places, scale, factor)
-        patience = SHARPENING.patience if wrong.sum() < fewest else patience - 1
+        patience = SHARPENING.patient_exchanges if wrong.sum() < fewest else patience - 1
         fewest = min(fewest, int(wrong.sum()))
         last = np.arange(len(wrong)) == np.flatnonzero(wrong)[-1]
         free = free ^ (wrong if patience >= 0 else last)
@@ -134,7 +134,7 @@ def non_negative(gram: FloatArray, right: FloatArray, most: int) -> Bounded | No
 
 def _wrong(value: FloatArray, gradient: FloatArray, free: BoolArray) -> BoolArray:
     """Return which unknowns are negative, or would lower the sum if they were free; never the first one."""
-    wrong = np.where(free, value < 0.0, gradient < -SHARPENING.held_slack * np.abs(gradient).max())
+    wrong = np.where(free, value < 0.0, gradient < -SHARPENING.held_gradient_share * np.abs(gradient).max())
     wrong[0] = False
     return wrong
 
@@ -180,9 +180,9 @@ def sharpen(
         low, high: (b,) m, edges of adjoining bins of one width.
         nodes: (2 b + 1,) m, the curve at :func:`edges_and_centres`.
     """
-    weight = 1.0 / np.hypot(std, SHARPENING.least_std)
+    weight = 1.0 / np.hypot(std, SHARPENING.least_node_std)
     least = min(0.0, 2.0 * float(np.min(np.diff(nodes[1::2]) / np.diff(low)))) if len(low) > 1 else 0.0
-    for share in SHARPENING.blurs:
+    for share in SHARPENING.blur_shares:
         found = _sharpen(low, high, nodes, weight, share * longest, least, steps)
         if found is not None:
             return found
@@ -196,16 +196,16 @@ def _sharpen(
 ) -> Sharpening | None:
     """Return how to take away a blur (m); None where no curve with slopes of at least ``least`` becomes these nodes."""
     width = float(high[0] - low[0])
-    step, beyond = width / SHARPENING.cells, _beyond(width, blur)
+    step, beyond = width / SHARPENING.bin_cells, _beyond(width, blur)
     response = _response(len(low), width, blur)
     cells = response.shape[1]
     base = least * response.sum(axis=1)
     rows = weight[:, None] * np.column_stack([np.ones(len(nodes)), response])
     wanted = weight * (nodes - base)
     gram = rows.T @ rows
-    gram[1:, 1:] += max(SHARPENING.least_roughness, SHARPENING.roughness * blur) ** 2 * _changes(cells)
+    gram[1:, 1:] += max(SHARPENING.least_roughness, SHARPENING.blur_roughness * blur) ** 2 * _changes(cells)
     found = non_negative(gram, rows.T @ wanted, steps)
-    if found is None or np.sqrt(np.mean((rows @ found.value - wanted) ** 2)) > SHARPENING.most_misfit:
+    if found is None or np.sqrt(np.mean((rows @ found.value - wanted) ** 2)) > SHARPENING.most_misfit_rms:
         return None
     solved = found.linear(rows.T * weight)
     inside = slice(beyond, cells + 1 - beyond)
@@ -230,17 +230,17 @@ def _changes(cells: int) -> FloatArray:
 
 
 def _beyond(width: float, blur: float) -> int:
-    return max(SHARPENING.cells, int(np.ceil(SHARPENING.reach * blur * SHARPENING.cells / width)))
+    return max(SHARPENING.bin_cells, int(np.ceil(SHARPENING.reach_blurs * blur * SHARPENING.bin_cells / width)))
 
 
 @lru_cache(maxsize=_KEPT)
 def _response(bins: int, width: float, blur: float) -> FloatArray:
     beyond = _beyond(width, blur)
-    edges = width / SHARPENING.cells * (np.arange(SHARPENING.cells * bins + 2 * beyond + 1) - beyond)
-    u = (np.arange(SHARPENING.samples) + 0.5) / SHARPENING.samples - 0.5
+    edges = width / SHARPENING.bin_cells * (np.arange(SHARPENING.bin_cells * bins + 2 * beyond + 1) - beyond)
+    u = (np.arange(SHARPENING.bin_samples) + 0.5) / SHARPENING.bin_samples - 0.5
     x = width * (np.arange(bins)[:, None] + 0.5 + u)
     ramp = _blurred_ramp(x.ravel()[:, None] - edges, blur)
-    curves = (ramp[:, :-1] - ramp[:, 1:]).reshape(bins, SHARPENING.samples, -1)
+    curves = (ramp[:, :-1] - ramp[:, 1:]).reshape(bins, SHARPENING.bin_samples, -1)
     quadratic = np.linalg.pinv(np.vander(u, 3, increasing=True))
     response = nodes_of(np.einsum("kq,bqn->bkn", quadratic, curves))
     response.flags.writeable = False
@@ -264,7 +264,7 @@ def jumps_displaced(x: FloatArray, curve: FloatArray, middle: float, by: float) 
 def split_at_rises(x: FloatArray, curve: FloatArray, middle: float) -> tuple[FloatArray, FloatArray]:
     """Return a curve (n,) without what is steep or falls, and what is steep of it; both are zero at ``middle``."""
     slope, steps = np.diff(curve) / np.diff(x), np.diff(x)
-    limit = SHARPENING.steep * max(float(np.median(slope)), 0.0)
+    limit = SHARPENING.steep_factor * max(float(np.median(slope)), 0.0)
     flat = np.append(0.0, np.cumsum(np.clip(slope, 0.0, limit) * steps))
     rises = np.append(0.0, np.cumsum(np.maximum(slope - limit, 0.0) * steps))
     return flat - np.interp(middle, x, flat), rises - np.interp(middle, x, rises)
@@ -355,5 +355,5 @@ def standard_curve(x: FloatArray, curve: FloatArray, roll: ContactRoll) -> tuple
     )
     if roll is ContactRoll.SEEN:
         return x, moved
-    taken = OF_MOTION.hidden_share / (1.0 + OF_MOTION.hidden_share) * away
+    taken = OF_MOTION.hidden_roll_share / (1.0 + OF_MOTION.hidden_roll_share) * away
     return x + OF_GEAR.rail_head_radius * phi - taken, moved

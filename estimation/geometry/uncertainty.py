@@ -29,7 +29,7 @@ def quotient_widening(relative: float) -> float:
     """Return by how much the std of a quotient exceeds that of first order: 1/(1 - s), infinite from 0.4."""
     # The quotient grows without limit as its divisor, of relative std s, nears zero. With this std 92 to 96 % of the 95
     # % intervals of 1/(1 + e), e normal with std s, hold 1.
-    return 1.0 / (1.0 - relative) if relative < OF_GEOMETRY.unknown_factor else float("inf")
+    return 1.0 / (1.0 - relative) if relative < OF_GEOMETRY.unknown_factor_std else float("inf")
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +82,8 @@ class ParameterUncertainty:
     noise_doubt: float = 0.5  # of the variance that sensor noise makes: sensors may be as much worse than on file
     least_samples: float = 200.0  # of a bin
     fewest_bins: int = 5
-    free: float = 1e6  # std of what nothing is known of beforehand
-    straight: float = 1e-8  # rad, std of the angle for the spring error: it is that of sensors that are not turned
+    free_std: float = 1e6  # std of what nothing is known of beforehand
+    straight_std: float = 1e-8  # rad, std of the angle for the spring error: it is that of sensors that are not turned
 
     @classmethod
     def of(cls, vehicle_class: VehicleClass) -> Self:
@@ -208,7 +208,9 @@ class DisplacementError:
 
     def jump_place_std(self, blur: float) -> float:
         """Return the std, m, of where contact jumps are found on average behind a blur (m, std)."""
-        return float(np.linalg.norm([OF_GEOMETRY.jump_place, OF_GEOMETRY.jump_place_share * blur, self.jump_mean_std]))
+        return float(
+            np.linalg.norm([OF_GEOMETRY.jump_place_std, OF_GEOMETRY.jump_place_share * blur, self.jump_mean_std])
+        )
 
     @staticmethod
     def of(
@@ -226,8 +228,8 @@ class DisplacementError:
         the fields of where contact jumps are.
         """
         variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
-        excess = min(std**2 / variance, OF_GEOMETRY.most_excess) if variance > 0 else 0.0
-        known = (0.0, 0.0) if not integrated else (OF_GEOMETRY.scale_uncertainty, OF_GEOMETRY.origin)
+        excess = min(std**2 / variance, OF_GEOMETRY.most_error_share) if variance > 0 else 0.0
+        known = (0.0, 0.0) if not integrated else (OF_GEOMETRY.projection_scale_std, OF_GEOMETRY.origin_std)
         return DisplacementError(std, excess, float(np.hypot(known[0], scale)), known[1], **jumps)
 
     def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
@@ -258,7 +260,7 @@ class DisplacementError:
         scaled = np.maximum(np.abs(slope * x), np.abs(above_centre)) * np.hypot(self.excess, self.scale)
         shifted = np.hypot(scaled, slope * np.hypot(self.origin, OF_GEOMETRY.origin_std_share * self.jump_position_std))
         scattered = np.zeros(len(centre))
-        both = replace(self, std=float(np.hypot(OF_GEOMETRY.scatter * self.std, self.jump_position_std)))
+        both = replace(self, std=float(np.hypot(OF_GEOMETRY.scatter_stds * self.std, self.jump_position_std)))
         scattered[observed] = both.rounded(centre[observed], values[observed]) - values[observed]
         left_unknown[smooth] = np.hypot(shifted, scattered[smooth])
         return left_unknown

@@ -112,11 +112,11 @@ def _changed_since(
     if changed is None:
         return []
     earlier = sorted(interval for interval in look.numbers if interval < changed)
-    for back in OF_STAGES.compared:
+    for back in OF_STAGES.intervals_read:
         first = earlier[-back] if len(earlier) > back else None
         read = unit.geometries.intervals(serial, look.baseline, first=first)
         usable = [one for one in read if one.interval in earlier and one.geometry.windows >= parameters.least_windows]
-        if first is None or len(usable) >= OF_STAGES.pair:
+        if first is None or len(usable) >= OF_STAGES.intervals_before_change:
             known = _observations(read, change)
             if first is None or not jumps(known, parameters):
                 return known

@@ -107,7 +107,7 @@ def load_dampers(unit: UnitOfWork, vehicles: Sequence[str], _: JobContext) -> Ma
     """Return what the dampers of some vehicles are found from."""
     gears: dict[str, list[tuple[WindowDamper, ...]]] = {}
     for vehicle, first_axle in unit.dampers.gears(vehicles):
-        newest = tuple(unit.dampers.newest(vehicle, first_axle, OF_STAGES.most_windows))
+        newest = tuple(unit.dampers.newest(vehicle, first_axle, OF_STAGES.most_gear_windows))
         if newest:
             gears.setdefault(vehicle, []).append(newest)
     return {vehicle: VehicleDampers(tuple(own), DamperParameters()) for vehicle, own in gears.items()}
@@ -125,7 +125,7 @@ def forget_windows(
     """Forget what windows say that do not count any more."""
     for inputs, _outcome in made.values():
         for windows in () if inputs is None else inputs.gears:
-            if len(windows) == OF_STAGES.most_windows:
+            if len(windows) == OF_STAGES.most_gear_windows:
                 unit.dampers.forget(*windows[-1].gear, windows[-1].start_ns)
     return {}
 
@@ -184,7 +184,7 @@ def _of_section(
     if before is not None and before[1] != limits:
         starts.update(unit.adhesion.starts_with_sums(section, 0, before[0]))
     ends = pool_ends(starts, pooled_ns(rule))
-    chosen = ends[-OF_STAGES.most_spans :]
+    chosen = ends[-OF_STAGES.most_pooled_spans :]
     first_ns = chosen[0] - pooled_ns(rule) if chosen else 0
     return FrictionInputs(
         section=section,

@@ -208,7 +208,7 @@ def _at_gauge(unit: UnitOfWork, section: TrackSectionRecord) -> RailShare:
 
 def _alike(one: RailShare, other: RailShare) -> bool:
     same = (one.rail, one.inclination) == (other.rail, other.inclination)
-    return same and abs(one.gauge - other.gauge) <= OF_STAGES.same_gauge
+    return same and abs(one.gauge - other.gauge) <= OF_STAGES.gauge_tolerance
 
 
 def _most(sections: Mapping[str, RailShare], windows: Counter[str]) -> RailShare | None:

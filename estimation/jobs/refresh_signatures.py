@@ -187,7 +187,9 @@ def _subjects(
         begin_ns = last.from_ns if change is None else max(last.from_ns, change.after_ns)
         now = [one for one in mine if one.found.start_ns >= begin_ns]
         newest = now[-1] if now else None
-        near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][-OF_STAGES.newest :]
+        near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][
+            -OF_STAGES.judged_windows :
+        ]
         kind = _kind(near[-1]) if near else None
         pair = reader.pair(mine[-1]) if mine else NO_PAIR
         chosen = [one for one in near if _kind(one) == kind and reader.pair(one) == pair]

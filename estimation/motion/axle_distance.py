@@ -29,24 +29,26 @@ from estimation.values.windows import Window
 class AxleDistanceParameters:
     """When signals of two axles show the order and the distance of these."""
 
-    step: float = 0.1  # m
-    band: tuple[float, float] = (3.0, 6.0)  # m, wavelengths: the ends of a band-pass of 4th order
-    order: int = 4
-    farthest: float = 5.0  # m; beyond, the next wave of the band looks alike
-    filtered: float = 30.0  # m that the filter takes at each end
-    least_run: float = 300.0  # m
-    least_share: float = 0.5  # of the samples of a window that both nodes must have
-    significant: float = 5.0  # times the std of the correlation of two nodes that have nothing in common
+    grid_step: float = 0.1  # m
+    wavelength_band: tuple[float, float] = (3.0, 6.0)  # m, wavelengths: the ends of a band-pass of 4th order
+    filter_order: int = 4
+    farthest_shift: float = 5.0  # m; beyond, the next wave of the band looks alike
+    filtered_end: float = 30.0  # m that the filter takes at each end
+    least_distance: float = 300.0  # m
+    least_valid_share: float = 0.5  # of the samples of a window that both nodes must have
+    significant_stds: float = 5.0  # times the std of the correlation of two nodes that have nothing in common
     # wheelsets that run on their own waves, and not on the track, agree by up to 0.64 further on
     least_correlation: float = 0.65
     least_exchanged: float = 0.5  # the same at one distance that is known beforehand: that of nodes that are exchanged
-    tolerance: float = 0.4  # m; what is found is within 0.25 m of the truth
-    next_wave: float = 1.0  # m: further away the maximum may be that of another wave
-    stands_out: float = 1.03  # times the next maximum; those of a wheelset's own waves are alike, on rough track 0.87
+    distance_tolerance: float = 0.4  # m; what is found is within 0.25 m of the truth
+    next_wave_distance: float = 1.0  # m: further away the maximum may be that of another wave
+    stand_out_ratio: float = (
+        1.03  # times the next maximum; those of a wheelset's own waves are alike, on rough track 0.87
+    )
     # times what the distance found leaves unexplained, that the expected one leaves: right ones reach 1.8
-    clear: float = 1.9
+    clear_ratio: float = 1.9
     # the same where the other distance is that of nodes that are exchanged; right ones are below 1
-    clear_exchanged: float = 1.25
+    exchanged_ratio: float = 1.25
     least_frame_share: float = 0.2  # of what the frame moves above the other axle: right nodes have a half and more
 
 
@@ -77,9 +79,9 @@ class AxleDistance:
         clearer = _clearer(self.exchanged, self.expected)
         return (
             False
-            if clearer >= OF_AXLES.clear_exchanged
+            if clearer >= OF_AXLES.exchanged_ratio
             else True
-            if 1.0 / clearer >= OF_AXLES.clear_exchanged
+            if 1.0 / clearer >= OF_AXLES.exchanged_ratio
             else None
         )
 
@@ -88,13 +90,13 @@ class AxleDistance:
         """Whether the rolls say that the distance is another one."""
         if self.leads is False:
             return True
-        if self.nearest <= OF_AXLES.tolerance:
+        if self.nearest <= OF_AXLES.distance_tolerance:
             return False
-        if self.nearest <= OF_AXLES.next_wave and self.stands_out:
+        if self.nearest <= OF_AXLES.next_wave_distance and self.stands_out:
             return True
         return (
             self.correlation >= OF_AXLES.least_correlation
-            and _clearer(self.correlation, self.expected) >= OF_AXLES.clear
+            and _clearer(self.correlation, self.expected) >= OF_AXLES.clear_ratio
         )
 
 
@@ -125,21 +127,21 @@ def check_axle_distance(window: Window, partner: Window, ahead: float) -> Reason
 def axle_distance(window: Window, partner: Window, ahead: float) -> AxleDistance | None:
     """Return by how far one axle of a bogie is ahead of the other; None where too little is known."""
     known = window.valid & partner.valid & np.isfinite(window.speed)
-    if known.mean() < OF_AXLES.least_share:
+    if known.mean() < OF_AXLES.least_valid_share:
         return None
     at = np.arange(len(known))
     speed = np.interp(at, at[known], window.speed[known])
     run = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) * window.sample_interval_s
-    if run[-1] < OF_AXLES.least_run:
+    if run[-1] < OF_AXLES.least_distance:
         return None
     own, other = (_short_waves(run, node.roll_acceleration, known) for node in (window, partner))
     power = float(np.sqrt((own @ own) * (other @ other)))
     if not power > 0.0:
         return None
-    shortest, longest = OF_AXLES.band
+    shortest, longest = OF_AXLES.wavelength_band
     # std of the correlation of two signals of the band, as long, that have nothing in common
-    by_chance = 1.0 / math.sqrt(2.0 * (OF_AXLES.step * len(own)) * (1.0 / shortest - 1.0 / longest))
-    return _highest(_correlation(own, other) / power, ahead, OF_AXLES.significant * by_chance)
+    by_chance = 1.0 / math.sqrt(2.0 * (OF_AXLES.grid_step * len(own)) * (1.0 / shortest - 1.0 / longest))
+    return _highest(_correlation(own, other) / power, ahead, OF_AXLES.significant_stds * by_chance)
 
 
 def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatArray:
@@ -148,10 +150,10 @@ def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatAr
     # gyroscope, differentiated, grows with frequency
     from scipy.signal import sosfiltfilt  # noqa: PLC0415 - slow to import, and only windows in bogies need it
 
-    finer = math.ceil(OF_AXLES.step * (len(run) - 1) / run[-1])
-    grid = np.arange(0.0, run[-1], OF_AXLES.step / finer)
+    finer = math.ceil(OF_AXLES.grid_step * (len(run) - 1) / run[-1])
+    grid = np.arange(0.0, run[-1], OF_AXLES.grid_step / finer)
     values = np.interp(grid, run, np.where(known, roll, 0.0))
-    ends = finer * round(OF_AXLES.filtered / OF_AXLES.step)
+    ends = finer * round(OF_AXLES.filtered_end / OF_AXLES.grid_step)
     return np.asarray(sosfiltfilt(_band_pass(finer), values)[ends:-ends:finer])
 
 
@@ -159,13 +161,15 @@ def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatAr
 def _band_pass(finer: int) -> FloatArray:
     from scipy.signal import butter  # noqa: PLC0415 - the same
 
-    shortest, longest = OF_AXLES.band
+    shortest, longest = OF_AXLES.wavelength_band
     ends = (1.0 / longest, 1.0 / shortest)
-    return np.asarray(butter(OF_AXLES.order, ends, btype="bandpass", fs=finer / OF_AXLES.step, output="sos"))
+    return np.asarray(
+        butter(OF_AXLES.filter_order, ends, btype="bandpass", fs=finer / OF_AXLES.grid_step, output="sos")
+    )
 
 
 def _correlation(own: FloatArray, other: FloatArray) -> FloatArray:
-    reach = round(OF_AXLES.farthest / OF_AXLES.step)
+    reach = round(OF_AXLES.farthest_shift / OF_AXLES.grid_step)
     size = 1 << (len(own) + reach).bit_length()
     products = np.fft.irfft(np.conj(np.fft.rfft(own, size)) * np.fft.rfft(other, size), size)
     return np.concatenate([products[-reach:], products[: reach + 1]])
@@ -175,18 +179,18 @@ def _highest(correlation: FloatArray, ahead: float, least: float) -> AxleDistanc
     """Return the maximum of the magnitude of a correlation beside those at the expected distance, of either sign."""
     # maxima below `least` may be chance
     size = np.abs(correlation)
-    distance = OF_AXLES.step * (np.arange(len(size)) - len(size) // 2)
+    distance = OF_AXLES.grid_step * (np.arange(len(size)) - len(size) // 2)
     at = int(np.argmax(size))
-    near = [np.abs(distance - expected) <= OF_AXLES.tolerance for expected in (ahead, -ahead)]
+    near = [np.abs(distance - expected) <= OF_AXLES.distance_tolerance for expected in (ahead, -ahead)]
     expected, exchanged = (float(size[part].max()) if part.any() else 0.0 for part in near)
     inner = size[1:-1]
     maxima = np.flatnonzero((inner >= size[:-2]) & (inner >= size[2:])) + 1
     clear = maxima[size[maxima] >= min(least, OF_AXLES.least_correlation)]
     nearest = float(np.abs(distance[clear] - ahead).min()) if len(clear) else np.inf
-    others = size[maxima[np.abs(distance[maxima] - distance[at]) > OF_AXLES.tolerance]]
-    alone = bool(len(clear) and size[at] >= OF_AXLES.stands_out * max(others, default=0.0))
+    others = size[maxima[np.abs(distance[maxima] - distance[at]) > OF_AXLES.distance_tolerance]]
+    alone = bool(len(clear) and size[at] >= OF_AXLES.stand_out_ratio * max(others, default=0.0))
     off, exchanged_off = abs(distance[at] - ahead), abs(distance[at] + ahead)
-    ordered = bool(off < exchanged_off) if alone and min(off, exchanged_off) <= OF_AXLES.tolerance else None
+    ordered = bool(off < exchanged_off) if alone and min(off, exchanged_off) <= OF_AXLES.distance_tolerance else None
     stands_out = alone and off <= nearest
     return AxleDistance(float(distance[at]), float(size[at]), expected, exchanged, nearest, stands_out, ordered)
 

@@ -29,27 +29,27 @@ class HuntingParameters:
 
     block_s: float = 5.0  # over which the oscillation must be sustained
     least_speed: float = 8.0  # m/s
-    least_known: float = 0.3  # share of a block's samples; what is between is bridged straight
-    longest: float = 40.0  # m, wavelengths of hunting; a wheel out of round has less
-    shortest: float = 3.5
+    least_known_share: float = 0.3  # share of a block's samples; what is between is bridged straight
+    longest_wave: float = 40.0  # m, wavelengths of hunting; a wheel out of round has less
+    shortest_wave: float = 3.5
     least_frequency: float = 0.8  # Hz
-    line: tuple[float, float] = (0.75, 1.33)  # of the peak's frequency
+    line_band: tuple[float, float] = (0.75, 1.33)  # of the peak's frequency
     # amplitude from which on, m; least share of the displacement's power in the line; its largest relative width
-    steady: tuple[float, float, float] = (2.5e-3, 0.55, 0.05)
-    flange_to_flange: tuple[float, float, float] = (5e-3, 0.9, 0.11)  # of which rough track disturbs the rhythm
+    steady_limits: tuple[float, float, float] = (2.5e-3, 0.55, 0.05)
+    flange_limits: tuple[float, float, float] = (5e-3, 0.9, 0.11)  # of which rough track disturbs the rhythm
     least_coherence: float = 0.8  # between lateral and yaw acceleration in the line
     most_phase: float = np.pi / 3.0  # from the kinematic mode
-    gains: tuple[float, float] = (0.3, 3.0)  # of yaw, times what the kinematic mode has
-    doubt: float = 1e-6  # relative: blocks this near to a limit are looked at once more
+    gain_range: tuple[float, float] = (0.3, 3.0)  # of yaw, times what the kinematic mode has
+    doubt_share: float = 1e-6  # relative: blocks this near to a limit are looked at once more
 
 
 HUNTS = HuntingParameters()
-LONGEST, SHORTEST = HUNTS.longest, HUNTS.shortest
+LONGEST, SHORTEST = HUNTS.longest_wave, HUNTS.shortest_wave
 LEAST_FREQUENCY = HUNTS.least_frequency
-LINE = HUNTS.line
-STEADY = HUNTS.steady
-FLANGE_TO_FLANGE = HUNTS.flange_to_flange
-DOUBT = HUNTS.doubt
+LINE = HUNTS.line_band
+STEADY = HUNTS.steady_limits
+FLANGE_TO_FLANGE = HUNTS.flange_limits
+DOUBT = HUNTS.doubt_share
 
 
 QUALITY_REASONS = frozenset(
@@ -87,7 +87,7 @@ class _Line:
             sustained
             and self.coherence >= HUNTS.least_coherence
             and abs(self.phase) <= HUNTS.most_phase
-            and HUNTS.gains[0] <= self.gain <= HUNTS.gains[1]
+            and HUNTS.gain_range[0] <= self.gain <= HUNTS.gain_range[1]
         )
 
 
@@ -118,7 +118,7 @@ def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interv
 def _may_hunt(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_s: float) -> BoolArray:
     """Return of which blocks (k,) the lateral motion alone is enough for hunting; most are not looked at further."""
     known = np.isfinite(lateral) & np.isfinite(yaw)
-    enough = known.mean(axis=1) >= HUNTS.least_known
+    enough = known.mean(axis=1) >= HUNTS.least_known_share
     if not known.all():
         lateral = lateral.copy()
         at = np.arange(lateral.shape[1])
@@ -187,7 +187,7 @@ def _window(size: int) -> tuple[FloatArray, float]:
 
 def _line(lateral: FloatArray, yaw: FloatArray, speed: float, interval_s: float) -> _Line | None:
     known = np.isfinite(lateral) & np.isfinite(yaw)
-    if known.mean() < HUNTS.least_known:
+    if known.mean() < HUNTS.least_known_share:
         return None
     at = np.arange(len(lateral))
     window, window_power = _window(len(lateral))

@@ -265,7 +265,7 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
     run = np.empty_like(speed)
     integrate_once(speed, dt, run)
     if window.measures_gravity:
-        (roll,) = remove_wander(displacements[[_ROLL]], run, known, OF_MOTION.integration_cutoff_wavelength)
+        (roll,) = remove_wander(displacements[[_ROLL]], run, known, OF_MOTION.roll_cutoff_wavelength)
         lateral = accelerations[_LATERAL] - GRAVITY * roll
         lateral_rates, lateral_displacements = np.empty_like(lateral), np.empty_like(lateral)
         integrate_twice(lateral, dt, lateral_rates, lateral_displacements)
@@ -298,7 +298,7 @@ def standard_displacement(displacement: FloatArray, roll: FloatArray, radius: fl
         level: Whether gravity has been taken out of the lateral signals: the track may roll.
     """
     seen = observed_displacement(displacement, roll, radius, level=level)
-    return seen * (1.0 + OF_MOTION.hidden_share) if level else seen
+    return seen * (1.0 + OF_MOTION.hidden_roll_share) if level else seen
 
 
 def observed_displacement(displacement: FloatArray, roll: FloatArray, radius: float, *, level: bool) -> FloatArray:

@@ -68,15 +68,20 @@ class FusionParameters:
     """How roll and yaw become one rolling radius difference."""
 
     # where the two meet
-    step: float = 0.25  # m, of the grid
+    grid_step: float = 0.25  # m, of the grid
     oversampling: int = 5  # samples per step before short waves are taken out
-    shortest: tuple[float, float] = (0.5, 2.0)  # m, of which half remains: of quiet axle boxes, of those that vibrate
-    vibrating: float = 0.08e-3  # rad of (y' + r0 phi')/V in waves shorter than 2 m; quiet axle boxes have half of it
-    crossover: float = 15.0  # m: longer wavelengths come from the lateral motion
-    compared: tuple[float, float] = (8.0, 40.0)  # m, in which g is estimated
-    margin: float = 45.0  # m at each end that is not compared
-    gravity: float = -0.2  # g known beforehand, 1/m
-    gravity_weight: float = 1.6e-4  # m2: squares of the regressor that the knowledge beforehand is worth
+    shortest_waves: tuple[float, float] = (
+        0.5,
+        2.0,
+    )  # m, of which half remains: of quiet axle boxes, of those that vibrate
+    vibration_angle: float = (
+        0.08e-3  # rad of (y' + r0 phi')/V in waves shorter than 2 m; quiet axle boxes have half of it
+    )
+    crossover_wavelength: float = 15.0  # m: longer wavelengths come from the lateral motion
+    compared_waves: tuple[float, float] = (8.0, 40.0)  # m, in which g is estimated
+    end_margin: float = 45.0  # m at each end that is not compared
+    prior_gravity: float = -0.2  # g known beforehand, 1/m
+    prior_weight: float = 1.6e-4  # m2: squares of the regressor that the knowledge beforehand is worth
     angle_per_radius: float = 112.0  # 1/m: contact angle difference over rolling radius difference of usual pairs
     least_divisor: float = 0.5  # of the factors known beforehand
 
@@ -98,13 +103,13 @@ def long_waves_in_bogie(
     inertia = p.yaw_inertia * V * V * _bend(rolling)
     terms = np.stack(
         [
-            per_slope * np.gradient(rolling, FUSED.step),
+            per_slope * np.gradient(rolling, FUSED.grid_step),
             per_moment * (p.yaw_stiffness * (rolling - frame) + inertia),
             per_moment * p.yaw_stiffness * creep,
         ]
     )
     slow = np.asarray(_factors(R, terms, per_moment, p) @ terms)
-    return slow, np.asarray(slow - per_slope * np.gradient(rolling + creep, FUSED.step))
+    return slow, np.asarray(slow - per_slope * np.gradient(rolling + creep, FUSED.grid_step))
 
 
 def _factors(R: FloatArray, terms: FloatArray, per_moment: float, p: VehicleParameters) -> FloatArray:
@@ -115,21 +120,21 @@ def _factors(R: FloatArray, terms: FloatArray, per_moment: float, p: VehiclePara
     if band is None:
         return expected
     design, target = band[:-1], band[-1]
-    normal = design @ design.T + FUSED.gravity_weight * np.eye(len(terms))
-    return np.asarray(np.linalg.solve(normal, design @ target + FUSED.gravity_weight * expected))
+    normal = design @ design.T + FUSED.prior_weight * np.eye(len(terms))
+    return np.asarray(np.linalg.solve(normal, design @ target + FUSED.prior_weight * expected))
 
 
 def _compared(rows: FloatArray) -> FloatArray | None:
     """Return rows (k, m) in the wavelengths at which both are good; None where the pass is too short."""
-    margin = int(FUSED.margin / FUSED.step)
+    margin = int(FUSED.end_margin / FUSED.grid_step)
     if rows.shape[1] <= 3 * margin:
         return None
-    short, long = (local_cubic_kernel(wavelength, FUSED.step) for wavelength in FUSED.compared)
+    short, long = (local_cubic_kernel(wavelength, FUSED.grid_step) for wavelength in FUSED.compared_waves)
     return np.asarray((high_pass(rows, long) - high_pass(rows, short))[:, margin:-margin])
 
 
 def _bend(yaw: FloatArray) -> FloatArray:
-    return np.asarray(np.gradient(np.gradient(yaw, FUSED.step), FUSED.step))
+    return np.asarray(np.gradient(np.gradient(yaw, FUSED.grid_step), FUSED.grid_step))
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +163,10 @@ class FusedSignals:
 
 def fuse(signals: MotionSignals, vehicle: VehicleParameters) -> FusedSignals:
     """Return y, R and its stiffness term on a grid; short waves of R from the yaw sensor, long ones from Eq. 1."""
-    run = np.arange(np.ceil(signals.run[0] / FUSED.step), np.floor(signals.run[-1] / FUSED.step) + 1) * FUSED.step
+    run = (
+        np.arange(np.ceil(signals.run[0] / FUSED.grid_step), np.floor(signals.run[-1] / FUSED.grid_step) + 1)
+        * FUSED.grid_step
+    )
     shortest = _shortest(signals, run)
     sampled = [
         signals.speed,
@@ -174,7 +182,7 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters) -> FusedSignals:
         slow = _long_waves(R, np.asarray(yaws[0] + yaws[1]), V, vehicle)
     else:
         slow = long_waves_in_bogie(R, yaws[0], yaws[1], yaws[2], V, vehicle)
-    weights = local_cubic_kernel(FUSED.crossover, FUSED.step)
+    weights = local_cubic_kernel(FUSED.crossover_wavelength, FUSED.grid_step)
     return FusedSignals(
         run=np.asarray(run, dtype=np.float64),
         displacement=y,
@@ -187,15 +195,15 @@ def _shortest(signals: MotionSignals, run: FloatArray) -> float:
     """Return the shortest wavelength, m, that is left in the signals of a pass."""
     # An axle box vibrates at tens of hertz. Sampled as it is, its vibration would look like waves of some metres. Where
     # it does not vibrate the short waves of R are those of contact jumps, which the curves need.
-    quiet, vibrating = FUSED.shortest
+    quiet, vibrating = FUSED.shortest_waves
     (smooth,) = _sampled(signals.rolling_yaw[None], signals.run, run, vibrating)
     rest = np.interp(run, signals.run, signals.rolling_yaw) - smooth
-    return vibrating if float(np.std(rest)) > FUSED.vibrating else quiet
+    return vibrating if float(np.std(rest)) > FUSED.vibration_angle else quiet
 
 
 def _sampled(values: FloatArray, at: FloatArray, run: FloatArray, shortest: float) -> FloatArray:
     """Return values (s, n) at distances (n,) on the grid (s, m), waves shorter than ``shortest`` (m) taken out."""
-    step, first = FUSED.step / FUSED.oversampling, FUSED.oversampling * round(run[0] / FUSED.step)
+    step, first = FUSED.grid_step / FUSED.oversampling, FUSED.oversampling * round(run[0] / FUSED.grid_step)
     weights = local_cubic_kernel(shortest, step)
     return sample_smoothed(values, np.asarray(at, dtype=np.float64), first, len(run), FUSED.oversampling, step, weights)
 
@@ -221,7 +229,7 @@ def _stiffness_term(yaw: FloatArray, V: FloatArray, p: VehicleParameters) -> Flo
 
 def _difference(yaw: FloatArray, V: FloatArray, p: VehicleParameters) -> FloatArray:
     """Return R (m,) of a yaw angle over distance by Eq. 2, its small terms left out."""
-    rolling = -2 * p.half_contact_distance * p.nominal_radius * np.gradient(yaw, FUSED.step)
+    rolling = -2 * p.half_contact_distance * p.nominal_radius * np.gradient(yaw, FUSED.grid_step)
     return np.asarray(rolling + _stiffness_term(yaw, V, p))
 
 
@@ -230,10 +238,10 @@ def _gravity(R: FloatArray, ψ: FloatArray, V: FloatArray, vehicle: VehicleParam
     lateral = _difference(ψ, V, vehicle)
     band = _compared(np.stack([_difference(lateral, V, vehicle), R - lateral]))
     if band is None:
-        return FUSED.gravity
+        return FUSED.prior_gravity
     regressor, target = band
     return float(
-        (regressor @ target + FUSED.gravity_weight * FUSED.gravity) / (regressor @ regressor + FUSED.gravity_weight)
+        (regressor @ target + FUSED.prior_weight * FUSED.prior_gravity) / (regressor @ regressor + FUSED.prior_weight)
     )
 
 

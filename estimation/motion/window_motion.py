@@ -131,7 +131,7 @@ def _certain(track: TrackAlignment) -> FloatArray:
     # places of a survey that no pass has made better would blur what the rest shows
     if not (track.passes > 0).any():
         return track.alignment
-    most = max(OF_MOTION.uncertain_std, OF_MOTION.uncertain_times * float(np.nanmedian(track.alignment_std)))
+    most = max(OF_MOTION.uncertain_std, OF_MOTION.uncertain_factor * float(np.nanmedian(track.alignment_std)))
     certain = np.where(track.alignment_std <= most, track.alignment, np.nan)
     return frozen_array(certain, (len(certain),), name="alignment")
 
@@ -162,7 +162,7 @@ def _regularised_inverse(filtered: FloatArray, weights: FloatArray) -> FloatArra
     kernel = np.zeros(size)
     kernel[: len(weights)] = weights
     left = 1 - fft.rfft(np.roll(kernel, -(len(weights) // 2))).real  # F by wavenumber: the weights are symmetric
-    inverse = left / (left**2 + OF_MOTION.regularisation**2)
+    inverse = left / (left**2 + OF_MOTION.inverse_floor**2)
     return np.asarray(fft.irfft(fft.rfft(filtered, size) * inverse, size)[:n])
 
 
@@ -180,7 +180,7 @@ def gauge_shift(
     table = None if track.findings is None else track.findings.gauge_shifts.get(window.wheelset)
     if track.findings is None or table is None:
         return None
-    ends = FUSED.step * (len(local_cubic_kernel(FUSED.crossover, FUSED.step)) // 2)
+    ends = FUSED.grid_step * (len(local_cubic_kernel(FUSED.crossover_wavelength, FUSED.grid_step)) // 2)
     more = track.findings.stiffness_ratio.get(window.vehicle, 1.0) - 1.0
     e = np.interp(window.distance, track.s, track.gauge_deviation, left=np.nan, right=np.nan)
     shift = np.full(len(window.valid), np.nan)
@@ -193,7 +193,7 @@ def gauge_shift(
             continue
         whole = (grid.difference + more * grid.stiffness_term)[None, :]
         (fast,) = remove_wander(
-            np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, OF_MOTION.cutoff_wavelength
+            np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, OF_MOTION.radius_cutoff_wavelength
         )
         known = segment.known & (run >= grid.run[0] + ends) & (run <= grid.run[-1] - ends)
         shift[part][known] = table.at(np.interp(run[known], grid.run, fast), e[part][known])

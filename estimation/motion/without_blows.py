@@ -37,44 +37,48 @@ from estimation.values.windows import ACCELERATIONS, NO_BLOWS, Hunting, TurnBlow
 class BlowParameters:
     """What a blow is, what a flat makes of a turn, and how blows are taken out."""
 
-    slow_s: float = 0.05  # running mean over this is motion
-    ringing_s: float = 0.1  # running median over this is motion even where a blow rings
+    motion_mean_s: float = 0.05  # running mean over this is motion
+    motion_median_s: float = 0.1  # running median over this is motion even where a blow rings
     scale_s: float = 2.0  # over which vibration is judged
-    least_blow: float = 8.0  # m/s2 and rad/s2; right wheelsets on smooth track stay below 3, flange contact below 6
-    least_stds: float = 6.0  # of the vibration
-    tail: float = 0.12  # of the largest nearby: what still rings
-    tail_stds: float = 3.0
-    reach_s: float = 0.04  # on both sides of a blow, in which it may ring
+    least_blow_acceleration: float = (
+        8.0  # m/s2 and rad/s2; right wheelsets on smooth track stay below 3, flange contact below 6
+    )
+    least_blow_stds: float = 6.0  # of the vibration
+    ringing_share: float = 0.12  # of the largest nearby: what still rings
+    ringing_stds: float = 3.0
+    ringing_reach_s: float = 0.04  # on both sides of a blow, in which it may ring
     guard_s: float = 0.004  # on both sides of what rings
     block_s: float = 10.0
     least_speed: float = 5.0  # m/s
-    least_known: float = 0.5  # share of a block's samples
-    least_event: float = 4.0  # m/s2 and rad/s2
+    least_known_share: float = 0.5  # share of a block's samples
+    least_event_acceleration: float = 4.0  # m/s2 and rad/s2
     event_stds: float = 4.0  # of the vibration
     apart_s: float = 0.02  # what is nearer is one blow
-    shortest: float = 1.9  # m, turns of wheels of 0.30 to 0.57 m; less than twice apart, so no turn is half another
-    longest: float = 3.6
-    places: int = 12  # of a wheel; blows of one flat are in two that are neighbours
-    least_turns: float = 0.6  # share of the turns that have their blow
-    least_events: float = 0.35  # share of the blows that are on the place of the wheel
-    most_events: float = 4.0  # by turn; more are vibration
-    most_chance: float = 1e-6  # of as many on one place, over all lengths tried
-    same_turn: float = 0.02  # relative, by which blocks of one window may differ
-    sided: float = 0.8  # of the blows have the signs of one wheel
+    shortest_turn: float = (
+        1.9  # m, turns of wheels of 0.30 to 0.57 m; less than twice apart, so no turn is half another
+    )
+    longest_turn: float = 3.6
+    turn_places: int = 12  # of a wheel; blows of one flat are in two that are neighbours
+    least_turn_share: float = 0.6  # share of the turns that have their blow
+    least_event_share: float = 0.35  # share of the blows that are on the place of the wheel
+    most_turn_events: float = 4.0  # by turn; more are vibration
+    most_chance_count: float = 1e-6  # of as many on one place, over all lengths tried
+    turn_tolerance: float = 0.02  # relative, by which blocks of one window may differ
+    one_sided_share: float = 0.8  # of the blows have the signs of one wheel
     fewest_turns: float = 12.0
-    most_alternating: float = 0.8  # share of the blows that come from the other side than the one before
+    most_alternating_share: float = 0.8  # share of the blows that come from the other side than the one before
     longest_bridged_s: float = 0.06
-    support_s: float = 0.05  # on both sides, by which a bridge is drawn
-    before_s: float = 0.04  # of a blow, over which it rings
-    behind_s: float = 0.08
-    most_of_turn: float = 0.8  # where turns are short
+    bridge_support_s: float = 0.05  # on both sides, by which a bridge is drawn
+    shape_before_s: float = 0.04  # of a blow, over which it rings
+    shape_behind_s: float = 0.08
+    most_turn_share: float = 0.8  # where turns are short
     knot_s: float = 0.002  # of the shape of a blow
     fewest_blows: int = 20
-    ridge: float = 1e-3  # of a sample, where all samples of a place clipped
-    sizes: tuple[float, float] = (0.3, 3.0)  # of a blow over the mean one
+    clipped_ridge: float = 1e-3  # of a sample, where all samples of a place clipped
+    size_range: tuple[float, float] = (0.3, 3.0)  # of a blow over the mean one
     most_late_s: float = 0.003  # against the turn of the wheel
-    rounds: int = 5
-    around: int = 31  # blows, over which sizes and delays are alike but for noise
+    shape_rounds: int = 5
+    smoothed_blows: int = 31  # blows, over which sizes and delays are alike but for noise
 
 
 BLOWS = BlowParameters()
@@ -83,7 +87,7 @@ BLOWS = BlowParameters()
 def sharp(signals: FloatArray, interval_s: float) -> FloatArray:
     """Return signals (m, n), NaN where not known, less their running mean; there 0."""
     known = np.isfinite(signals)
-    width = max(round(BLOWS.slow_s / interval_s), 3) | 1
+    width = max(round(BLOWS.motion_mean_s / interval_s), 3) | 1
     filled = np.where(known, signals, 0.0)
     share = uniform_filter1d(known.astype(np.float64), width, axis=1, mode="nearest")
     means = uniform_filter1d(filled, width, axis=1, mode="nearest") / np.maximum(share, 1.0 / width)
@@ -104,21 +108,21 @@ def struck(lateral: FloatArray, roll: FloatArray, interval_s: float, lost: BoolA
     """Return which samples (n,) a blow has spoilt until it has died down; it rings too near those ``lost`` in blows."""
     both = np.stack([lateral, roll])
     lost = np.zeros(len(lateral), np.bool_) if lost is None else lost
-    if not (lost.any() or np.nanmax(np.abs(both), initial=0.0) > BLOWS.least_blow):
+    if not (lost.any() or np.nanmax(np.abs(both), initial=0.0) > BLOWS.least_blow_acceleration):
         return lost
     fast = np.abs(sharp(both, interval_s))
     std = vibration(fast, interval_s)
     found = lost.copy()
-    reach = max(round(BLOWS.reach_s / interval_s), 1)
+    reach = max(round(BLOWS.ringing_reach_s / interval_s), 1)
     for signal, values, noise in zip(both, fast, std, strict=True):
-        blows = values > np.maximum(BLOWS.least_blow, BLOWS.least_stds * noise)
+        blows = values > np.maximum(BLOWS.least_blow_acceleration, BLOWS.least_blow_stds * noise)
         if not (blows | lost).any():
             continue
         near = binary_dilation(blows | lost, iterations=reach)
-        motion = median_filter(np.nan_to_num(signal), round(BLOWS.ringing_s / interval_s) | 1)
+        motion = median_filter(np.nan_to_num(signal), round(BLOWS.motion_median_s / interval_s) | 1)
         rest = np.abs(np.nan_to_num(signal) - motion)
-        size = float(np.median(values[blows])) if blows.any() else BLOWS.least_blow
-        rings = near & (rest > np.maximum(BLOWS.tail_stds * noise, BLOWS.tail * size))
+        size = float(np.median(values[blows])) if blows.any() else BLOWS.least_blow_acceleration
+        rings = near & (rest > np.maximum(BLOWS.ringing_stds * noise, BLOWS.ringing_share * size))
         found |= binary_closing(rings | blows | lost, iterations=2)
     return np.asarray(
         binary_dilation(found, iterations=max(round(BLOWS.guard_s / interval_s), 1)) if found.any() else found
@@ -161,14 +165,14 @@ def find_turn_blows(lateral: FloatArray, roll: FloatArray, speed: FloatArray, in
     blocks = list(_blocks(lateral, roll, speed, interval_s))
     found = [(block.comb, block.events) for block in blocks if block.comb is not None]
     turn = float(np.median([comb.turn for comb, _ in found])) if found else 0.0
-    alike = [(comb, events) for comb, events in found if abs(comb.turn / turn - 1.0) <= BLOWS.same_turn]
+    alike = [(comb, events) for comb, events in found if abs(comb.turn / turn - 1.0) <= BLOWS.turn_tolerance]
     if not alike:
         return NO_BLOWS
     lateral, roll = (
         np.concatenate([getattr(events, name)[comb.on_place] for comb, events in alike]) for name in ("lateral", "roll")
     )
     left, right = float(np.mean((roll > 0) & (lateral < 0))), float(np.mean((roll < 0) & (lateral > 0)))
-    side = 1 if left >= BLOWS.sided else -1 if right >= BLOWS.sided else 0
+    side = 1 if left >= BLOWS.one_sided_share else -1 if right >= BLOWS.one_sided_share else 0
     size, turn = float(np.median(np.abs(lateral))), float(np.median([comb.turn for comb, _ in alike]))
     return TurnBlows(len(alike) / len(blocks), size, turn, side)
 
@@ -197,20 +201,24 @@ def _blocks(
     for start in range(0, len(lateral) - size + 1, size):
         part = slice(start, start + size)
         known = np.isfinite(speed[part]) & np.isfinite(lateral[part])
-        if known.mean() < BLOWS.least_known or not fast_enough(float(np.mean(speed[part][known])), BLOWS.least_speed):
+        if known.mean() < BLOWS.least_known_share or not fast_enough(
+            float(np.mean(speed[part][known])), BLOWS.least_speed
+        ):
             continue
         run = np.cumsum(np.nan_to_num(speed[part], nan=float(np.mean(speed[part][known])))) * interval_s
         events = _events(fast[:, part], std[:, part], interval_s, None if lost is None else lost[part])
         comb = _comb(np.interp(events.middle, np.arange(size), run), float(run[-1]))
         if comb is not None:
             blows = events.lateral[comb.on_place]
-            if np.mean(blows[1:] * blows[:-1] < 0.0) > BLOWS.most_alternating:  # from either side in turn: flanges
+            if (
+                np.mean(blows[1:] * blows[:-1] < 0.0) > BLOWS.most_alternating_share
+            ):  # from either side in turn: flanges
                 comb = None
         yield _Block(start, run, events, comb)
 
 
 def _events(fast: FloatArray, std: FloatArray, interval_s: float, lost: BoolArray | None) -> _Events:
-    level = np.maximum(BLOWS.least_event, BLOWS.event_stds * std)
+    level = np.maximum(BLOWS.least_event_acceleration, BLOWS.event_stds * std)
     excess = np.max(np.abs(fast) / level, axis=0)
     if lost is not None and lost.any():
         excess = np.where(lost, max(float(excess.max()), 2.0), excess)
@@ -226,25 +234,27 @@ def _events(fast: FloatArray, std: FloatArray, interval_s: float, lost: BoolArra
 
 
 def _comb(events: FloatArray, run: float) -> _Comb | None:
-    fewest = max(BLOWS.least_turns * run / BLOWS.longest, BLOWS.fewest_turns * BLOWS.least_turns)
-    if not fewest <= len(events) <= BLOWS.most_events * run / BLOWS.shortest:
+    fewest = max(BLOWS.least_turn_share * run / BLOWS.longest_turn, BLOWS.fewest_turns * BLOWS.least_turn_share)
+    if not fewest <= len(events) <= BLOWS.most_turn_events * run / BLOWS.shortest_turn:
         return None
-    step = 0.25 * BLOWS.shortest / (BLOWS.places * run)
-    turns = np.exp(np.arange(np.log(BLOWS.shortest), np.log(BLOWS.longest), step))
-    place = np.floor(np.mod(events[None, :] / turns[:, None], 1.0) * BLOWS.places).astype(np.int64) % BLOWS.places
-    cells = (np.arange(len(turns))[:, None] * BLOWS.places + place).ravel()
-    counts = np.bincount(cells, minlength=len(turns) * BLOWS.places).reshape(len(turns), BLOWS.places)
+    step = 0.25 * BLOWS.shortest_turn / (BLOWS.turn_places * run)
+    turns = np.exp(np.arange(np.log(BLOWS.shortest_turn), np.log(BLOWS.longest_turn), step))
+    place = (
+        np.floor(np.mod(events[None, :] / turns[:, None], 1.0) * BLOWS.turn_places).astype(np.int64) % BLOWS.turn_places
+    )
+    cells = (np.arange(len(turns))[:, None] * BLOWS.turn_places + place).ravel()
+    counts = np.bincount(cells, minlength=len(turns) * BLOWS.turn_places).reshape(len(turns), BLOWS.turn_places)
     pairs = counts + np.roll(counts, -1, axis=1)
     best, where = np.unravel_index(int(np.argmax(pairs)), pairs.shape)
-    on = (place[best] == where) | (place[best] == (where + 1) % BLOWS.places)
+    on = (place[best] == where) | (place[best] == (where + 1) % BLOWS.turn_places)
     turn = float(turns[best])
     hit = np.unique(np.round((events[on] - events[on][0]) / turn))
-    tries = len(turns) * BLOWS.places
-    chance = tries * float(betainc(on.sum(), len(events) - on.sum() + 1, 2.0 / BLOWS.places))
+    tries = len(turns) * BLOWS.turn_places
+    chance = tries * float(betainc(on.sum(), len(events) - on.sum() + 1, 2.0 / BLOWS.turn_places))
     if (
-        len(hit) < BLOWS.least_turns * run / turn
-        or on.sum() < BLOWS.least_events * len(events)
-        or chance > BLOWS.most_chance
+        len(hit) < BLOWS.least_turn_share * run / turn
+        or on.sum() < BLOWS.least_event_share * len(events)
+        or chance > BLOWS.most_chance_count
     ):
         return None
     number = np.round((events[on] - events[on][0]) / turn)
@@ -270,7 +280,7 @@ def without_blows(window: Window) -> Window:
         signals = signals - turn_blows(signals, at, dt)
     valid = window.valid | lost
     for first, behind in runs(lost):
-        _bridge(signals, window.valid, int(first), int(behind), round(BLOWS.support_s / dt))
+        _bridge(signals, window.valid, int(first), int(behind), round(BLOWS.bridge_support_s / dt))
     smooth: dict[str, Any] = dict(zip(ACCELERATIONS, signals, strict=True))
     return replace(window, valid=valid, bridged=spoilt & valid, **smooth)
 
@@ -298,16 +308,18 @@ def _bridge(signals: FloatArray, known: BoolArray, first: int, behind: int, supp
 def turn_blows(signals: FloatArray, at: FloatArray, interval_s: float) -> FloatArray:
     """Return what the blows of a flat are of signals (m, n), lateral, yaw and roll acceleration first; NaN: unknown."""
     turn = float(np.median(np.diff(at))) * interval_s
-    reach = min(BLOWS.before_s + BLOWS.behind_s, BLOWS.most_of_turn * turn) / (BLOWS.before_s + BLOWS.behind_s)
-    knots = np.arange(-BLOWS.before_s * reach, BLOWS.behind_s * reach + BLOWS.knot_s, BLOWS.knot_s)
+    reach = min(BLOWS.shape_before_s + BLOWS.shape_behind_s, BLOWS.most_turn_share * turn) / (
+        BLOWS.shape_before_s + BLOWS.shape_behind_s
+    )
+    knots = np.arange(-BLOWS.shape_before_s * reach, BLOWS.shape_behind_s * reach + BLOWS.knot_s, BLOWS.knot_s)
     index = np.arange(signals.shape[1])
-    number = np.clip(np.searchsorted(at, index + BLOWS.before_s * reach / interval_s) - 1, 0, len(at) - 1)
+    number = np.clip(np.searchsorted(at, index + BLOWS.shape_before_s * reach / interval_s) - 1, 0, len(at) - 1)
     since = (index - at[number]) * interval_s
     inside = (since >= knots[0]) & (since < knots[-1]) & np.isfinite(signals).all(axis=0)
     number, since, measured = number[inside], since[inside], signals[:, inside]
     sizes, late = np.ones(len(at)), np.zeros(len(at))
     shapes = np.zeros((len(signals), len(knots)))
-    for _ in range(BLOWS.rounds):
+    for _ in range(BLOWS.shape_rounds):
         shapes = _shapes(measured, since - late[number], sizes[number], knots)
         sizes, late = _fitted(measured, shapes, since, (sizes, late), number, knots)
     found = np.zeros_like(signals)
@@ -320,7 +332,7 @@ def _shapes(measured: FloatArray, since: FloatArray, size: FloatArray, knots: Fl
     place = (since - knots[0]) / BLOWS.knot_s
     low = np.minimum(place.astype(np.int64), len(knots) - 2)
     upper = place - low
-    gram = BLOWS.ridge * np.eye(len(knots))
+    gram = BLOWS.clipped_ridge * np.eye(len(knots))
     right = np.zeros((len(knots), len(measured)))
     for first, weight in ((0, 1.0 - upper), (1, upper)):
         np.add.at(right, low + first, (measured * (weight * size)).T)
@@ -359,14 +371,14 @@ def _fitted(
     p, q = summed(mean * rest), summed(slope * rest)
     determinant = np.maximum(a * c - b * b, 1e-9 * np.maximum(a * c, 1e-12))
     noise = float(np.median(rest**2)) / MAD_PER_STD**2
-    sizes = np.clip(sizes + (c * p - b * q) / determinant, *BLOWS.sizes)
+    sizes = np.clip(sizes + (c * p - b * q) / determinant, *BLOWS.size_range)
     late = np.clip(late + (a * q - b * p) / determinant, -BLOWS.most_late_s, BLOWS.most_late_s)
     sizes, late = _shrunk(sizes, noise * c / determinant), _shrunk(late, noise * a / determinant)
     return sizes / np.median(sizes), late - np.median(late)
 
 
 def _shrunk(values: FloatArray, variance: FloatArray) -> FloatArray:
-    usual = uniform_filter1d(values, BLOWS.around, mode="nearest")
+    usual = uniform_filter1d(values, BLOWS.smoothed_blows, mode="nearest")
     apart = values - usual
     true = max(float(np.median(apart**2)) / MAD_PER_STD**2 - float(np.median(variance)), 0.0)
     return np.asarray(usual + apart * true / np.maximum(true + variance, 1e-30))

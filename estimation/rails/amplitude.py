@@ -55,7 +55,7 @@ def checks(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
 def _check(component: Component, held: Parted, own: IntArray, shared: float, parameters: RailsParameters) -> Check:
     left, covariance = _left_out(component, held, own)
     variance = np.diag(covariance)
-    if not ((variance > 0.0) & (variance < parameters.largest_variance)).all():
+    if not ((variance > 0.0) & (variance < parameters.largest_conicity_variance)).all():
         return NOTHING
     value = component.two_way.known_value
     others = np.isfinite(value)
@@ -98,7 +98,9 @@ def uneven(component: Component, parameters: RailsParameters) -> list[int]:
         return []
     rise = np.log1p(alone.slope)
     alike = np.abs(rise[:, None] - rise[None, :]) <= np.log1p(parameters.uneven_slope)
-    found: list[int] = component.rail[(alike.mean(axis=1) <= parameters.most_uneven) & ~two_way.known_rail].tolist()
+    found: list[int] = component.rail[
+        (alike.mean(axis=1) <= parameters.most_uneven_share) & ~two_way.known_rail
+    ].tolist()
     return found
 
 

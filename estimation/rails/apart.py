@@ -48,8 +48,8 @@ def confirmed(table: CellTable, anchors: Anchors, parameters: RailsParameters) -
             return held
         order = sorted(beyond, key=lambda one: (-beyond[one].ratio, one))
         together = _connected(order[0], sorted(found), table, held)
-        may_be = [one for place, one in enumerate(order) if place < parameters.tried or not one.is_wheelset]
-        tried = [together] if len(together) == parameters.two else [[one] for one in may_be]
+        may_be = [one for place, one in enumerate(order) if place < parameters.tried_wheelsets or not one.is_wheelset]
+        tried = [together] if len(together) == parameters.pair_size else [[one] for one in may_be]
         without = [held.without(*_reasons(some, together, beyond)) for some in tried]
         left = [_all_apart(table, one, parameters) for one in without]
         best = min(range(len(tried)), key=lambda at: max((one.ratio for one in left[at].values()), default=0.0))

@@ -238,8 +238,9 @@ def conicity_on_rails(wheels: WheelPair, rails: RailShare, amplitude: FloatArray
         wheelset = WheelsetOnTrack(
             wheels.left, wheels.right, rail, rail, rails.inclination, rails.gauge, radius, radius
         )
-        x = OF_ACCURACY.step * np.arange(
-            -round(OF_ACCURACY.reach / OF_ACCURACY.step), round(OF_ACCURACY.reach / OF_ACCURACY.step) + 1
+        x = OF_ACCURACY.displacement_step * np.arange(
+            -round(OF_ACCURACY.displacement_reach / OF_ACCURACY.displacement_step),
+            round(OF_ACCURACY.displacement_reach / OF_ACCURACY.displacement_step) + 1,
         )
         curve = radius_difference_curve(wheelset, x)
     except (ContactError, ProfileError, ParameterError):

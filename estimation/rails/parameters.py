@@ -25,30 +25,32 @@ class RailsParameters:
     least_periods: int = 3  # fewest periods of a trend
     limit: float = 0.05  # on the excess of the reference wheel's conicity
     limit_amplitude: float = 3.0e-3  # m, at which the limit is looked at, or the largest amplitude below that is known
-    rounds: int = 50
-    tolerance: float = 1e-8  # of conicity
+    fit_rounds: int = 50
+    conicity_tolerance: float = 1e-8  # of conicity
     lowest_tau: float = -3.0  # decades of conicity
     highest_tau: float = -0.3
-    slopes: tuple[float, float] = (-0.8, 2.0)  # what a section may add to a wheel whose conicity is higher by 1
+    slope_range: tuple[float, float] = (-0.8, 2.0)  # what a section may add to a wheel whose conicity is higher by 1
     tau_tolerance: float = 0.01  # decades
-    held: float = 1e8  # weight of the condition that the mean over sections is 0, of the heaviest cell
+    mean_weight: float = 1e8  # weight of the condition that the mean over sections is 0, of the heaviest cell
     least_freedom: float = 1e-6
-    within: float = 0.25e-3  # m of amplitude
+    slope_reach: float = 0.25e-3  # m of amplitude
     same_amplitude: float = 1e-9  # m
-    two: int = 2
-    tried: int = 3  # wheelsets, furthest from the others, besides all sections: without which the rest agree best
-    largest_variance: float = 1.0  # of a conicity of which nothing is known
-    most_uneven: float = 0.5  # share of the rails
+    pair_size: int = 2
+    tried_wheelsets: int = (
+        3  # wheelsets, furthest from the others, besides all sections: without which the rest agree best
+    )
+    largest_conicity_variance: float = 1.0  # of a conicity of which nothing is known
+    most_uneven_share: float = 0.5  # share of the rails
 
 
 @dataclass(frozen=True, slots=True)
 class RailParameters:
     """Numbers of rails beside those of the mixed model's settings."""
 
-    doubt: float = 0.99  # share of lines whose periods are nearer to it
-    half: float = 0.5  # of a change of the mean that wheels must have moved by for it to be theirs
+    doubted_share: float = 0.99  # share of lines whose periods are nearer to it
+    moved_share: float = 0.5  # of a change of the mean that wheels must have moved by for it to be theirs
     least_conicity: float = 1e-3  # to which an error may be in proportion
-    conditions: float = 2.0  # of the means of rho and of beta
+    mean_conditions: float = 2.0  # of the means of rho and of beta
     amplitude_tolerance: float = 1e-9  # m, within which amplitudes are the same
 
 

@@ -49,7 +49,7 @@ class Line:
         """Whether the values are on a line, as far as their errors say."""
         if self.freedom < 1:
             return True
-        return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), OF_RAILS.doubt))
+        return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), OF_RAILS.doubted_share))
 
 
 def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
@@ -79,7 +79,7 @@ def on_rise(curve: FloatArray, amplitude: FloatArray, most: float, parameters: R
 def _changes(curve: FloatArray, amplitude: FloatArray, parameters: RailsParameters) -> FloatArray:
     """Return by how much (k, k) the conicity grows from the smaller to the larger of two amplitudes that are near."""
     apart = amplitude[:, None] - amplitude[None, :]
-    near = np.abs(apart) <= parameters.within + parameters.same_amplitude
+    near = np.abs(apart) <= parameters.slope_reach + parameters.same_amplitude
     grown = np.sign(apart) * (curve[:, None] - curve[None, :])
     return np.where(near & np.isfinite(grown), grown, 0.0)
 
@@ -262,7 +262,7 @@ class _Publisher:
 
     def _published(self, value: float, sampled: float, systematic: float, windows: float) -> Estimate:
         found = with_interval(value, sampled, systematic, self.groups, windows)
-        if found.std is not None and found.std <= OF_GEOMETRY.largest_std:
+        if found.std is not None and found.std <= OF_GEOMETRY.largest_conicity_std:
             return found
         text = f"the data leave the conicity open by {found.std:.2f}"
         return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), windows)
@@ -282,7 +282,7 @@ class _Publisher:
     def _reference(self, moved: float) -> RailsReference:
         if not self.component.two_way.anchored:
             return RailsReference.MEAN
-        by_wheels = abs(moved) > OF_RAILS.half or not self.component.two_way.known_rail.any()
+        by_wheels = abs(moved) > OF_RAILS.moved_share or not self.component.two_way.known_rail.any()
         return RailsReference.MEASURED_WHEELS if by_wheels else RailsReference.KNOWN_RAILS
 
     def _systematic(self, place: int, change: float) -> float:

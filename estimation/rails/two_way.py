@@ -196,7 +196,7 @@ class _Problem:
         pulls = (np.bincount(cells.rail, weight * residual * above**power, minlength=s) for power in (0, 1))
         right = np.concatenate(list(pulls)) - crossed.T @ (right_wheel / own) - self.before * point.phi
         if not cells.anchored:
-            held = self.parameters.held * weight.max()
+            held = self.parameters.mean_weight * weight.max()
             for half in (slice(0, s), slice(s, 2 * s)):
                 matrix[half, half] += held
                 right[half] -= held * point.phi[half].sum()
@@ -209,7 +209,7 @@ class _Problem:
         if len(self.free):
             step[self.free] = _solution(linear.matrix[np.ix_(self.free, self.free)], linear.right[self.free])
             if limited:
-                step[s:] = np.clip(point.phi[s:] + step[s:], *self.parameters.slopes) - point.phi[s:]
+                step[s:] = np.clip(point.phi[s:] + step[s:], *self.parameters.slope_range) - point.phi[s:]
         of_theta = linear.right_wheel / linear.own - linear.shared @ step
         return _Point(point.theta + of_theta, point.phi + step, point.centre)
 
@@ -241,7 +241,7 @@ class _Solved:
         cells = self.problem.cells
         residuals = len(cells.value) + int(np.isfinite(cells.known_value).sum())
         fitted = len(cells.known_value) + 2 * int((~cells.known_rail).sum())
-        conditions = 0.0 if cells.anchored else OF_RAILS.conditions
+        conditions = 0.0 if cells.anchored else OF_RAILS.mean_conditions
         return residuals - (fitted - float(self.problem.before @ np.diag(self.covariance)) - conditions)
 
     def parted(self) -> Parted:
@@ -269,10 +269,10 @@ def _solved(cells: TwoWay, parameters: RailsParameters, tau: float, start: _Poin
     problem = _Problem.of(cells, parameters, tau)
     s, centre = len(cells.known_rail), float(np.mean(cells.value))
     point, converged = start or _Point(np.full(len(cells.known_value), centre), np.zeros(2 * s), centre), False
-    for _ in range(parameters.rounds):
+    for _ in range(parameters.fit_rounds):
         before, point = point, problem.moved(point, problem.linearised(point))
         change = np.concatenate([point.theta - before.theta, (point.phi - before.phi)[:s]])
-        if np.abs(change).max() < parameters.tolerance:
+        if np.abs(change).max() < parameters.conicity_tolerance:
             converged = True
             break
     return _Solved(problem, point, problem.linearised(point), converged)

@@ -79,7 +79,7 @@ def features_of(powers: FloatArray) -> FloatArray:
 
 def terms(conicity: FloatArray, speed: FloatArray) -> FloatArray:
     """Return the terms (..., 5) of the response, the logarithm of the conicity first."""
-    c, v = np.broadcast_arrays(np.log(conicity / OF_ANSWERS.conicity), np.log(speed / OF_ANSWERS.speed))
+    c, v = np.broadcast_arrays(np.log(conicity / OF_ANSWERS.middle_conicity), np.log(speed / OF_ANSWERS.usual_speed))
     return np.stack([c, c * c, v, v * v, c * v], axis=-1)
 
 
@@ -103,7 +103,7 @@ def fitted(rows: Rows) -> MixedModel:
     sections, section = np.unique(rows.section[np.unique(place, return_index=True)[1]], return_inverse=True)
     mean = _means(effects, section).mean(axis=0)
     level = effects[:, LEVEL] - mean[LEVEL]
-    of_level = level @ (effects - mean) / max(float(level @ level), OF_ANSWERS.ridge)
+    of_level = level @ (effects - mean) / max(float(level @ level), OF_ANSWERS.ridge_variance)
     around = effects - mean - level[:, None] * of_level
     by_section = _means(around, section)
     bent = _bent(_means(rows.conicity[:, None], wheelset)[:, 0])
@@ -126,7 +126,7 @@ def fitted(rows: Rows) -> MixedModel:
 
 def _of_errors(rows: Rows, response: FloatArray, level: FloatArray) -> FloatArray:
     """Return the covariance (f, f) that errors of the known conicities give the features, by the slopes at each."""
-    c, v = np.log(rows.conicity / OF_ANSWERS.conicity), np.log(rows.speed / OF_ANSWERS.speed)
+    c, v = np.log(rows.conicity / OF_ANSWERS.middle_conicity), np.log(rows.speed / OF_ANSWERS.usual_speed)
     none = np.zeros_like(c)
     slopes = np.stack([none + 1.0, 2.0 * c, none, none, v, level], axis=1) @ response
     return np.asarray((slopes * rows.variance[:, None]).T @ slopes / len(slopes))
@@ -142,7 +142,7 @@ def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> tuple[F
 
 
 def _bent(conicity: FloatArray) -> FloatArray:
-    c = np.log(conicity / OF_ANSWERS.conicity)
+    c = np.log(conicity / OF_ANSWERS.middle_conicity)
     return np.stack([np.ones_like(c), c, c * c], axis=-1)
 
 
@@ -173,9 +173,9 @@ def _means(values: FloatArray, group: IntArray) -> FloatArray:
 def _covariance(residuals: FloatArray, freedom: int) -> FloatArray:
     raw = residuals.T @ residuals / freedom
     return np.asarray(
-        (1 - OF_ANSWERS.shrinking) * raw
-        + OF_ANSWERS.shrinking * np.diag(np.diag(raw))
-        + OF_ANSWERS.ridge * np.eye(len(raw))
+        (1 - OF_ANSWERS.covariance_shrinkage) * raw
+        + OF_ANSWERS.covariance_shrinkage * np.diag(np.diag(raw))
+        + OF_ANSWERS.ridge_variance * np.eye(len(raw))
     )
 
 

@@ -10,23 +10,23 @@ class AnswerParameters:
     """Numbers of answers beside those of the settings."""
 
     # calibration
-    near: float = 0.03  # of conicity, within which what is on file counts for an answer
-    coverage: float = 0.95
+    near_conicity: float = 0.03  # of conicity, within which what is on file counts for an answer
+    interval_coverage: float = 0.95
     most_answers: int = 240  # that a factor is made from: more would cost more, and say little more
-    grid: float = 0.002  # of conicity
-    rare: float = 0.02  # most probability outside what a library covers
-    novel: float = 0.99  # quantile of the distances, by their logarithms, from which on a signature is novel
+    conicity_step: float = 0.002  # of conicity
+    most_outside_probability: float = 0.02  # most probability outside what a library covers
+    novel_quantile: float = 0.99  # quantile of the distances, by their logarithms, from which on a signature is novel
     # mixed model
-    conicity: float = 0.2  # that the polynomial is about
-    speed: float = 20.0
+    middle_conicity: float = 0.2  # that the polynomial is about
+    usual_speed: float = 20.0
     largest_share: float = 0.9  # of the variance along the response that may be taken out
-    shrinking: float = 0.05  # of covariances towards their diagonals
-    ridge: float = 1e-4  # variance of a log feature that nothing is better known than
+    covariance_shrinkage: float = 0.05  # of covariances towards their diagonals
+    ridge_variance: float = 1e-4  # variance of a log feature that nothing is better known than
     # of the logarithm of a power, by which a track may always be rougher or smoother than known ones
     level_margin: float = 0.2
     # window signatures
-    folds: int = 6
-    increase: float = 1e-9  # m from sample to sample at least
+    validation_folds: int = 6
+    least_step: float = 1e-9  # m from sample to sample at least
 
 
 OF_ANSWERS = AnswerParameters()

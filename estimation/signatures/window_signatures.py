@@ -49,9 +49,9 @@ class SignatureParameters:
     factor_std: float = 0.3  # of the logarithm of the factor on standard deviations, before any answer is seen
     least_passes: int = 3  # on either side of a change
     library_rounds: int = 2  # in which the times of changes and the scatter about them are found
-    largest: float = 5.5  # squared distance over the number of features, from which on a place has changed
-    alone: int = 12  # families, up to which each of them is a fold of its own
-    pairs: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
+    largest_distance: float = 5.5  # squared distance over the number of features, from which on a place has changed
+    most_own_folds: int = 12  # families, up to which each of them is a fold of its own
+    signal_pairs: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
     end_margin: float = 10.0  # m that are left out at each end of a segment
     least_std: float = 0.003  # of a conicity from measured profiles
     speed_band: float = 5.0  # m/s: of each wheelset, place and band the newest signature is an entry
@@ -78,11 +78,14 @@ def folds(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> l
     for entry in entries:
         known.setdefault(entry.wheelset, []).append(entry.conicity)
     found = families(sharers(entry) for entry in entries)
-    if len(found) <= parameters.alone:
+    if len(found) <= parameters.most_own_folds:
         return found
     mean = {name: sum(values) / len(values) for name, values in known.items()}
     ordered = sorted(found, key=lambda names: (min(mean[name] for name in names if name in mean), min(names)))
-    return [frozenset().union(*ordered[first :: OF_ANSWERS.folds]) for first in range(OF_ANSWERS.folds)]
+    return [
+        frozenset().union(*ordered[first :: OF_ANSWERS.validation_folds])
+        for first in range(OF_ANSWERS.validation_folds)
+    ]
 
 
 def sharers(entry: LibraryEntry) -> frozenset[str]:
@@ -105,7 +108,7 @@ def band_spectra(signals: FloatArray, parameters: SignatureParameters) -> tuple[
     inside = [(wavenumber >= low) & (wavenumber < high) for low, high in pairwise(ends)]
     bands = np.stack([mean[:, :, chosen].mean(axis=2) for chosen in inside])  # (b, 3, 3)
     columns = [bands[:, i, i].real for i in range(POWERS)]
-    for i, k in parameters.pairs:
+    for i, k in parameters.signal_pairs:
         columns += [bands[:, i, k].real, bands[:, i, k].imag]
     return np.stack(columns, axis=1), _peak(mean[1, 1].real, wavenumber, ends)
 
@@ -194,11 +197,11 @@ def _checked(window: Window, signals: SignalParameters, layout: TrackLayout | No
 def _stretch(segment: IntegratedSegment, window: Window, parameters: WindowParameters, way: int) -> _Stretch:
     known = np.flatnonzero(segment.known)
     at = np.interp(np.arange(len(segment.known)), known, window.distance[segment.part][known])
-    run = np.maximum.accumulate(way * at) + OF_ANSWERS.increase * np.arange(len(at))
+    run = np.maximum.accumulate(way * at) + OF_ANSWERS.least_step * np.arange(len(at))
     fused = fuse(motion_signals(segment, parameters.vehicle, run), parameters.vehicle)
-    first, count = round(float(fused.run[0]) / FUSED.step), len(fused.run)
-    fine = FUSED.step / FUSED.oversampling
-    weights = local_cubic_kernel(FUSED.shortest[1], fine)
+    first, count = round(float(fused.run[0]) / FUSED.grid_step), len(fused.run)
+    fine = FUSED.grid_step / FUSED.oversampling
+    weights = local_cubic_kernel(FUSED.shortest_waves[1], fine)
     others = np.stack([segment.displacements[2], segment.speed])
     roll, speed = sample_smoothed(others, run, FUSED.oversampling * first, count, FUSED.oversampling, fine, weights)
     begin = first if way > 0 else -(first + count - 1)

@@ -56,7 +56,7 @@ class FastNoiseParameters:
     """How noise that is too fast to be motion is measured."""
 
     smallest_eigenvalue: float = 1e-10  # of the scaled normal matrix; below it a direction is not in the data
-    fast_samples: int = 17  # at 250 Hz: faster than some 10 Hz
+    fast_mean_samples: int = 17  # at 250 Hz: faster than some 10 Hz
 
 
 FAST_NOISE = FastNoiseParameters()
@@ -346,7 +346,7 @@ def fast_noise(difference: FloatArray, valid: BoolArray) -> float:
     if not known.any():
         return 0.0
     filled = np.where(known, difference, 0.0)
-    fast = filled - uniform_filter1d(filled, FAST_NOISE.fast_samples)
+    fast = filled - uniform_filter1d(filled, FAST_NOISE.fast_mean_samples)
     return (float(np.median(np.abs(fast[known]))) * STD_PER_MAD) ** 2
 
 

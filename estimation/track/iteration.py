@@ -153,7 +153,7 @@ def iterate(
     first = first_rounds(setting, panel, corrections)
     setting = replace(setting, placed_on_survey=first.placed_on_survey)
     constant = prior is not None and prior.gauge_known and not prior.gauge.any()
-    if constant or not (first.state.count >= OF_TRACK.fewest_passes).any():
+    if constant or not (first.state.count >= OF_TRACK.fewest_place_passes).any():
         return first
     if (
         prior is None or not prior.gauge_known

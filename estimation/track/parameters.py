@@ -10,46 +10,52 @@ class TrackParameters:
     """Numbers of an alignment beside those of its settings."""
 
     # section
-    usual_factor: float = 1.5  # times the median of the wheelsets
-    least_usual: float = 0.12e-3  # m
-    power: int = 4
+    usual_std_factor: float = 1.5  # times the median of the wheelsets
+    least_usual_std: float = 0.12e-3  # m
+    weight_power: int = 4
     largest_effective_weight: float = 0.25  # weight of the one that is furthest off, above which nothing would change
     # results
-    correlated: float = 20.0  # m along the track over which the error of y - d - h(R) of a pass is one
-    reported_std: float = 1.0  # m, of a position as it was reported
+    correlated_length: float = 20.0  # m along the track over which the error of y - d - h(R) of a pass is one
+    reported_position_std: float = 1.0  # m, of a position as it was reported
     # survey posterior
-    edges: tuple[float, ...] = (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)  # m, longest wavelength of each band
-    neighbour: float = 0.48  # correlation of one error in two bands next to each other, with one band between
-    next: float = 0.06
+    band_edges: tuple[float, ...] = (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)  # m, longest wavelength of each band
+    neighbour_correlation: float = (
+        0.48  # correlation of one error in two bands next to each other, with one band between
+    )
+    second_neighbour_correlation: float = 0.06
     # survey check
-    memory: float = 60.0  # m: correlation length of a high-passed alignment
-    worth_share: float = 0.5  # of what is wrong with a survey that a fleet's alignment may be off by to replace it
-    worth_std: float = 0.3e-3  # m, that it may be off by at most
+    correlation_length: float = 60.0  # m: correlation length of a high-passed alignment
+    worthwhile_share: float = 0.5  # of what is wrong with a survey that a fleet's alignment may be off by to replace it
+    worthwhile_std: float = 0.3e-3  # m, that it may be off by at most
     # screen
-    rounds: int = 12
-    scale: float = 1.2e-3  # by which an odometer may differ from the fleet's
-    resolution: float = 0.3  # m: shifts that fit better than this fit
-    loose: float = 1e-6  # weight of keeping every pass where it is: what links leave open
+    screening_rounds: int = 12
+    odometer_scale: float = 1.2e-3  # by which an odometer may differ from the fleet's
+    shift_resolution: float = 0.3  # m: shifts that fit better than this fit
+    anchor_weight: float = 1e-6  # weight of keeping every pass where it is: what links leave open
     # instrumental slope
-    excess_share: float = 1.4  # of 1 / r2 - 1, by which curves are too flat
-    excess_std: float = 0.5  # of 1 / r2 - 1: what is not known of that
+    flattening_share: float = 1.4  # of 1 / r2 - 1, by which curves are too flat
+    flattening_std: float = 0.5  # of 1 / r2 - 1: what is not known of that
     # basis
-    reach: float = 8e-3  # m of lateral displacement
-    step: float = 0.05e-3  # m
-    room: float = 0.2e-3  # m beyond the contact table within which a measured profile has no weight
+    basis_reach: float = 8e-3  # m of lateral displacement
+    basis_step: float = 0.05e-3  # m
+    table_margin: float = 0.2e-3  # m beyond the contact table within which a measured profile has no weight
     # update
-    sharper: float = 0.8  # of the std of a file, below which the mean of it and its first passes is used in its place
+    sharper_std_share: float = (
+        0.8  # of the std of a file, below which the mean of it and its first passes is used in its place
+    )
     # settings
-    same_gauge: float = 0.8  # correlation of two estimates of one gauge
+    same_gauge_correlation: float = 0.8  # correlation of two estimates of one gauge
     # passes
-    most: int = 4  # windows; the pass of a longer run is cut, so that a window that comes late changes little
+    most_pass_windows: int = (
+        4  # windows; the pass of a longer run is cut, so that a window that comes late changes little
+    )
     # search
-    fewest_passes: int = 6  # at a place, to separate two functions of it
-    max_cg_steps: int = 14
+    fewest_place_passes: int = 6  # at a place, to separate two functions of it
+    most_cg_steps: int = 14
     cg_tolerance: float = 1e-3  # of the residual's norm, relative to the right side
     # survey verdict
-    fewest_groups: int = 4  # of blocks along the section
-    most_error_share: float = 0.97  # of a survey's mean square that its own error may make up
+    fewest_blocks: int = 4  # of blocks along the section
+    most_survey_error_share: float = 0.97  # of a survey's mean square that its own error may make up
     ratio_prior_std: float = 0.15  # of the stiffness ratio of a vehicle, relative
 
 

@@ -202,7 +202,7 @@ def examine(
 Item = TypeVar("Item")
 
 
-MOST = OF_TRACK.most
+MOST = OF_TRACK.most_pass_windows
 
 
 def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = MOST) -> list[list[Item]]:

@@ -164,7 +164,7 @@ def merged_alignment(
     gauge = known.gauge if shown_gauge is None else shown_gauge
     gauge_std = _gauge_std(iterated, known, shown_gauge, p)
     profile_std, profile_scale_std = _profile_uncertainty(iterated)
-    slope_std = 0.0 if iterated.slope is None else min(iterated.slope.std, p.open_slope)
+    slope_std = 0.0 if iterated.slope is None else min(iterated.slope.std, p.open_slope_std)
     of_gauge = p.systematic_per_gauge[shown_gauge is not None] * float(np.std(gauge))
     systematic = p.systematic**2 + of_gauge**2 + profile_std**2 + (slope_std * found.curves) ** 2
     std = _std(found, shared, iterated.solution.common_std, systematic)
@@ -204,8 +204,8 @@ def _gauge_std(
     """
     if known.gauge_known:
         return known.gauge_std
-    unexplained = float(np.sqrt(max(iterated.noise_without_gauge**2 - parameters.sensor_residual**2, 0.0)))
-    differing = min(between_pass_std_ratio(iterated.state) / parameters.widely_different, 1.0)
+    unexplained = float(np.sqrt(max(iterated.noise_without_gauge**2 - parameters.sensor_residual_rms**2, 0.0)))
+    differing = min(between_pass_std_ratio(iterated.state) / parameters.wide_std_ratio, 1.0)
     inferred = unexplained / (parameters.gauge_effect * differing) if differing > 0.0 else 0.0
     found = 0.0 if shown is None else float(np.std(shown))
     return np.full_like(known.gauge_std, max(inferred, found))
@@ -231,7 +231,7 @@ def position_std(iterated: IterationResult) -> dict[Journey, float]:
     """Return the std of each journey's offset, m, by the slope of the alignment and the residuals; inf for none."""
     panel, solution = iterated.panel, iterated.solution
     slope = np.gradient(np.nan_to_num(solution.alignment), panel.grid.step)
-    weight = panel.grid.step / OF_TRACK.correlated / max(iterated.noise, 1e-9) ** 2
+    weight = panel.grid.step / OF_TRACK.correlated_length / max(iterated.noise, 1e-9) ** 2
     information = {
         journey: weight * sum(float(np.sum(slope[item.used_points] ** 2)) for item in one.passes if not item.empty)
         for journey, one in iterated.placed.items()
@@ -243,7 +243,7 @@ def shrunk(iterated: IterationResult) -> Mapping[Journey, Correction]:
     """Return the corrections of journeys, each as far as it is better known than the reported position."""
     found = {}
     for journey, std in position_std(iterated).items():
-        share = OF_TRACK.reported_std**2 / (OF_TRACK.reported_std**2 + std**2)
+        share = OF_TRACK.reported_position_std**2 / (OF_TRACK.reported_position_std**2 + std**2)
         one = iterated.corrections[journey]
         found[journey] = replace(one, offset=share * one.offset, scale=share * one.scale)
     return found

@@ -44,8 +44,10 @@ class Residuals:
     def weights(self) -> dict[ProfileLife, float]:
         """Return by profile life how much a pass counts where it is far off; empty where that would not matter."""
         known = [value for value in self.of_lives.values() if np.isfinite(value)]
-        usual = max(OF_TRACK.usual_factor * float(np.median(known)), OF_TRACK.least_usual) if known else np.inf
-        found = {life: (usual / value) ** OF_TRACK.power for life, value in self.of_lives.items() if value > usual}
+        usual = max(OF_TRACK.usual_std_factor * float(np.median(known)), OF_TRACK.least_usual_std) if known else np.inf
+        found = {
+            life: (usual / value) ** OF_TRACK.weight_power for life, value in self.of_lives.items() if value > usual
+        }
         return found if any(weight < OF_TRACK.largest_effective_weight for weight in found.values()) else {}
 
 

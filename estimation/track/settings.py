@@ -32,17 +32,17 @@ class SectionParameters:
     least_outlier_m: float = 0.4e-3  # m
     most_difference_error: float = 0.08  # of rL - rR, by the stiffness ratio: beyond, its stiffness term is as assumed
     most_slope_std: float = 0.4  # of the curves of all wheelsets together: beyond, nothing is known of them
-    sensor_residual: float = 0.07e-3  # m, rms of y - d - h(R) that sensors and small terms of the equations make
+    sensor_residual_rms: float = 0.07e-3  # m, rms of y - d - h(R) that sensors and small terms of the equations make
     gauge_effect: float = 0.1  # m by which a metre of gauge moves wheelsets of widely different wear apart
-    open_slope: float = 10.0  # relative std of the curves: nothing is known of them, and numbers stay finite
-    widely_different: float = 0.5  # std of R between the passes of a place over the std of R
-    shortest: float = 2.5  # m, of the last one
+    open_slope_std: float = 10.0  # relative std of the curves: nothing is known of them, and numbers stay finite
+    wide_std_ratio: float = 0.5  # std of R between the passes of a place over the std of R
+    shortest_wavelength: float = 2.5  # m, of the last one
     filed_samples: float = 6.0  # independent ones that the std on file counts as, against those of the passes
-    local: float = 100.0  # m over which both are compared for local differences
+    local_length: float = 100.0  # m over which both are compared for local differences
     local_stds: float = 4.0  # of a local mean square, beyond which it is more than chance
     # of the rms of h(R) times the share that curves leave of y, by which they are flattened for all
-    model_share: float = 2.0
-    independent: float = 5.0  # m along the track, of errors of a survey
+    curve_share_factor: float = 2.0
+    survey_error_length: float = 5.0  # m along the track, of errors of a survey
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class AlignmentSettings:
     same_gauge: float = 0.3e-3  # m, rms: much less than moves a wheel to another part of its profile
     same_shift: float = 0.15  # of the gauge's std, rms: by which the shift of a wheelset may differ
     same_survey_std: float = 1.5  # factor by which the std of a survey may be off without the passes being solved again
-    often: float = 1e-3  # m of rL - rR, both ways: further out few passes are
+    usual_radius_difference: float = 1e-3  # m of rL - rR, both ways: further out few passes are
 
 
 SMALLEST = float(np.finfo(np.float64).tiny)  # in place of a power of zero
@@ -153,7 +153,7 @@ def gauge_shift_changed(old: TrackAlignment, new: TrackAlignment, settings: Alig
 
 
 def _apart(first: GaugeShift, second: GaugeShift, size: float, settings: AlignmentSettings) -> float:
-    R, e = settings.often * np.linspace(-1.0, 1.0, 41), np.array([-size, size])
+    R, e = settings.usual_radius_difference * np.linspace(-1.0, 1.0, 41), np.array([-size, size])
     return float(np.sqrt(np.mean((first.over(R, e) - second.over(R, e)) ** 2)))
 
 
@@ -166,7 +166,9 @@ def carry_over_findings(found: TrackAlignment, before: TrackAlignment | None) ->
     old, new = before.findings, found.findings
     shifts, was, now = dict(new.gauge_shifts), before.gauge_deviation, found.gauge_deviation
     powers = float(was @ was) * float(now @ now)
-    if shifts and powers > 0.0 and float(was @ now) > OF_TRACK.same_gauge * np.sqrt(powers):  # one gauge, sign and all
+    if (
+        shifts and powers > 0.0 and float(was @ now) > OF_TRACK.same_gauge_correlation * np.sqrt(powers)
+    ):  # one gauge, sign and all
         shifts = {**old.gauge_shifts, **shifts}
     missed = old.stiffness_ratio.keys() - new.stiffness_ratio.keys()
     std = max(new.stiffness_ratio_std, old.stiffness_ratio_std) if missed else new.stiffness_ratio_std

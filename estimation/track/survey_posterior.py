@@ -28,7 +28,7 @@ from estimation.track.settings import SectionParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackAlignment
 
-EDGES = OF_TRACK.edges
+EDGES = OF_TRACK.band_edges
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,13 +98,13 @@ def survey_bands(
     passes = _passes(iterated.placed, iterated.solution, iterated.panel, kernels)
     inside = np.stack([valid_support(known, kernel) for kernel in kernels])
     compared = inside & (passes.journeys > 0)
-    if np.count_nonzero(compared[0]) * grid.step < 2.0 * parameters.local:
+    if np.count_nonzero(compared[0]) * grid.step < 2.0 * parameters.local_length:
         return None
     filtered = _bands_of(on_grid, kernels)
     filed = float(np.sqrt(np.mean(std[known] ** 2)))
     unexplained = 1.0 if iterated.slope is None else 1.0 - iterated.slope.explained
     size = np.array([np.sqrt(np.mean(h[where] ** 2)) for h, where in zip(passes.curves, compared, strict=True)])
-    common = np.hypot(systematic / np.sqrt(len(EDGES)), parameters.model_share * unexplained * size)
+    common = np.hypot(systematic / np.sqrt(len(EDGES)), parameters.curve_share_factor * unexplained * size)
     bands = [
         _band(number, d, passes, compared[number], filed, float(common[number]), grid.step, parameters)
         for number, d in enumerate(filtered)
@@ -182,7 +182,7 @@ def _band(
     step: float,
     parameters: SectionParameters,
 ) -> Band:
-    shortest = (*EDGES, parameters.shortest)[number + 1]
+    shortest = (*EDGES, parameters.shortest_wavelength)[number + 1]
     length = 0.5 * np.sqrt(EDGES[number] * shortest)  # m, of an independent sample
     independent = max(np.count_nonzero(compared) * step / length, 1.0)
     rest = np.where(compared, survey - passes.mean[number], 0.0)
@@ -192,7 +192,9 @@ def _band(
     noise = np.full(len(survey), np.inf)
     noise[compared] = passes.variance[number] / passes.journeys[number, compared]
     # errors on file are white down to the shortest wavelength
-    of_file = filed**2 * ((1.0 / shortest - 1.0 / EDGES[number]) / (1.0 / parameters.shortest - 1.0 / EDGES[0]))
+    of_file = filed**2 * (
+        (1.0 / shortest - 1.0 / EDGES[number]) / (1.0 / parameters.shortest_wavelength - 1.0 / EDGES[0])
+    )
     if not np.isfinite(passes.variance[number]):
         noise[compared] = square + of_file
     noise += systematic**2
@@ -247,10 +249,10 @@ def _local_excess(
     rest: FloatArray, compared: BoolArray, square: float, length: float, step: float, parameters: SectionParameters
 ) -> FloatArray:
     """Return by how much (n,), m2, both differ more than elsewhere, where that is more than chance."""
-    width = max(round(parameters.local / step), 1)
+    width = max(round(parameters.local_length / step), 1)
     weight = uniform_filter1d(compared.astype(np.float64), width, mode="constant")
     local = uniform_filter1d(rest**2, width, mode="constant") / np.maximum(weight, 1e-9)
-    chance = parameters.local_stds * np.sqrt(2.0 * length / parameters.local)
+    chance = parameters.local_stds * np.sqrt(2.0 * length / parameters.local_length)
     return np.where(compared & (local > (1.0 + chance) * square), local - square, 0.0)
 
 
@@ -259,7 +261,9 @@ def total_variance(variances: Sequence[FloatArray]) -> FloatArray:
     stds = np.sqrt(np.stack(variances))
     count = len(stds)
     apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
-    correlation = np.select([apart == 0, apart == 1, apart == 2], [1.0, OF_TRACK.neighbour, OF_TRACK.next], 0.0)  # noqa: PLR2004
+    of_distance = np.zeros(max(count, 3))
+    of_distance[:3] = 1.0, OF_TRACK.neighbour_correlation, OF_TRACK.second_neighbour_correlation
+    correlation = of_distance[apart]
     return np.asarray(np.einsum("in,ij,jn->n", stds, correlation, stds))
 
 
@@ -333,7 +337,7 @@ def _scale_std(bands: SurveyBands, iterated: IterationResult, survey: TrackAlign
     # the survey, an alignment without their errors, fixes that scale as well as its own errors average out
     slope_std = 0.0 if iterated.slope is None else iterated.slope.std
     of_passes = float(np.hypot(p.scale_error, slope_std))
-    independent = max(np.count_nonzero(bands.compared) * iterated.panel.grid.step / p.independent, 1.0)
+    independent = max(np.count_nonzero(bands.compared) * iterated.panel.grid.step / p.survey_error_length, 1.0)
     of_survey = bands.survey_std / max(bands.curves, 1e-9) / np.sqrt(independent)
     both = of_passes * of_survey / float(np.hypot(of_passes, of_survey))
     weights = np.array([np.mean(one.passes[bands.compared] ** 2) for one in bands.bands])

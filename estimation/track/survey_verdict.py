@@ -42,7 +42,7 @@ class SurveyFit:
     def scale(self) -> float:
         """Survey over truth: an error of the survey makes the factor too small, which is taken back."""
         own = max(self.error**2 - self.coherent**2, 0.0)
-        share = min(own / self.size**2, OF_TRACK.most_error_share) if self.size > 0.0 else 0.0
+        share = min(own / self.size**2, OF_TRACK.most_survey_error_share) if self.size > 0.0 else 0.0
         return (1.0 - share) / self.factor if self.factor != 0.0 else float("inf")
 
 
@@ -57,7 +57,7 @@ def fit_survey(iterated: IterationResult, survey: PriorAlignment) -> SurveyFit |
         state = update(init(iterated.panel), kept)
     sums = _Sums.of(state, survey.alignment)
     present = np.flatnonzero(sums.square > 0.0)
-    if len(present) < OF_TRACK.fewest_groups:
+    if len(present) < OF_TRACK.fewest_blocks:
         return None
     factor, explained, followed = sums.fit(present)
     if not np.isfinite(factor):

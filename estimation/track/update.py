@@ -251,7 +251,7 @@ def _extended(
         std, std_now = (float(np.nanmedian(one.alignment_std)) for one in (posterior.before, found))
         first = not posterior.before.passes.any()
         if (
-            (first and std > settings.same_least and std_now < OF_TRACK.sharper * std)
+            (first and std > settings.same_least and std_now < OF_TRACK.sharper_std_share * std)
             or requires_reestimation(posterior.before, in_motion, settings)
             or posterior.before.scale_std < settings.same_std * doubted
         ):
@@ -334,7 +334,7 @@ def _with_gauge_shifts(
     kept: AlignmentUpdate, survey: TrackAlignment, vehicles: Mapping[str, str], settings: AlignmentSettings
 ) -> AlignmentUpdate:
     found = kept.estimate.alignment
-    varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= WHEELS.least_gauge
+    varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= WHEELS.least_gauge_std
     if not varies or not kept.estimate.report.converged:
         return kept
     if found is None or found.findings is None or not found.findings.gauge_shifts:

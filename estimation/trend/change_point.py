@@ -47,26 +47,26 @@ class StepModel:
     least_points: int = 3  # on either side of it
     least_good: int = 2  # of them that are no outliers
     widest: int = 2  # intervals between the points on either side: one may be of both
-    before: int = 16  # points about a place that decide whether there is a step
-    behind: int = 12
-    around: int = 2  # places before and behind the likeliest that share its probability
-    beside: int = 5  # points of which a median shows where a step may be
+    points_before: int = 16  # points about a place that decide whether there is a step
+    points_behind: int = 12
+    places_around: int = 2  # places before and behind the likeliest that share its probability
+    points_beside: int = 5  # points of which a median shows where a step may be
     smallest_run_km: float = 1.0  # between points, of which a slope is made
     most_wear: float = 3.0  # standard deviations off the usual slope: among few points noise passes for more
-    places: int = 4  # that are looked at, those of the largest changes
-    usual_share: float = 0.15  # of the prior, as a median and a standard deviation of the logarithm
-    share_spread: float = 0.8
+    most_places: int = 4  # that are looked at, those of the largest changes
+    usual_noise_share: float = 0.15  # of the prior, as a median and a standard deviation of the logarithm
+    noise_share_spread: float = 0.8
     level_std: float = 10.0  # of the level, in standard deviations of a step: as good as flat
-    surely_out: float = 5.0  # median deviations from a running median with which a point begins as an outlier
+    outlier_deviations: float = 5.0  # median deviations from a running median with which a point begins as an outlier
     most_flips: int = 12
     least_gain: float = 1e-9  # of log evidence: rounding never flips an outlier to and fro
-    far_from: float = 7.0  # log odds of a step at a place, below which its neighbours are not looked at
-    as_likely: float = 1.0  # of the log odds: places that differ by less
-    mixed: float = 0.5  # of a step, in an interval in which it happened: mean and standard deviation
-    mixed_std: float = 0.25
+    far_log_odds: float = 7.0  # log odds of a step at a place, below which its neighbours are not looked at
+    alike_log_odds: float = 1.0  # of the log odds: places that differ by less
+    mixed_share: float = 0.5  # of a step, in an interval in which it happened: mean and standard deviation
+    mixed_share_std: float = 0.25
     # of a step, by which an outlier differs from the level on the other side, so that it is not of it
-    apart: float = 0.25
-    worth_a_look: float = 1.0  # of a median change over the least size, below which no hypothesis is computed
+    outlier_share: float = 0.25
+    least_change_ratio: float = 1.0  # of a median change over the least size, below which no hypothesis is computed
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,19 +116,21 @@ def _places(series: Series, model: StepModel) -> list[int]:
     change = np.array([_median_change(series, int(one), model) for one in at])
     size = np.concatenate([[0.0], np.abs(change), [0.0]])
     peak = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
-    peak &= np.abs(change) > model.worth_a_look * model.least_size
+    peak &= np.abs(change) > model.least_change_ratio * model.least_size
     order = np.argsort(-np.abs(change[peak]), kind="stable")
-    return [int(one) for one in at[peak][order][: model.places]]
+    return [int(one) for one in at[peak][order][: model.most_places]]
 
 
 def _median_change(series: Series, at: int, model: StepModel) -> float:
-    about = series.part(max(0, at - model.behind), at + model.behind)
+    about = series.part(max(0, at - model.points_behind), at + model.points_behind)
     run = np.maximum(np.diff(about.x_km), model.smallest_run_km)
     usual, least = model.most_wear * model.slope_std, model.least_points
     wear = min(max(_median((np.diff(about.value) / run).tolist()), model.slope - usual), model.slope + usual)
-    flat = series.part(max(0, at - model.beside), at + model.beside)
-    level, here = (flat.value - wear * (flat.x_km - series.x_km[at])).tolist(), min(at, model.beside)
-    changes = [_median(level[here : here + n]) - _median(level[max(0, here - n) : here]) for n in (least, model.beside)]
+    flat = series.part(max(0, at - model.points_beside), at + model.points_beside)
+    level, here = (flat.value - wear * (flat.x_km - series.x_km[at])).tolist(), min(at, model.points_beside)
+    changes = [
+        _median(level[here : here + n]) - _median(level[max(0, here - n) : here]) for n in (least, model.points_beside)
+    ]
     return min(changes, key=abs)
 
 
@@ -140,14 +142,14 @@ def _median(values: list[float]) -> float:
 
 def _judged(series: Series, place: int, model: StepModel) -> ChangePoint | None:
     k, least = len(series.value), model.least_points
-    first = max(0, place - model.before)
-    window = series.part(first, min(k, place + model.behind))
+    first = max(0, place - model.points_before)
+    window = series.part(first, min(k, place + model.points_behind))
     points = _Points.of(window, model)
     at = place - first
     nothing, here = points.evidence(None), points.evidence(_Place(at - 1, at))
-    if here.log_evidence + np.log(model.step_chance) < nothing.log_evidence - model.far_from:
+    if here.log_evidence + np.log(model.step_chance) < nothing.log_evidence - model.far_log_odds:
         return None
-    about = range(max(least, at - model.around), min(len(window.value) - least, at + model.around) + 1)
+    about = range(max(least, at - model.places_around), min(len(window.value) - least, at + model.places_around) + 1)
     places = [_Place(i - width, i) for i in about for width in range(1, model.widest + 1) if i - width >= least - 1]
     steps = [(at, one) for at in places if points.carry(at, one := points.evidence(at))]
     if not steps:
@@ -158,10 +160,10 @@ def _judged(series: Series, place: int, model: StepModel) -> ChangePoint | None:
     if min(probability, likeliest.probability_beyond(model.least_size)) < model.sure:
         return None
     as_likely = [
-        one for (one, _), odds in zip(steps, log_odds, strict=True) if odds >= log_odds.max() - model.as_likely
+        one for (one, _), odds in zip(steps, log_odds, strict=True) if odds >= log_odds.max() - model.alike_log_odds
     ]
     last, behind = first + min(one.last for one in as_likely), first + max(one.first for one in as_likely)
-    level = float(np.median(series.value[max(0, last + 1 - model.beside) : last + 1]))
+    level = float(np.median(series.value[max(0, last + 1 - model.points_beside) : last + 1]))
     return ChangePoint(last, behind, probability, likeliest.size, likeliest.std, last + 1, level)
 
 
@@ -217,7 +219,7 @@ class _Points:
         last, at = place or (len(number), len(number))
         step = 0.5 * ((number > last) * 1.0 + (number >= at))
         covariance = self.covariance + self.model.step_std**2 * np.outer(step, step)
-        covariance += (self.model.mixed_std * self.model.step_std) ** 2 * np.diag(step == self.model.mixed)
+        covariance += (self.model.mixed_share_std * self.model.step_std) ** 2 * np.diag(step == self.model.mixed_share)
         out = self._begin(at)
         best = None
         for _ in range(self.model.most_flips):
@@ -245,10 +247,10 @@ class _Points:
         before, behind = (
             np.median(self.value[side][one][keep])
             for side, one, keep in zip(
-                sides, good, (slice(-self.model.beside, None), slice(self.model.beside)), strict=True
+                sides, good, (slice(-self.model.points_beside, None), slice(self.model.points_beside)), strict=True
             )
         )
-        off = self.model.apart * abs(evidence.size)
+        off = self.model.outlier_share * abs(evidence.size)
         apart = [np.abs(self.value[side] - level) > off for side, level in zip(sides, (behind, before), strict=True)]
         return min(int((one | left).sum()) for one, left in zip(good, apart, strict=True)) >= self.model.least_points
 
@@ -257,7 +259,7 @@ class _Points:
             [side - _running_median(side, self.model) for side in (self.value[:at], self.value[at:])]
         )
         scale = STD_PER_MAD * np.median(np.abs(apart)) + self.model.noise_floor
-        return np.asarray(np.abs(apart) > self.model.surely_out * scale)
+        return np.asarray(np.abs(apart) > self.model.outlier_deviations * scale)
 
     def _variance(self, out: BoolArray) -> FloatArray:
         return self.noise + self.model.outlier_std**2 * out
@@ -270,7 +272,9 @@ class _Points:
         log_size = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         inverse = np.einsum("fki,fkj->fij", whitened, whitened)
         left = whitened @ self.value
-        prior = -0.5 * ((np.log(NOISE_SHARES) - np.log(self.model.usual_share)) / self.model.share_spread) ** 2
+        prior = (
+            -0.5 * ((np.log(NOISE_SHARES) - np.log(self.model.usual_noise_share)) / self.model.noise_share_spread) ** 2
+        )
         prior -= np.logaddexp.reduce(prior)
         return inverse, prior + self._log_prior(out) - log_size - 0.5 * (left**2).sum(axis=1)
 
@@ -306,8 +310,11 @@ def _log_normal(apart: FloatArray, variance: FloatArray) -> FloatArray:
 
 
 def _running_median(value: FloatArray, model: StepModel) -> FloatArray:
-    half = model.beside // 2
+    half = model.points_beside // 2
     n = len(value)
     return np.array(
-        [np.median(value[max(0, i - half) : max(0, i - half) + model.beside][-model.beside :]) for i in range(n)]
+        [
+            np.median(value[max(0, i - half) : max(0, i - half) + model.points_beside][-model.points_beside :])
+            for i in range(n)
+        ]
     )

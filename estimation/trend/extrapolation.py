@@ -55,7 +55,7 @@ class Extrapolation:
     def mixture(self) -> NormalMixture:
         """Return the distribution, which is skewed: conicity rises steeply beyond, or stays as it is."""
         count, around = len(self.beyond), np.array(self.beyond)
-        rest = float(np.hypot(self.measured_std, OF_TRENDS.smooth * self.spread))
+        rest = float(np.hypot(self.measured_std, OF_TRENDS.smoothing_share * self.spread))
         return NormalMixture(np.full(count, 1.0 / count), self.value + around, np.full(count, rest))
 
 
@@ -122,24 +122,24 @@ def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extra
     error = (members - [one.value for one in shown]) @ steps.T
     covariance = steps @ _covariance(shown) @ steps.T
     # by how much level and slopes of a member may differ
-    alike = max(OF_TRENDS.least_alike, OF_TRENDS.alike * largest.value) * np.array(
-        [1.0] + [OF_TRENDS.slope_alike] * (len(shown) - 1)
+    alike = max(OF_TRENDS.least_alike_difference, OF_TRENDS.alike_share * largest.value) * np.array(
+        [1.0] + [OF_TRENDS.slope_alike_share] * (len(shown) - 1)
     )
     weighed = _alike(error, covariance, alike, _stopped(family, largest.amplitude, members[:, 0]))
     if weighed is None:
         return None
     weight, width = weighed
-    counts = weight > OF_TRENDS.no_weight
+    counts = weight > OF_TRENDS.negligible_weight
     weight, change = weight[counts], (_at(family, LIMIT_AMPLITUDE) - members[:, 0])[counts]
     level, measured_std, left = _local_fit(error[counts], covariance, width, weight, change)
     spread = float(np.sqrt(weight @ left**2 / weight.sum()))
     result = Extrapolation(largest.value + level, measured_std, spread, _quantiles(left, weight))
-    return result if result.std <= OF_TRENDS.largest_std and result.value > 0.0 else None
+    return result if result.std <= OF_TRENDS.largest_conicity_std and result.value > 0.0 else None
 
 
 def _below(known: Sequence[KnownConicity], least: float) -> list[KnownConicity]:
     lower = [one for one in known[:-1] if one.amplitude >= least - SAME_AMPLITUDE]
-    wanted = [known[-1].amplitude - below for below in OF_TRENDS.below] if lower else []
+    wanted = [known[-1].amplitude - below for below in OF_TRENDS.shape_distances] if lower else []
     nearest = {min(lower, key=lambda one: abs(one.amplitude - amplitude)) for amplitude in wanted}
     return sorted(nearest, key=lambda one: -one.amplitude)
 
@@ -153,15 +153,17 @@ def _at(family: WornFamily, amplitude: float) -> FloatArray:
 
 def _covariance(shown: Sequence[KnownConicity]) -> FloatArray:
     amplitude, std = (np.array([getattr(one, name) for one in shown]) for name in ("amplitude", "std"))
-    near = np.exp(-np.abs(np.subtract.outer(amplitude, amplitude)) / OF_TRENDS.near)
-    return np.asarray(np.outer(std, std) * (OF_TRENDS.shared + (1.0 - OF_TRENDS.shared) * near))
+    near = np.exp(-np.abs(np.subtract.outer(amplitude, amplitude)) / OF_TRENDS.near_amplitude)
+    return np.asarray(np.outer(std, std) * (OF_TRENDS.shared_error_share + (1.0 - OF_TRENDS.shared_error_share) * near))
 
 
 def _stopped(family: WornFamily, amplitude: float, conicity: FloatArray) -> FloatArray:
     """Return how likely (m,) the motion of the members ends before the next amplitude (m); 1 where conicity is even."""
-    beyond = np.maximum(_at(family, amplitude + OF_TRENDS.next_amplitude), OF_TRENDS.flat)
-    ratio = 2.0 * np.log1p(OF_TRENDS.next_amplitude / amplitude)
-    return np.asarray(np.clip(1.0 + np.log(beyond / np.maximum(conicity, OF_TRENDS.flat)) / ratio, *OF_TRENDS.stopped))
+    beyond = np.maximum(_at(family, amplitude + OF_TRENDS.uncovered_step), OF_TRENDS.flat_conicity)
+    ratio = 2.0 * np.log1p(OF_TRENDS.uncovered_step / amplitude)
+    return np.asarray(
+        np.clip(1.0 + np.log(beyond / np.maximum(conicity, OF_TRENDS.flat_conicity)) / ratio, *OF_TRENDS.stop_weights)
+    )
 
 
 def _alike(
@@ -173,7 +175,7 @@ def _alike(
     errors of the estimate and the width of what is alike, and by how likely their motion ends there (m,). That all of
     them lie to one side is no reason to say nothing: the fit is carried on to the wheelset.
     """
-    for wider in OF_TRENDS.wider:
+    for wider in OF_TRENDS.widening_factors:
         inverse = np.linalg.inv(covariance + np.diag((wider * width) ** 2))
         weight = stopped * np.exp(-0.5 * ((error @ inverse) * error).sum(axis=1))
         if weight.sum() >= OF_TRENDS.least_members:
@@ -187,7 +189,7 @@ def _local_fit(
     """Return the change up to the limit's amplitude, its std from the estimate's error, and what is left (m,)."""
     # the changes (m,) are fitted as linear in level and slopes (m, n), by the weights (m,)
     design = np.column_stack([np.ones(len(error)), error / width])
-    normal = (design * weight[:, np.newaxis]).T @ design + OF_TRENDS.ridge * np.diag([0.0] + [1.0] * len(width))
+    normal = (design * weight[:, np.newaxis]).T @ design + OF_TRENDS.ridge_weight * np.diag([0.0] + [1.0] * len(width))
     level, *slopes = np.linalg.solve(normal, design.T @ (weight * change))
     left = change - design @ np.array([level, *slopes])
     gradient = np.array(slopes) / width
@@ -264,7 +266,7 @@ def _extrapolated_points(having: Sequence[_Covered], chosen: int, notes: Sequenc
         smaller = [covered[key]._replace(amplitude=key * SAME_AMPLITUDE) for key in sorted(covered) if key <= chosen]
         found.append((record, extrapolated(smaller)))
     known = [(record, one) for record, one in found if one is not None]
-    if not known or found[-1][1] is None or len(known) < OF_TRENDS.wanted_share * len(found):
+    if not known or found[-1][1] is None or len(known) < OF_TRENDS.covering_share * len(found):
         return None
     points = tuple(_point(record, one) for record, one in known)
     note = combined([extrapolated_from(chosen * SAME_AMPLITUDE), *notes])
@@ -276,8 +278,8 @@ def _amplitude(covered: Sequence[Mapping[int, KnownConicity]]) -> int:
     keys = sorted({key for c in covered for key in c})
     keys = [key for key in keys if key <= _PREFERRED] or keys
     counts = {key: sum(key in c for c in covered) for key in keys}
-    latest = covered[-OF_TRENDS.latest :]
-    enough = [key for key in keys if sum(key in c for c in latest) >= OF_TRENDS.wanted_share * len(latest)]
+    latest = covered[-OF_TRENDS.covering_intervals :]
+    enough = [key for key in keys if sum(key in c for c in latest) >= OF_TRENDS.covering_share * len(latest)]
     return max(enough) if enough else max(counts, key=lambda key: (counts[key], key))
 
 
@@ -308,4 +310,4 @@ def worn_family() -> WornFamily:
     """Return all pairs, as they are kept beside this module."""
     with as_file(files("estimation.contact") / TABLE) as path:
         stored = np.load(path, allow_pickle=False)
-    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * OF_TRENDS.unit), stored[:, 0].astype(np.int64))
+    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * OF_TRENDS.stored_unit), stored[:, 0].astype(np.int64))

@@ -15,38 +15,44 @@ class CurveParameters:
     # m, from which anything is extrapolated; from less, intervals of known pairs do not cover
     least_amplitude: float = 1.5e-3
     # m, from the largest amplitude covered to those that show how it rises
-    below: tuple[float, float, float] = (0.25e-3, 0.5e-3, 1.0e-3)
-    alike: float = 0.06  # relative difference of conicities that are alike
-    least_alike: float = 0.012  # and the least difference that counts
-    slope_alike: float = 0.7  # of that, for the difference between two amplitudes
-    wider: tuple[float, ...] = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # times that, until enough members are alike
-    shared: float = 0.5  # part of the errors that all amplitudes have in common
-    near: float = 0.5e-3  # m, within which the rest of them is alike
-    ridge: float = 2.0  # members' weight with which the fit is held flat
+    shape_distances: tuple[float, float, float] = (0.25e-3, 0.5e-3, 1.0e-3)
+    alike_share: float = 0.06  # relative difference of conicities that are alike
+    least_alike_difference: float = 0.012  # and the least difference that counts
+    slope_alike_share: float = 0.7  # of that, for the difference between two amplitudes
+    widening_factors: tuple[float, ...] = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # times that, until enough members are alike
+    shared_error_share: float = 0.5  # part of the errors that all amplitudes have in common
+    near_amplitude: float = 0.5e-3  # m, within which the rest of them is alike
+    ridge_weight: float = 2.0  # members' weight with which the fit is held flat
     least_members: float = 25.0  # weight of members that are like the wheelset
-    no_weight: float = 1e-6  # of a member that does not count, which most are
-    next_amplitude: float = 0.25e-3  # m, to the amplitude that is not covered
-    flat: float = 0.02  # conicity below which nothing holds a wheelset
+    negligible_weight: float = 1e-6  # of a member that does not count, which most are
+    uncovered_step: float = 0.25e-3  # m, to the amplitude that is not covered
+    flat_conicity: float = 0.02  # conicity below which nothing holds a wheelset
     # least and most weight by where the motion ends, of a conicity that stays as it is
-    stopped: tuple[float, float] = (0.3, 2.0)
-    largest_std: float = 0.15  # of an extrapolated conicity
-    smooth: float = 0.2  # std about each of them, in that of all
-    wanted_share: float = 0.75  # of the latest intervals that must cover an amplitude
-    latest: int = 8  # intervals: an amplitude that a little worn wheelset did not reach long ago may be covered now
-    unit: float = 1e-4  # of a stored conicity
+    stop_weights: tuple[float, float] = (0.3, 2.0)
+    largest_conicity_std: float = 0.15  # of an extrapolated conicity
+    smoothing_share: float = 0.2  # std about each of them, in that of all
+    covering_share: float = 0.75  # of the latest intervals that must cover an amplitude
+    covering_intervals: int = (
+        8  # intervals: an amplitude that a little worn wheelset did not reach long ago may be covered now
+    )
+    stored_unit: float = 1e-4  # of a stored conicity
     # wear curve
     most_knots: int = 8
-    pairs_limit: int = 500  # points up to which all pairs enter the pilot slope
+    most_paired_points: int = 500  # points up to which all pairs enter the pilot slope
     outlier_share: float = 0.05
-    outlier_width: float = 10.0
+    outlier_stds: float = 10.0
     points_for_outliers: int = 5  # with fewer, an outlier cannot be identified
     scatter_nodes: int = 12
-    extra_scatter: float = 1.0  # half-Cauchy scale of tau, in median standard deviations
-    wandering: float = 0.3  # of the bend's standard deviation
-    smallest_std: float = 1e-3  # in median standard deviations: a better point cannot make the others count for nothing
-    jitter: float = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
-    rounds: int = 25
-    nearly: float = 1e-9  # of a probability, far more than rounding: what comes as near is computed again by itself
+    scatter_scale: float = 1.0  # half-Cauchy scale of tau, in median standard deviations
+    wandering_share: float = 0.3  # of the bend's standard deviation
+    least_std_share: float = (
+        1e-3  # in median standard deviations: a better point cannot make the others count for nothing
+    )
+    diagonal_jitter: float = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
+    fit_rounds: int = 25
+    probability_margin: float = (
+        1e-9  # of a probability, far more than rounding: what comes as near is computed again by itself
+    )
     share_tolerance: float = 1e-7  # far below what a result shows
 
 

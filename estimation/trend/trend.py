@@ -36,9 +36,11 @@ def fit_recent(x: FloatArray, value: FloatArray, std: FloatArray, params: TrendP
 
 def _agrees(curve: WearCurve, x: FloatArray, value: FloatArray, scatter: FloatArray, params: TrendParameters) -> bool:
     level, slope = float(curve.weight @ curve.level), float(curve.weight @ curve.slope)
-    off = np.clip((value - level - slope * (x - x[-1])) / scatter, -params.most_off, params.most_off)
+    off = np.clip(
+        (value - level - slope * (x - x[-1])) / scatter, -params.most_deviation_stds, params.most_deviation_stds
+    )
     judged = [count for count in params.judged_together if params.judged_share * count <= len(x)]
-    return all(abs(float(np.mean(off[-count:]))) * np.sqrt(count) <= params.disagrees for count in judged)
+    return all(abs(float(np.mean(off[-count:]))) * np.sqrt(count) <= params.disagreement_stds for count in judged)
 
 
 def _scatter(value: FloatArray, std: FloatArray, params: TrendParameters) -> FloatArray:
@@ -65,13 +67,13 @@ class TrendParameters:
     judged_together: tuple[int, int, int] = (3, 6, 12)  # last points that are judged together
     judged_share: int = 3  # at most one in so many of the points
     fewest_judged: int = 6  # points that are left
-    disagrees: float = 2.5  # standard deviations of the mean of the last points off the curve
-    most_off: float = 3.0  # scatters that one point counts for
+    disagreement_stds: float = 2.5  # standard deviations of the mean of the last points off the curve
+    most_deviation_stds: float = 3.0  # scatters that one point counts for
     least_scatter: float = 0.1  # of the stated standard deviation
-    covering: float = 0.75  # of the newest intervals, and of those before, that cover the amplitude
+    covering_share: float = 0.75  # of the newest intervals, and of those before, that cover the amplitude
     newest_points: int = 8  # intervals
     points_before: int = 24
-    looked_back: int = 12  # intervals behind a step of which one showed it first
+    points_looked_back: int = 12  # intervals behind a step of which one showed it first
     least_std: float = 1e-6  # a std below it is not credible
 
 
@@ -273,11 +275,11 @@ def with_step(trend: WearTrend, step: TrendStep) -> WearTrend:
 
 def _shown_by(series: Series, found: ChangePoint, model: StepModel, params: TrendParameters) -> int:
     k = len(series.value)
-    for until in range(found.first + model.least_points, min(k, found.first + params.looked_back)):
+    for until in range(found.first + model.least_points, min(k, found.first + params.points_looked_back)):
         earlier = newest_change(series.part(0, until), model)
         if earlier is not None and earlier.first > found.last:
             return until - 1
-    return min(k, found.first + params.looked_back) - 1
+    return min(k, found.first + params.points_looked_back) - 1
 
 
 def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int, params: TrendParameters) -> int:
@@ -290,7 +292,7 @@ def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int, para
         covered[-params.newest_points - params.points_before : -params.newest_points],
     ]
     keys = {key for one in covered for key in one if key <= limit}
-    enough = [key for key in keys if all(sum(key in one for one in s) >= params.covering * len(s) for s in sides)]
+    enough = [key for key in keys if all(sum(key in one for one in s) >= params.covering_share * len(s) for s in sides)]
     return max(enough, key=lambda key: (sum(key in one for one in covered[-newest:]), key), default=0)
 
 

@@ -12,7 +12,7 @@ from estimation.errors import ParameterError
 from estimation.values.units import STEEL_POISSON_RATIO, STEEL_SHEAR_MODULUS
 from estimation.vehicle.parameters import OF_GEAR
 
-FLATTEST = OF_GEAR.flattest
+FLATTEST = OF_GEAR.flattest_ellipse
 RAIL_CONDITION_STD = OF_GEAR.rail_condition_std
 _ROWS = np.array(  # semi-axis ratio a/b, C11, C22, C23, C33; Poisson's ratio 1/4
     [

@@ -235,7 +235,7 @@ def _name(model: LinearModel, shares: FloatArray, shape: FloatArray, value: comp
         return names[int(np.argmax(np.where(wheelset, 0.0, shares)))]
     lateral = np.array([name.endswith("wheelset lateral") for name in names])
     direction = "lateral" if shares[lateral].sum() >= shares[wheelset & ~lateral].sum() else "yaw"
-    if abs(value.real) > OF_GEAR.creeping * abs(value):
+    if abs(value.real) > OF_GEAR.creeping_damping_ratio * abs(value):
         return f"wheelset {direction}, creep"
     kind = "kinematic" if abs(value.imag) < 4 * math.pi * model.klingel_hz else f"wheelset {direction}"
     if len(model.wheelset_offsets) == 1:
@@ -250,7 +250,7 @@ def critical_speed(vehicle_class: VehicleClass, contact: LinearContact) -> float
 
     def grows(speed: float) -> bool:
         matrix = linear_model(vehicle_class, speed, contact).matrix
-        return bool(np.linalg.eigvals(matrix).real.max() > OF_GEAR.stable)
+        return bool(np.linalg.eigvals(matrix).real.max() > OF_GEAR.stable_growth)
 
     speeds = np.arange(OF_GEAR.lowest_speed, OF_GEAR.highest_speed + OF_GEAR.speed_step, OF_GEAR.speed_step)
     unstable = next((float(speed) for speed in speeds if grows(float(speed))), math.inf)

@@ -30,22 +30,22 @@ class GearParameters:
     highest_speed: float = 150.0
     speed_step: float = 2.5
     speed_tolerance: float = 0.05
-    creeping: float = 0.8  # damping ratio of a mode that hardly oscillates
-    stable: float = 1e-5  # 1/s; a body without a spring has an eigenvalue of 0
+    creeping_damping_ratio: float = 0.8  # damping ratio of a mode that hardly oscillates
+    stable_growth: float = 1e-5  # 1/s; a body without a spring has an eigenvalue of 0
     # observability
-    lateral_wave: float = 3e-3  # m, of which D is reported
-    seen: float = 0.25  # std over value below which a quantity is seen
-    quietest: float = 1e-7  # m/s2, rad/s2 or rad/s per root hertz: no sensor is quieter
+    lateral_amplitude: float = 3e-3  # m, of which D is reported
+    seen_std_share: float = 0.25  # std over value below which a quantity is seen
+    least_noise_density: float = 1e-7  # m/s2, rad/s2 or rad/s per root hertz: no sensor is quieter
     angle_sum_std: float = 0.1  # rad, of dL + dR beforehand: turns a wheelset like 0.1 % of a soft yaw spring
-    certain: float = 1e-9  # relative std of what is known exactly
+    certain_std: float = 1e-9  # relative std of what is known exactly
     # plausibility
     unit_factor: float = 1000.0  # mm for m, N/mm for N/m, t for kg, kN for N
-    flattest: float = 1e-3  # semi-axis ratio of an ellipse that is looked for; the table ends at 0.1
+    flattest_ellipse: float = 1e-3  # semi-axis ratio of an ellipse that is looked for; the table ends at 0.1
     rail_condition_std: float = 0.10  # relative std of the coefficients on rails as they are, beside the table's
     # regressors
-    smallest_factor: float = 1e-6  # N; in place of zero, with which the data say nothing of D
+    least_force: float = 1e-6  # N; in place of zero, with which the data say nothing of D
     # observability
-    step: float = 1e-4  # of numerical derivatives, relative
+    derivative_step: float = 1e-4  # of numerical derivatives, relative
 
 
 OF_GEAR = GearParameters()

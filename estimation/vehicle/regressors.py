@@ -219,7 +219,7 @@ def angle_difference_derivatives(parameters: VehicleParameters) -> FloatArray:
     by_name = dict.fromkeys(LATERAL_TARGETS[1:], 0.0)
     by_name["spin_creep"] = parameters.lateral_spin_creep_coefficient / parameters.nominal_radius
     by_name["load"] = -parameters.load / 2
-    return np.array(list(by_name.values())) / (angle_difference_factor(parameters) or OF_GEAR.smallest_factor)
+    return np.array(list(by_name.values())) / (angle_difference_factor(parameters) or OF_GEAR.least_force)
 
 
 def regression(

@@ -187,7 +187,7 @@ class BinTableStore:
             select(earlier.c.start_ns)
             .join_from(earlier, its_window, same)
             .where(*_within(earlier, given), earlier.c.running_km.is_not(None))
-            .where(func.abs(its_window.c.mileage_km) <= OF_MOTION.most_km)
+            .where(func.abs(its_window.c.mileage_km) <= OF_MOTION.most_mileage_km)
             .order_by(earlier.c.start_ns.desc())
             .limit(1)
         )

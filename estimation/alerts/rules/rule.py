@@ -222,7 +222,7 @@ def began(newest_first: Iterable[Finding], delays: AlertDelays) -> int | None:
 
 def reach_km(delays: AlertDelays) -> float:
     """Return how far back findings count where a delay is in kilometres; 0 where none is."""
-    return OF_FINDINGS.look_back * max(delays.on_delay_km, delays.off_delay_km)
+    return OF_FINDINGS.look_back_factor * max(delays.on_delay_km, delays.off_delay_km)
 
 
 def within_reach(mileages_km: Sequence[float | None], count: int, reach: float) -> int:
@@ -269,7 +269,7 @@ class WindowsRule(AlertRule):
         if not any(self.is_suspect(window, facts) for window in ordered):
             return replace(now, stands=False)
         mileages = [None if one.implausible is not None else one.mileage_km for one in ordered]
-        first = len(ordered) - within_reach(mileages, OF_FINDINGS.look_back * latest, reach_km(self.delays))
+        first = len(ordered) - within_reach(mileages, OF_FINDINGS.look_back_factor * latest, reach_km(self.delays))
 
         def after(end: int) -> Finding:
             found = self.find_in(ordered[max(first, end - latest) : end], facts)

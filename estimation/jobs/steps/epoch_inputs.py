@@ -265,7 +265,7 @@ class EpochSearch:
         assert old is not None
         ages_ns = [context.clock.now_ns() - record.recorded_ns for record, _ in group.entries]
         coming = any(0 <= age_ns < context.quiet_s * SECOND_NS for age_ns in ages_ns)
-        grows = old.windows < len(group.entries) < OF_STAGES.grown * old.windows
+        grows = old.windows < len(group.entries) < OF_STAGES.growth_factor * old.windows
         return coming and grows and group.horizon_ns == LATEST_NS and old.before == due.before.key(due.basis)
 
 

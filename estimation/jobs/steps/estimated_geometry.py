@@ -96,9 +96,9 @@ def contradiction(
         refused: Windows of the same wheelset that were refused by one of ``CONTRADICTIONS``, oldest first.
         first_ns, last_ns: Start of the first and of the last of them.
     """
-    first, last = first_ns - OF_STAGES.before_and_after_ns, last_ns + OF_STAGES.before_and_after_ns
+    first, last = first_ns - OF_STAGES.contradiction_span_ns, last_ns + OF_STAGES.contradiction_span_ns
     against = [one.reason for one in refused if one.vehicle in vehicles and first <= one.start_ns <= last]
-    return against[-1] if len(against) > OF_STAGES.most_share * (len(against) + windows) else None
+    return against[-1] if len(against) > OF_STAGES.most_refused_share * (len(against) + windows) else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ class _Label:
 
     def at(self, mileage_km: float) -> tuple[float, float]:
         """Return conicity and std at another mileage, whose wear is not known."""
-        return self.conicity, float(np.hypot(self.std, OF_STAGES.wear_per_km * (mileage_km - self.mileage_km)))
+        return self.conicity, float(np.hypot(self.std, OF_STAGES.conicity_wear_per_km * (mileage_km - self.mileage_km)))
 
 
 @dataclass(frozen=True, slots=True)

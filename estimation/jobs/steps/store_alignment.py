@@ -107,7 +107,7 @@ def _store_suspensions(unit: UnitOfWork, epoch: TrackEpoch, computed: Computed, 
         return
     for code, ratio in sorted(iterated.ratios.items()):
         own = [record for record in records if record.vehicle == code]
-        if not own or code not in computed.classes or not 0.0 < ratio.std <= OF_STAGES.learnt * PRIOR_STD:
+        if not own or code not in computed.classes or not 0.0 < ratio.std <= OF_STAGES.learnt_std_share * PRIOR_STD:
             continue
         vehicle = computed.classes[code].vehicle_class.parameters
         finding = SuspensionFinding(

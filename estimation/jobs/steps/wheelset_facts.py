@@ -261,7 +261,7 @@ def windows_wanted(book: RuleBook) -> tuple[int, float]:
     rules = (book.rule(SensorFaultRule), book.rule(HuntingRule), book.rule(DataQualityRule))
     flats = book.rule(WheelFlatRule)
     wanted = max(flats.latest_windows, *(rule.latest_windows for rule in rules))
-    return OF_FINDINGS.look_back * wanted, max(reach_km(rule.delays) for rule in (*rules, flats))
+    return OF_FINDINGS.look_back_factor * wanted, max(reach_km(rule.delays) for rule in (*rules, flats))
 
 
 def _latest_windows(
@@ -322,12 +322,14 @@ def _designed(wheelset: WheelsetRecord, rails: Collection[RailShare]) -> Mapping
     if len(rails) != 1:
         return None  # on several kinds of rails no one conicity is that of the design
     found = _conicities(wheelset.wheel_profile, wheelset.nominal_radius_m, next(iter(rails)))
-    return {at: value for at, value in zip(OF_STAGES.amplitudes, found, strict=True) if np.isfinite(value)} or None
+    return {
+        at: value for at, value in zip(OF_STAGES.design_amplitudes, found, strict=True) if np.isfinite(value)
+    } or None
 
 
 @lru_cache(64)
 def _conicities(profile: str, radius: float, rails: RailShare) -> tuple[float, ...]:
     wheel = designed_wheel(profile, radius)
     if wheel is None:
-        return (float("nan"),) * len(OF_STAGES.amplitudes)
-    return tuple(conicity_on_rails(wheel, rails, np.array(OF_STAGES.amplitudes))[0].tolist())
+        return (float("nan"),) * len(OF_STAGES.design_amplitudes)
+    return tuple(conicity_on_rails(wheel, rails, np.array(OF_STAGES.design_amplitudes))[0].tolist())

@@ -44,18 +44,18 @@ class WheelFunctionParameters:
     """How wheel functions are fitted to passes on gauge that varies."""
 
     knot_step: float = 0.125e-3  # m
-    roughness: float = 1e-5  # relative to the data
+    roughness_weight: float = 1e-5  # relative to the data
     inlier_misfit: float = 0.5e-3  # m of misfit: further off are impacts and their filtered traces
     least_slope: float = 0.02  # of R over x: no wheelset has less
-    factors: tuple[float, ...] = (0.5, 0.65, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0)
+    size_factors: tuple[float, ...] = (0.5, 0.65, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0)
     most_wheelsets: int = 6  # that a factor is estimated from
-    far: float = 0.8  # quantile of |R|
-    clipped: float = 1e-3  # m of residual
-    fewest: float = 300.0  # samples of a knot that count
-    size: float = 0.2  # m of h1 for a metre of gauge, rms: half is the most, at the flange
-    mixtures: tuple[float, ...] = (0.0, 45.0, 90.0, 135.0)  # degrees between the two leading vectors
+    far_quantile: float = 0.8  # quantile of |R|
+    clipped_residual: float = 1e-3  # m of residual
+    least_knot_samples: float = 300.0  # samples of a knot that count
+    gauge_effect: float = 0.2  # m of h1 for a metre of gauge, rms: half is the most, at the flange
+    mixture_angles_deg: tuple[float, ...] = (0.0, 45.0, 90.0, 135.0)  # degrees between the two leading vectors
     trial_length: float = 4000.0  # m
-    least_gauge: float = 0.3e-3  # m, std in the first trial: noise alone makes less, and as little would not matter
+    least_gauge_std: float = 0.3e-3  # m, std in the first trial: noise alone makes less, and as little would not matter
 
 
 WHEELS = WheelFunctionParameters()
@@ -124,7 +124,7 @@ def fit_wheels(seen: ContactSamples, factor: float = 1.0) -> WheelFunctions:
     bend = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(k - 2, k))
     smooth = sparse.block_diag([bend.T @ bend, bend.T @ bend])
     level = sparse.csr_matrix(np.ones((1, 2 * k)) / k)  # a constant belongs to either wheel
-    known = scale * (WHEELS.roughness * smooth + 1e-10 * sparse.eye(2 * k) + 1e-6 * (level.T @ level))
+    known = scale * (WHEELS.roughness_weight * smooth + 1e-10 * sparse.eye(2 * k) + 1e-6 * (level.T @ level))
     both = spsolve((normal + known).tocsc(), B.T @ seen.difference)
     return WheelFunctions(KNOTS, both[:k], both[k:])
 
@@ -180,16 +180,16 @@ def _misfits_by_factor(seen: Mapping[ProfileLife, ContactSamples]) -> FloatArray
     some = [one.inliers(2) for _, one in sorted(seen.items())][:: max(len(seen) // WHEELS.most_wheelsets, 1)][
         : WHEELS.most_wheelsets
     ]
-    return np.array([[_misfit_wheels(one, factor) for factor in WHEELS.factors] for one in some])
+    return np.array([[_misfit_wheels(one, factor) for factor in WHEELS.size_factors] for one in some])
 
 
 def _best_factor(misfits: FloatArray) -> float:
-    best = min(max(int(np.argmin(misfits)), 1), len(WHEELS.factors) - 2)
+    best = min(max(int(np.argmin(misfits)), 1), len(WHEELS.size_factors) - 2)
     near = slice(best - 1, best + 2)
-    bend, slope, _ = np.polyfit(np.log(WHEELS.factors[near]), misfits[near], 2)
+    bend, slope, _ = np.polyfit(np.log(WHEELS.size_factors[near]), misfits[near], 2)
     if bend <= 0:
-        return WHEELS.factors[best]
-    return float(np.clip(np.exp(-slope / (2 * bend)), WHEELS.factors[best - 1], WHEELS.factors[best + 1]))
+        return WHEELS.size_factors[best]
+    return float(np.clip(np.exp(-slope / (2 * bend)), WHEELS.size_factors[best - 1], WHEELS.size_factors[best + 1]))
 
 
 def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[ProfileLife, GaugeShift]) -> int:
@@ -198,7 +198,7 @@ def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[Profi
     # from what wheels are, steeper towards the flange: far from the centre a wheelset runs further out in wide gauge.
     outwards = 0.0  # per millimetre of gauge
     for name, one in seen.items():
-        R = one.difference[np.abs(one.difference) >= np.quantile(np.abs(one.difference), WHEELS.far)]
+        R = one.difference[np.abs(one.difference) >= np.quantile(np.abs(one.difference), WHEELS.far_quantile)]
         wide, narrow = (shifts[name].at(R, np.full(len(R), gauge)) for gauge in (0.5e-3, -0.5e-3))
         outwards += float(np.mean(np.sign(R) * (wide - narrow)))
     return 1 if outwards >= 0 else -1
@@ -227,10 +227,10 @@ def initial_gauge_effect(
     """Return h1 (w, gauge_basis_count), m a ``gauge_unit``, from a panel without; None where gauge hardly varies."""
     first, second, weight = _leading_vectors(passes, solution, panel)
     candidates = []
-    for degrees in WHEELS.mixtures:
+    for degrees in WHEELS.mixture_angles_deg:
         mixed = np.cos(np.radians(degrees)) * first + np.sin(np.radians(degrees)) * second
         size = np.sqrt((mixed**2 * weight).sum() / weight.sum())
-        odd = mixed * WHEELS.size * panel.parameters.gauge_unit / size
+        odd = mixed * WHEELS.gauge_effect * panel.parameters.gauge_unit / size
         candidates.append(np.concatenate([-odd[:, :0:-1], np.zeros((len(odd), 1)), odd[:, 1:]], axis=1))
     return _best_candidate(candidates, solution.lives, passes, panel, prior)
 
@@ -245,7 +245,9 @@ def _leading_vectors(
         at = item.used_points
         residual = pass_residual(item, curve, panel)[item.inside] - solution.alignment[at]
         known = np.isfinite(residual)
-        residual = item.side * np.clip(np.where(known, residual, 0.0), -WHEELS.clipped, WHEELS.clipped)
+        residual = item.side * np.clip(
+            np.where(known, residual, 0.0), -WHEELS.clipped_residual, WHEELS.clipped_residual
+        )
         R = item.difference[item.inside]
         basis = basis_functions(np.minimum(np.abs(R), panel.parameters.reach), knots) * known
         products = panel.weight_of(item.life) * basis * np.sign(R) * residual
@@ -254,7 +256,7 @@ def _leading_vectors(
         sums[at, columns] += item.side * products.T
         own[columns, columns] += products @ products.T
         count[columns] += basis.sum(axis=1)
-    weight = np.maximum(count, WHEELS.fewest)
+    weight = np.maximum(count, WHEELS.least_knot_samples)
     covariance = (sums.T @ sums - own) / np.sqrt(np.outer(weight, weight))
     _, vectors = np.linalg.eigh(covariance)
     second, first = (vectors[:, -2:] / np.sqrt(weight)[:, None]).T
@@ -285,7 +287,7 @@ def _best_candidate(
     residuals: list[float] = []
     for effect in candidates:
         gauge, _, _ = gauge_step(part, with_gauge_effect(start, effect[kept], zero), zero, prior)
-        if not residuals and gauge.std() < WHEELS.least_gauge:
+        if not residuals and gauge.std() < WHEELS.least_gauge_std:
             return None
         state = update(init(small.with_gauge(gauge)), part)
         residuals.append(residual_of_passes(state, result(state, std=False, parameters=panel.parameters)))

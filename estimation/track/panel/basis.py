@@ -41,7 +41,9 @@ class MeasuredCurve(FrozenArrays):
 
     def at(self, knots: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the displacement (k,), m, at some rL - rR (k,), m, and 1 where the profiles reach it, else 0 (k,)."""
-        reached = (knots >= self.difference[0] + OF_TRACK.room) & (knots <= self.difference[-1] - OF_TRACK.room)
+        reached = (knots >= self.difference[0] + OF_TRACK.table_margin) & (
+            knots <= self.difference[-1] - OF_TRACK.table_margin
+        )
         return np.interp(knots, self.difference, self.displacement), reached.astype(np.float64)
 
     @property
@@ -68,7 +70,9 @@ def measured_curve(
     """
     rails = rail_profile(rail)
     wheelset = WheelsetOnTrack(left, right, rails, rails, inclination, gauge)
-    x = OF_TRACK.step * np.arange(-round(OF_TRACK.reach / OF_TRACK.step), round(OF_TRACK.reach / OF_TRACK.step) + 1)
+    x = OF_TRACK.basis_step * np.arange(
+        -round(OF_TRACK.basis_reach / OF_TRACK.basis_step), round(OF_TRACK.basis_reach / OF_TRACK.basis_step) + 1
+    )
     curve = radius_difference_curve(wheelset, x, method=ContactMethod.EN15302 if at_rails else ContactMethod.RIGID)
     x, R = curve.displacement, curve.difference
     risen = np.maximum.accumulate(R)  # h(R) is the inverse of what rises: a step of R is a flat of h

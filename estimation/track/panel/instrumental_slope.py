@@ -51,7 +51,7 @@ def slope_correction(state: PanelState, solution: PanelSolution) -> SlopeCorrect
         return SlopeCorrection(1.0, float("inf"), 0.0)
     explained = min(along**2 / (own * whole), 1.0)
     excess = 1.0 / explained - 1.0
-    return SlopeCorrection(1.0 + OF_TRACK.excess_share * excess, OF_TRACK.excess_std * excess, explained)
+    return SlopeCorrection(1.0 + OF_TRACK.flattening_share * excess, OF_TRACK.flattening_std * excess, explained)
 
 
 def corrected(state: PanelState, solution: PanelSolution, factor: float) -> PanelSolution:

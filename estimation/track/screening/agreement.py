@@ -37,7 +37,7 @@ class ScreeningParameters:
     chain_neighbours: int = 2  # passes that continue along the section
     correlation_length: float = 60.0  # m: over which samples of a high-passed signal are correlated
     piece: float = 1000.0  # m
-    fewest_independent: float = 8.0  # independent ones, below which two passes are not compared
+    fewest_independent_samples: float = 8.0  # independent ones, below which two passes are not compared
 
 
 @compiled(nogil=True)
@@ -197,7 +197,7 @@ def _at_lag(
     M = _inverse(all_of[:p, :p]) @ cross @ _inverse(all_of[p:, p:]) @ cross.T
     squared = np.clip(np.linalg.eigvals(M).real, 0.0, 1.0 - 1e-12)
     samples, correlation_length = _independent(X, Z, step, parameters)
-    if samples < parameters.fewest_independent:
+    if samples < parameters.fewest_independent_samples:
         return NOTHING
     wilks = -(samples - 0.5 * (p + q + 3)) * float(np.log1p(-squared).sum())
     search_gauge = max(2 * reach * step / correlation_length, 1.0)

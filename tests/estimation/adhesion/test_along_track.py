@@ -42,7 +42,7 @@ def test_three_places_are_the_sum_over_all_courses() -> None:
         )
         for one in inverse
     )
-    assert (FrictionParameters().wrong_share, FrictionParameters().wrong_by) == (0.05, 3.0)
+    assert (FrictionParameters().wrong_place_share, FrictionParameters().wrong_factor) == (0.05, 3.0)
     courses = np.einsum("a,ab,bc,a,b,c->abc", prior, step, step, first, second, third)
     courses /= courses.sum()
     found = chained(np.arange(3), misfits_of(inverse, 0.3), KNOWN)

@@ -31,7 +31,7 @@ WELL_KNOWN = replace(
 
 
 def test_what_no_file_states_is_that_of_passengers_and_of_sensors_that_nobody_calibrated() -> None:
-    assert (LOAD_STD, UNSTATED_SCALE_STD, OF_FORCES.yaw_as_creep, OF_FORCES.lateral_as_creep) == (
+    assert (LOAD_STD, UNSTATED_SCALE_STD, OF_FORCES.yaw_scale_as_creep, OF_FORCES.lateral_scale_as_creep) == (
         0.12,
         0.03,
         0.55,

@@ -26,7 +26,9 @@ def test_samples_within_a_stretch_and_its_margin_are_left_out() -> None:
     window = windows(SOFT, 1)[0]
     middle = float(window.distance[7000])
     left = kept(away_from_low_adhesion(window, [(middle, middle + 100.0)])).valid
-    expected = (window.distance < middle - OF_MOTION.margin) | (window.distance > middle + 100.0 + OF_MOTION.margin)
+    expected = (window.distance < middle - OF_MOTION.low_friction_margin) | (
+        window.distance > middle + 100.0 + OF_MOTION.low_friction_margin
+    )
     np.testing.assert_array_equal(left, window.valid & expected)
     assert away_from_low_adhesion(window, ()) is window
 

@@ -38,21 +38,21 @@ def test_more_passes_do_not_make_them_smaller() -> None:
 def test_few_places_are_taken_for_wrong_by_all_that_is_left() -> None:
     few, many = np.median(stds(0.0, places=4)), np.median(stds(0.0, places=400))
     least = np.sqrt(
-        (400 * FrictionParameters().least_common ** 2 + FrictionParameters().places_before)
-        / (400 + FrictionParameters().places_before)
+        (400 * FrictionParameters().least_common_std ** 2 + FrictionParameters().prior_places)
+        / (400 + FrictionParameters().prior_places)
     )
     expected = np.sqrt(
-        (4 * FrictionParameters().least_common ** 2 + FrictionParameters().places_before)
-        / (4 + FrictionParameters().places_before)
+        (4 * FrictionParameters().least_common_std ** 2 + FrictionParameters().prior_places)
+        / (4 + FrictionParameters().prior_places)
     )
     assert few / many == pytest.approx(expected / least, rel=0.1)
 
 
 def test_what_decides_is_pinned() -> None:
     assert (
-        FrictionParameters().best,
-        FrictionParameters().lowest,
+        FrictionParameters().best_inverse,
+        FrictionParameters().below_best_share,
         NORMAL_90,
-        FrictionParameters().least_common,
-        FrictionParameters().places_before,
+        FrictionParameters().least_common_std,
+        FrictionParameters().prior_places,
     ) == (2.0, 0.1, 1.2816, 0.4, 20.0)

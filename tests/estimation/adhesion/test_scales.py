@@ -27,9 +27,9 @@ def test_limits_are_pinned() -> None:
     assert (
         FrictionParameters().wheelset_scatter,
         FrictionParameters().fewest_with_scale,
-        FrictionParameters().most_deviation,
-        OF_FORCES.most_std,
-        OF_FORCES.far,
+        FrictionParameters().most_deviation_stds,
+        OF_FORCES.most_scale_std,
+        OF_FORCES.scale_reach,
     ) == (0.1, 3, 3.0, 0.25, 0.5)
     assert (SCALES[0], SCALES[-1], len(SCALES)) == (-1.8, 1.8, 73)
 

@@ -20,7 +20,7 @@ def slippery(friction: float, error: float, common: float) -> bool:
 @pytest.mark.parametrize(("common", "found"), [(0.199, False), (0.201, True)])
 def test_the_shape_is_asked_from_two_stds_on(common: float, found: bool) -> None:  # noqa: FBT001 - a table of cases
     assert slippery(0.08, 0.0, common) is found
-    assert (FrictionParameters().most_creep, FrictionParameters().least_support) == (2.0, 0.8)
+    assert (FrictionParameters().most_creep_stds, FrictionParameters().least_creep_support) == (2.0, 0.8)
 
 
 def test_an_error_of_creep_is_no_slippery_section() -> None:

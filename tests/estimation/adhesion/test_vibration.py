@@ -41,7 +41,7 @@ def test_forces_under_axle_boxes_that_vibrate_are_those_of_newton(axle: int) -> 
     assert error[0] < 0.20
     assert error[1] < 0.35
     rms = estimated.std(axis=1) / true.std(axis=1) - 1.0
-    assert (np.abs(rms) < 2.0 * np.hypot(OF_FORCES.force_error, OF_FORCES.smoothed_error)).all()
+    assert (np.abs(rms) < 2.0 * np.hypot(OF_FORCES.force_std, OF_FORCES.smoothed_force_std)).all()
 
 
 def test_without_vibration_nothing_is_smoothed() -> None:
@@ -67,7 +67,7 @@ def test_from_which_level_on_an_axle_box_vibrates_is_pinned(rms: float, smoothed
     kept, vibrates = without_vibration(tones, np.ones(5000, bool), 0.004, slice(0, 1))
     assert vibrates is smoothed
     assert bool(kept[:, 100:-100].std() < 1e-3) is smoothed
-    assert (OF_FORCES.vibrating, OF_FORCES.smoothed_error) == (0.25, 0.06)
+    assert (OF_FORCES.vibration_rms, OF_FORCES.smoothed_force_std) == (0.25, 0.06)
 
 
 @pytest.mark.parametrize(("hertz", "left"), [(6.0, 0.98), (OF_FORCES.band_hz, 0.5), (20.0, 0.01)])

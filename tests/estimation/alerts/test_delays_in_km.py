@@ -136,7 +136,7 @@ def test_any_order_and_any_split_give_the_same_alerts(pattern: list[bool], rando
 
 
 def test_it_looks_back_as_far_as_its_delays_and_no_further() -> None:
-    assert OF_FINDINGS.look_back * 30.0 == 150.0
+    assert OF_FINDINGS.look_back_factor * 30.0 == 150.0
     assert within_reach([float(km) for km in range(0, 400, 10)], 3, 150.0) == 16  # both ends
     assert within_reach([0.0, None, 390.0], 1, 150.0) == 1
     assert within_reach([0.0, None, 390.0], 2, 150.0) == 2

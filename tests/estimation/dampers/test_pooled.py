@@ -75,7 +75,7 @@ def test_the_interval_holds_what_is_not_known_of_the_mass() -> None:
     assert known.value is not None
     assert loose.std == pytest.approx(np.hypot(known.std, 0.1 * known.value), rel=1e-6)
     assert known.std > np.hypot(0.05 * known.value, 0.01)
-    assert (DamperParameters().model_std, DamperParameters().least_std) == (0.05, 0.01)
+    assert (DamperParameters().model_share_std, DamperParameters().least_share_std) == (0.05, 0.01)
 
 
 def test_few_windows_say_nothing() -> None:

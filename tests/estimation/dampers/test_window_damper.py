@@ -74,7 +74,7 @@ def test_the_limit_of_innovations_decides(monkeypatch: pytest.MonkeyPatch) -> No
     found = judged(windows, SOFT)
     assert found.innovation is not None
     assert 0.1 < found.innovation < 1.0
-    assert OF_DAMPING.most_unexplained == 0.05
+    assert OF_DAMPING.most_unexplained_share == 0.05
     less = replace(damper.OF_DAMPING, most_unexplained=0.05 * 0.5 * found.innovation)
     monkeypatch.setattr(damper, "OF_DAMPING", less)
     assert judged(windows, SOFT).sums is None
@@ -141,7 +141,7 @@ def test_scales_of_sensors_count_by_what_is_on_file_and_at_least_a_hundredth() -
     assert gain_std(SOFT) == pytest.approx(0.01)
     assert gain_std(replace(SOFT, sensors=loose)) == pytest.approx(0.05 / np.sqrt(2.0))
     assert damper_filters(SOFT, 0.004).apart == pytest.approx((0.01 / np.sqrt(2.0), 0.01 / np.sqrt(2.0)))
-    assert OF_DAMPING.late_std_s == 1e-3
+    assert OF_DAMPING.clock_std_s == 1e-3
 
 
 def test_what_noise_adds_to_the_products_is_known() -> None:
@@ -171,4 +171,4 @@ def test_one_of_three_windows_is_looked_at_however_a_recorder_runs(stride: int) 
     starts = [stride * number * first.length_ns + 7 for number in range(600)]
     share = np.mean([looked_at(replace(first, start_ns=start_ns)) for start_ns in starts])
     assert 0.27 < share < 0.40
-    assert OF_DAMPING.every == 3
+    assert OF_DAMPING.window_stride == 3

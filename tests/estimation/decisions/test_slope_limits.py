@@ -58,7 +58,7 @@ def test_the_share_explained_is_that_of_the_differences_between_the_passes(noise
     assert found.explained == pytest.approx(r2, rel=1e-4)
     assert found.factor == pytest.approx(1.0 + 1.4 * (1.0 / r2 - 1.0), rel=1e-4)
     assert found.std == pytest.approx(0.5 * (1.0 / r2 - 1.0), rel=1e-3)
-    assert (OF_TRACK.excess_share, OF_TRACK.excess_std) == (1.4, 0.5)
+    assert (OF_TRACK.flattening_share, OF_TRACK.flattening_std) == (1.4, 0.5)
 
 
 def test_noise_of_the_difference_flattens_the_curves_and_the_interval_of_their_slope_holds_the_truth() -> None:

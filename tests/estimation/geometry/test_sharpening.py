@@ -45,7 +45,7 @@ def test_a_quadratic_comes_back_without_what_the_blur_adds(bend: float) -> None:
     found = sharp(nodes, blur)
     away = found.curve(nodes) - (0.2 * found.displacement + bend * found.displacement**2)
     inner = np.abs(found.displacement) < EDGES[-1] - 2 * blur  # beyond, the slope of the last bins goes on
-    furthest = np.sqrt(5 * len(LOW)) * 2 * abs(bend) * CELL * SHARPENING.least_std
+    furthest = np.sqrt(5 * len(LOW)) * 2 * abs(bend) * CELL * SHARPENING.least_node_std
     assert furthest < 0.2 * abs(bend) * blur**2
     np.testing.assert_allclose(away[inner], 0.0, atol=furthest)
 

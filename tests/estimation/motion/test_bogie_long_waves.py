@@ -29,20 +29,22 @@ class BogieYaws:
 
 def smooth(seed: int, count: int, size: float) -> FloatArray:
     """Return noise of wavelengths from some 8 m up."""
-    values = gaussian_filter1d(np.random.default_rng(seed).standard_normal(count), 1.6 / FUSED.step)
+    values = gaussian_filter1d(np.random.default_rng(seed).standard_normal(count), 1.6 / FUSED.grid_step)
     return np.asarray(size * values / values.std())
 
 
 def yaws(metres: float) -> BogieYaws:
-    count = round(metres / FUSED.step)
+    count = round(metres / FUSED.grid_step)
     return BogieYaws(smooth(1, count, 1e-3), smooth(2, count, 1e-4), smooth(3, count, 5e-4))
 
 
 def terms(one: BogieYaws, speed: float, p: VehicleParameters) -> FloatArray:
     """Return rolling, spring and creep terms (3, m), m, written out once more."""
-    slope = np.gradient(one.rolling, FUSED.step)
+    slope = np.gradient(one.rolling, FUSED.grid_step)
     per_moment = p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
-    spring = p.yaw_stiffness * (one.rolling - one.frame) + p.yaw_inertia * speed**2 * np.gradient(slope, FUSED.step)
+    spring = p.yaw_stiffness * (one.rolling - one.frame) + p.yaw_inertia * speed**2 * np.gradient(
+        slope, FUSED.grid_step
+    )
     rolling = -2.0 * p.half_contact_distance * p.nominal_radius * slope
     return np.stack([rolling, -per_moment * spring, -per_moment * p.yaw_stiffness * one.creep])
 
@@ -61,7 +63,7 @@ def test_factors_are_found_although_the_yaw_sensor_is_noisy() -> None:
 @pytest.mark.parametrize(("parameters", "divisor"), [(SOFT, None), (COACH, 0.5)])
 def test_a_short_pass_has_the_factors_expected_of_gravity(parameters: VehicleParameters, divisor: float | None) -> None:
     """1 + (k_psi/c) g with g of the contact angles of usual pairs, and no less than a half."""
-    one, V = yaws(2.9 * FUSED.margin), 20.0
+    one, V = yaws(2.9 * FUSED.end_margin), 20.0
     p = parameters
     if divisor is None:
         stiffness = p.load / 2 - p.lateral_spin_creep_coefficient / p.nominal_radius

@@ -64,17 +64,19 @@ def test_wheelsets_of_one_fold_share_a_library_and_small_libraries_leave_out_one
     entries = draw(0, CONICITIES, 2)
     libraries = Libraries(entries, PARAMETERS)
     made = {id(libraries.library(subject(f"W{number}"))) for number in range(21)}
-    assert len(made) == OF_ANSWERS.folds
+    assert len(made) == OF_ANSWERS.validation_folds
     whole = libraries.library(subject("X"))
     assert isinstance(whole, Library)
     assert len(whole.entries) == len(entries), "who is not in it is judged by all"
-    few = draw(0, CONICITIES[: SignatureParameters().alone], 2)
-    for number in range(SignatureParameters().alone):
+    few = draw(0, CONICITIES[: SignatureParameters().most_own_folds], 2)
+    for number in range(SignatureParameters().most_own_folds):
         found = Libraries(few, PARAMETERS).admitted(subject(f"W{number}"))
         assert found.left_out == {ReasonCode.SAME_WHEELSET: 8}
-    one_more = Libraries(draw(0, CONICITIES[: SignatureParameters().alone + 1], 2), PARAMETERS).admitted(subject("W0"))
+    one_more = Libraries(draw(0, CONICITIES[: SignatureParameters().most_own_folds + 1], 2), PARAMETERS).admitted(
+        subject("W0")
+    )
     assert one_more.left_out[ReasonCode.JUDGED_TOGETHER] > 0
-    assert (SignatureParameters().alone, OF_ANSWERS.folds) == (12, 6)
+    assert (SignatureParameters().most_own_folds, OF_ANSWERS.validation_folds) == (12, 6)
 
 
 def test_eight_others_are_enough_for_a_wheelset_of_a_small_library(draw: Draw) -> None:

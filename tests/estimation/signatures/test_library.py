@@ -271,11 +271,11 @@ def test_track_that_was_left_alone_retires_nothing(draw: Draw) -> None:
 
 def test_what_decides_retirement_and_novelty_is_where_it_was_measured_to_be() -> None:
     assert (
-        SignatureParameters().largest,
+        SignatureParameters().largest_distance,
         SignatureParameters().least_passes,
         SignatureParameters().library_rounds,
     ) == (5.5, 3, 2)
-    assert (OF_ANSWERS.novel, calibration.COVERAGE) == (0.99, 0.95)
+    assert (OF_ANSWERS.novel_quantile, calibration.COVERAGE) == (0.99, 0.95)
 
 
 def estimate(value: float, half: float) -> Estimate:

@@ -34,4 +34,4 @@ def test_samples_that_do_not_count_are_left_out() -> None:
 
 
 def test_the_mean_is_over_some_hundredths_of_a_second() -> None:
-    assert (FAST_NOISE.fast_samples, STD_PER_MAD) == (17, 1.4826)
+    assert (FAST_NOISE.fast_mean_samples, STD_PER_MAD) == (17, 1.4826)

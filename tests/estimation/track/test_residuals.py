@@ -73,11 +73,12 @@ def test_what_is_usual_counts_whole_and_what_is_not_counts_less_and_less() -> No
             ProfileLife("E"): float("nan"),
         },
     )
-    usual = OF_TRACK.usual_factor * 0.1245e-3
+    usual = OF_TRACK.usual_std_factor * 0.1245e-3
     assert rms_residuals.weights() == {ProfileLife("D"): pytest.approx((usual / 0.3e-3) ** 4)}
     assert (
         Residuals(
-            {}, {ProfileLife("A"): 0.01e-3, ProfileLife("B"): 0.01e-3, ProfileLife("C"): 0.99 * OF_TRACK.least_usual}
+            {},
+            {ProfileLife("A"): 0.01e-3, ProfileLife("B"): 0.01e-3, ProfileLife("C"): 0.99 * OF_TRACK.least_usual_std},
         ).weights()
         == {}
     )
@@ -87,7 +88,7 @@ def test_what_is_usual_counts_whole_and_what_is_not_counts_less_and_less() -> No
             {
                 ProfileLife("A"): 0.1e-3,
                 ProfileLife("B"): 0.1e-3,
-                ProfileLife("C"): 1.2 * OF_TRACK.usual_factor * 0.1e-3,
+                ProfileLife("C"): 1.2 * OF_TRACK.usual_std_factor * 0.1e-3,
             },
         ).weights()
         == {}

@@ -175,7 +175,7 @@ def test_a_variance_is_learnt_as_far_as_passes_can_tell_it_from_their_own() -> N
 @pytest.mark.parametrize(("factor", "excess"), [(0.98, False), (1.02, True)])
 def test_a_local_difference_counts_from_four_stds_on(factor: float, *, excess: bool) -> None:
     length = 4.0
-    chance = 1.0 + SectionParameters().local_stds * np.sqrt(2.0 * length / SectionParameters().local)
+    chance = 1.0 + SectionParameters().local_stds * np.sqrt(2.0 * length / SectionParameters().local_length)
     rest = np.where((np.arange(600) >= 250) & (np.arange(600) < 350), np.sqrt(factor * chance), 1.0)
     found = _local_excess(rest, np.ones(600, np.bool_), 1.0, length, 1.0, SectionParameters())
     assert found.any() == excess
@@ -211,18 +211,22 @@ def test_the_shipped_figures() -> None:
 
     assert shipped.EDGES == (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)
     assert (
-        SectionParameters().shortest,
+        SectionParameters().shortest_wavelength,
         SectionParameters().filed_samples,
-        SectionParameters().local,
+        SectionParameters().local_length,
         SectionParameters().local_stds,
     ) == (2.5, 6.0, 100.0, 4.0)
-    assert (SectionParameters().model_share, OF_TRACK.neighbour, OF_TRACK.next) == (
+    assert (
+        SectionParameters().curve_share_factor,
+        OF_TRACK.neighbour_correlation,
+        OF_TRACK.second_neighbour_correlation,
+    ) == (
         2.0,
         0.48,
         0.06,
     )
-    assert (OF_TRACK.correlated, OF_TRACK.reported_std) == (20.0, 1.0)
-    assert (shipped.STATED, SectionParameters().independent, SectionParameters().most_difference_error) == (
+    assert (OF_TRACK.correlated_length, OF_TRACK.reported_position_std) == (20.0, 1.0)
+    assert (shipped.STATED, SectionParameters().survey_error_length, SectionParameters().most_difference_error) == (
         60.0,
         5.0,
         0.08,

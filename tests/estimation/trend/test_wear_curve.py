@@ -98,7 +98,7 @@ def test_a_node_equals_generalised_least_squares_with_the_whole_covariance() -> 
     log_likelihood = []
     for tau in (scatter, 1.3):
         K = np.diag(points.variance + tau**2) + bend**2 * np.outer(points.design[:, 2], points.design[:, 2])
-        K += (OF_TRENDS.wandering * bend) ** 2 * points.spacing * wandering @ wandering.T
+        K += (OF_TRENDS.wandering_share * bend) ** 2 * points.spacing * wandering @ wandering.T
         inverse = np.linalg.inv(K)
         information = line.T @ inverse @ line
         solution = np.linalg.solve(information, line.T @ inverse @ points.z)
