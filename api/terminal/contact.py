@@ -28,7 +28,7 @@ from estimation.contact.geometry import (
     radius_difference_curve,
 )
 from estimation.contact.method import ContactMethod
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import ProfileKind, is_design, rail_profile, wheel_profile
 from estimation.contact.smoothed_profile import SmoothedProfile, exact
 from estimation.errors import InputError, ParameterError
@@ -267,7 +267,7 @@ def _play(wheelset: WheelsetOnTrack) -> float:
     for wheel in (wheelset.left_wheel, wheelset.right_wheel):
         deep = np.flatnonzero(wheel.z >= FACE_DEPTH)
         faces.append(float(wheel.y[deep[-1]]) if len(deep) else float("nan"))
-    return 0.5 * (wheelset.gauge - wheelset.flange_back_distance - 2.0 * OF_PROFILES.tread_datum - sum(faces))
+    return 0.5 * (wheelset.gauge - wheelset.flange_back_distance - 2.0 * PROFILES.tread_datum - sum(faces))
 
 
 def parse_inclination(text: str) -> float:

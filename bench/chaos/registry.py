@@ -154,7 +154,7 @@ WORN = {"1": ((0.1, 1.2), (2.4, 0.0))}  # mm, and by 100,000 km
 KEPT = '[days]\nwindow_samples = "for ever"\nwindow_bin_tables = "for ever"\n'
 """The recordings are older than what is kept by default."""
 
-OF_TRACK = ("alignments in force", "suspension", "fleet alerts")
+TRACK = ("alignments in force", "suspension", "fleet alerts")
 """Not compared: what carries numbers of versions, or groups alerts by the times at which they opened."""
 
 SHORT = 4
@@ -185,7 +185,7 @@ class Deployment:
 
     def derived(self) -> Mapping[str, str]:
         """Return digests of what is derived and served, without times of recording and numbers of versions."""
-        return {name: digest for name, digest in final_state(self.storage).items() if name not in OF_TRACK}
+        return {name: digest for name, digest in final_state(self.storage).items() if name not in TRACK}
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from scipy.special import betaincinv
 
-from estimation.accuracy.parameters import OF_ACCURACY
+from estimation.accuracy.parameters import ACCURACY
 from estimation.accuracy.wheel_contact import AMPLITUDES, WheelContact
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, conicity_at_limit_amplitude
@@ -215,8 +215,8 @@ class CoverageCount:
         n, k = self.compared, self.covered
         if n == 0:
             return None
-        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, OF_ACCURACY.tail_probability))
-        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1.0 - OF_ACCURACY.tail_probability))
+        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, ACCURACY.tail_probability))
+        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1.0 - ACCURACY.tail_probability))
         return low, high
 
 
@@ -315,11 +315,11 @@ def curve_origin(
     if not known.any():
         return CurveOrigin(crossing, 0.0)
     best = (np.inf, crossing, 0.0)
-    low, high = min(crossing, 0.0) - OF_ACCURACY.search_reach, max(crossing, 0.0) + OF_ACCURACY.search_reach
-    for shift in np.linspace(low, high, round((high - low) / OF_ACCURACY.search_step) + 1):
+    low, high = min(crossing, 0.0) - ACCURACY.search_reach, max(crossing, 0.0) + ACCURACY.search_reach
+    for shift in np.linspace(low, high, round((high - low) / ACCURACY.search_step) + 1):
         curve = np.interp(centre + shift, displacement, difference)
         mean = float(found.samples @ curve / found.samples.sum())
         deviation = (R.value - curve + mean)[known] / R.std[known]
-        misfit = float(np.minimum(deviation**2, OF_ACCURACY.most_bin_stds**2).sum())
+        misfit = float(np.minimum(deviation**2, ACCURACY.most_bin_stds**2).sum())
         best = min(best, (misfit, float(shift), mean))
     return CurveOrigin(best[1], best[2])

@@ -19,4 +19,4 @@ class AccuracyParameters:
     displacement_step: float = 0.1e-3  # m
 
 
-OF_ACCURACY = AccuracyParameters()
+ACCURACY = AccuracyParameters()

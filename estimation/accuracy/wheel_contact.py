@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.accuracy.parameters import OF_ACCURACY
+from estimation.accuracy.parameters import ACCURACY
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.contact.geometry import (
     ContactTable,
@@ -135,9 +135,9 @@ def _on_rails(wheels: WheelPair, one: RailShare) -> tuple[ContactTable, RadiusDi
     wheelset = WheelsetOnTrack(
         wheels.left, wheels.right, rail, rail, one.inclination, one.gauge, wheels.nominal_radius, wheels.nominal_radius
     )
-    x = OF_ACCURACY.displacement_step * np.arange(
-        -round(OF_ACCURACY.displacement_reach / OF_ACCURACY.displacement_step),
-        round(OF_ACCURACY.displacement_reach / OF_ACCURACY.displacement_step) + 1,
+    x = ACCURACY.displacement_step * np.arange(
+        -round(ACCURACY.displacement_reach / ACCURACY.displacement_step),
+        round(ACCURACY.displacement_reach / ACCURACY.displacement_step) + 1,
     )
     table = contact_table(wheelset, x, method=ContactMethod.EN15302, outside="hold")
     return table, refined_curve(wheelset, table, 0)

@@ -19,13 +19,13 @@ from typing import Annotated, Self
 
 import numpy as np
 
-from estimation.adhesion.parameters import OF_FORCES
+from estimation.adhesion.parameters import FORCES
 from estimation.adhesion.stationary_filter import AXLE, StationaryFilter, stationary_filter
 from estimation.compiled import compiled
 from estimation.filters import remove_wander
 from estimation.motion.checks import moving_samples
 from estimation.motion.integration import IntegratedSegment, SignalParameters, integrate
-from estimation.motion.parameters import OF_MOTION
+from estimation.motion.parameters import MOTION
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.units import GRAVITY
@@ -84,7 +84,7 @@ def gear_segments(
     segments = []
     for parts in zip(*found, strict=True):
         rolls = tuple(
-            remove_wander(one.displacements[[ROLL]], one.run, one.known, OF_MOTION.roll_cutoff_wavelength)[0]
+            remove_wander(one.displacements[[ROLL]], one.run, one.known, MOTION.roll_cutoff_wavelength)[0]
             for one in parts
         )
         segments.append(GearSegment(parts, rolls, _accelerations(windows, parts, rolls)))
@@ -179,10 +179,10 @@ def without_vibration(
     from scipy import signal  # noqa: PLC0415 - slow to import, and few need it
 
     rate = 1.0 / sample_interval_s
-    weights = signal.firwin(2 * round(OF_FORCES.low_pass_half_s * rate) + 1, OF_FORCES.band_hz, fs=rate)
+    weights = signal.firwin(2 * round(FORCES.low_pass_half_s * rate) + 1, FORCES.band_hz, fs=rate)
     smooth = signal.fftconvolve(accelerations, weights[None], mode="same", axes=1)
     rest = (accelerations - smooth)[lateral][:, known]
-    if float(np.sqrt(np.mean(rest**2, axis=1)).max()) <= OF_FORCES.vibration_rms:
+    if float(np.sqrt(np.mean(rest**2, axis=1)).max()) <= FORCES.vibration_rms:
         return accelerations, False
     return np.where(known, smooth, 0.0), True
 
@@ -209,11 +209,11 @@ def forces_on(gear: GearSegments, vehicle_class: VehicleClass) -> tuple[ContactF
         named, innovation, vibrates = _smoothed(gear, segment, vehicle_class)
         values[:, :, segment.axles[0].part] = named
         worst, vibrating = max(worst, innovation), vibrating or vibrates
-    if not (np.isfinite(worst) and worst <= OF_FORCES.most_innovation):
+    if not (np.isfinite(worst) and worst <= FORCES.most_innovation):
         return Reason(
             ReasonCode.DIVERGED,
             f"the innovations of the filter are {np.sqrt(worst):.1f} times what the vehicle's class lets expect, at"
-            f" most {np.sqrt(OF_FORCES.most_innovation):.1f} times are believed; check class and sensors",
+            f" most {np.sqrt(FORCES.most_innovation):.1f} times are believed; check class and sensors",
         )
     return tuple(
         ContactForces(contact, moment, yaw_rate, roll, usable, worst, vibrating)
@@ -229,7 +229,7 @@ def _smoothed(gear: GearSegments, segment: GearSegment, vehicle_class: VehicleCl
     speed = float(first.speed.mean())
     made = stationary_filter(vehicle_class, gear.sample_interval_s, speed)
     roll_rates = [
-        remove_wander(one.rates[[ROLL]], one.run, one.known, OF_MOTION.roll_cutoff_wavelength)[0] for one in parts
+        remove_wander(one.rates[[ROLL]], one.run, one.known, MOTION.roll_cutoff_wavelength)[0] for one in parts
     ]
     measurements = np.zeros((len(first.speed), len(made.measured)))
     lateral = slice(0, 2 * made.axles, 2)
@@ -317,7 +317,7 @@ class FileErrors:
     def creep_std(self) -> float:
         """Std of what the scales of the sensors leave, as a b of all vehicles."""
         return math.hypot(
-            OF_FORCES.yaw_scale_as_creep * self.yaw_scale, OF_FORCES.lateral_scale_as_creep * self.lateral_scale
+            FORCES.yaw_scale_as_creep * self.yaw_scale, FORCES.lateral_scale_as_creep * self.lateral_scale
         )
 
 

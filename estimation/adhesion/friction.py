@@ -33,7 +33,7 @@ from estimation.adhesion.pass_sums import (
     creep_levels,
     pass_sums,
 )
-from estimation.motion.parameters import OF_MOTION
+from estimation.motion.parameters import MOTION
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
@@ -283,5 +283,5 @@ def touched(one: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tu
     return tuple(
         (begin, end)
         for begin, end in stretches
-        if begin < behind + OF_MOTION.low_friction_margin and end > first - OF_MOTION.low_friction_margin
+        if begin < behind + MOTION.low_friction_margin and end > first - MOTION.low_friction_margin
     )

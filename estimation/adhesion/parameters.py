@@ -54,4 +54,4 @@ class ForceParameters:
     scale_reach: float = 0.5  # of the logarithm: over which that std is measured
 
 
-OF_FORCES = ForceParameters()
+FORCES = ForceParameters()

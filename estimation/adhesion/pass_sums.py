@@ -36,7 +36,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
-from estimation.adhesion.parameters import OF_FORCES
+from estimation.adhesion.parameters import FORCES
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.opinions import INVERSE, LeftOut, WindowAdhesion
 from estimation.values.reasons import Reason, ReasonCode
@@ -132,10 +132,10 @@ class Scales(FrozenArrays):
     @property
     def known(self) -> BoolArray:
         """(g,) those that a scale well below, or above the least of the grid, does not fit."""
-        below = self.logarithm - OF_FORCES.scale_reach
+        below = self.logarithm - FORCES.scale_reach
         return np.asarray(
-            self.std_from(np.where(below >= SCALES[0], below, self.logarithm + OF_FORCES.scale_reach))
-            < OF_FORCES.most_scale_std
+            self.std_from(np.where(below >= SCALES[0], below, self.logarithm + FORCES.scale_reach))
+            < FORCES.most_scale_std
         )
 
 

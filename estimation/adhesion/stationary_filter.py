@@ -35,7 +35,7 @@ from typing import Annotated
 import numpy as np
 import scipy.linalg
 
-from estimation.adhesion.parameters import OF_FORCES
+from estimation.adhesion.parameters import FORCES
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass, VehicleParameters
 
@@ -145,7 +145,7 @@ class StationaryFilter(FrozenArrays):
 
 def stationary_filter(vehicle_class: VehicleClass, sample_interval_s: float, speed: float) -> StationaryFilter:
     """Return the filter of a class at a speed; a LinAlgError where it has no stationary one."""
-    rounded = max(OF_FORCES.speed_step, OF_FORCES.speed_step * round(speed / OF_FORCES.speed_step))
+    rounded = max(FORCES.speed_step, FORCES.speed_step * round(speed / FORCES.speed_step))
     gear = (vehicle_class.parameters, vehicle_class.bogie, vehicle_class.sensors)
     return _filter(*gear, sample_interval_s, rounded)
 
@@ -162,7 +162,7 @@ def _filter(
     process += ROUNDING * np.eye(n)
     rows = _measured(gear, n, speed) * scale
     wheelbase = None if bogie is None else bogie.wheelbase
-    variance = _variances(gear, sensors, wheelbase, dt, 2.0 * math.pi * speed / OF_FORCES.corner_wavelength)
+    variance = _variances(gear, sensors, wheelbase, dt, 2.0 * math.pi * speed / FORCES.corner_wavelength)
     predicted = scipy.linalg.solve_discrete_are(transition.T, rows.T, process, np.diag(variance))
     innovation = rows @ predicted @ rows.T + np.diag(variance)
     gain = np.linalg.solve(innovation, rows @ predicted).T
@@ -194,16 +194,16 @@ def _with_inputs(gear: GearEquations, load: float) -> tuple[FloatArray, FloatArr
     n = own + 2 * forces + gear.axles
     rates, noise, scale = np.zeros((n, n)), np.zeros((n, n)), np.full(n, 1e-3)
     rates[:own, :own], rates[:own, own : own + forces] = gear.rates, gear.inputs
-    corner = 1.0 / OF_FORCES.force_change_s
-    stds = load * np.array([OF_FORCES.force_share, OF_FORCES.moment_share] * gear.axles)
+    corner = 1.0 / FORCES.force_change_s
+    stds = load * np.array([FORCES.force_share, FORCES.moment_share] * gear.axles)
     for force, std in enumerate(stds):
         value, slope = own + force, own + forces + force
         rates[value, slope], rates[slope, value], rates[slope, slope] = 1.0, -(corner**2), -2.0 * corner
         noise[slope, slope] = 4.0 * corner**3 * std**2
         scale[value], scale[slope] = 1e3, 1e3 * corner
     for creepage in range(n - gear.axles, n):
-        rates[creepage, creepage] = -1.0 / OF_FORCES.creepage_change_s
-        noise[creepage, creepage] = 2.0 * OF_FORCES.creepage_std**2 / OF_FORCES.creepage_change_s
+        rates[creepage, creepage] = -1.0 / FORCES.creepage_change_s
+        noise[creepage, creepage] = 2.0 * FORCES.creepage_std**2 / FORCES.creepage_change_s
         scale[creepage] = 1e-4
     return rates, noise, scale
 
@@ -232,7 +232,7 @@ def _variances(
             drift.append(on_wheelset[int(turned)])
         else:
             drift.append(above[0] * (math.sqrt(2.0) / wheelbase if turned and wheelbase else 1.0))
-    density = np.maximum([*on_wheelset, *above], OF_FORCES.least_noise_density)
-    anchors = np.maximum(drift, OF_FORCES.least_noise_density) / corner**2
-    rolling = np.full(gear.axles, OF_FORCES.rolling_angle_std**2)
+    density = np.maximum([*on_wheelset, *above], FORCES.least_noise_density)
+    anchors = np.maximum(drift, FORCES.least_noise_density) / corner**2
+    rolling = np.full(gear.axles, FORCES.rolling_angle_std**2)
     return np.concatenate([density**2 / (2.0 * dt), anchors**2 / (2.0 * dt), rolling])

@@ -21,7 +21,7 @@ from typing import Annotated
 import numpy as np
 
 from estimation.adhesion.creep_forces import ContactForces, force_errors
-from estimation.adhesion.parameters import OF_FORCES
+from estimation.adhesion.parameters import FORCES
 from estimation.compiled import compiled
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
@@ -43,8 +43,8 @@ DISPLACEMENT = np.arange(-140, 141) * 0.05e-3  # m
 DEPTHS = np.arange(9) * 0.25e-3  # m, of wear
 
 
-SHARE_ROUNDS = OF_FORCES.share_rounds
-MOST_UTILISATION = OF_FORCES.most_utilisation
+SHARE_ROUNDS = FORCES.share_rounds
+MOST_UTILISATION = FORCES.most_utilisation
 
 
 KEPT = 64
@@ -73,7 +73,7 @@ def contact_angles(
     The curve (b,) is rL - rR over y - d, m; NaN where it is not estimated.
     """
     known = np.isfinite(difference)
-    if known.sum() < OF_FORCES.fewest_nodes:
+    if known.sum() < FORCES.fewest_nodes:
         return Reason(ReasonCode.NO_CREEP_CURVE, f"rL - rR is known at {known.sum()} displacements")
     rail = (section.rail_profile, section.rail_inclination, section.nominal_gauge_m)
     if not (is_design(wheel) and is_design(section.rail_profile)):
@@ -86,11 +86,11 @@ def contact_angles(
     left = expected - difference[known]
     misfit = np.sqrt(((left - left.mean(axis=1, keepdims=True)) ** 2).mean(axis=1))  # a diameter difference is no wear
     best = int(np.argmin(misfit))
-    if misfit[best] > OF_FORCES.most_profile_misfit:
+    if misfit[best] > FORCES.most_profile_misfit:
         return Reason(
             ReasonCode.PROFILES_UNKNOWN,
             f"{wheel} on {section.rail_profile}, however worn, miss the estimated rL - rR by"
-            f" {1e3 * misfit[best]:.2f} mm, at most {1e3 * OF_FORCES.most_profile_misfit:.2f} mm are wear",
+            f" {1e3 * misfit[best]:.2f} mm, at most {1e3 * FORCES.most_profile_misfit:.2f} mm are wear",
         )
     order = np.argsort(curves[best], kind="stable")
     return ContactAngles(curves[best][order], differences[best][order], sums[best][order], float(misfit[best]))
@@ -101,7 +101,7 @@ def _family(
     wheel: str, rail: str, inclination: float, gauge: float, radius: float
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return R, D and dL + dR (9, n) of a wheel worn more and more; None where it never touches the rail."""
-    centre, half_width = HOLLOWS.get(wheel, OF_FORCES.usual_hollow_place)
+    centre, half_width = HOLLOWS.get(wheel, FORCES.usual_hollow_place)
     found = []
     try:
         on = rail_profile(rail)
@@ -124,7 +124,7 @@ STEPS = 4096  # of the table of excesses
 def excess_table() -> FloatArray:
     """Return linear over true creep force of a wheel less 1 at T/(mu N) from 0 to 0.98 in equal steps, (4097,)."""
     # It is 0 without slip. Between the points it is taken as linear, which misses it by less than 1e-5.
-    t = np.maximum(np.linspace(0.0, MOST_UTILISATION, STEPS + 1), OF_FORCES.least_utilisation)
+    t = np.maximum(np.linspace(0.0, MOST_UTILISATION, STEPS + 1), FORCES.least_utilisation)
     return frozen_array(3.0 * (1.0 - np.cbrt(1.0 - t)) / t - 1.0, (STEPS + 1,), name="excess")
 
 
@@ -203,8 +203,8 @@ def creep_signals(
     finite = np.isfinite(rows).all(axis=0) & np.isfinite(motion.displacement)
     passed, valid = np.full(rows.shape, np.nan), np.zeros(len(V), np.bool_)
     trim, shortest = (
-        round(OF_FORCES.trimmed_end_s / sample_interval_s),
-        round(OF_FORCES.shortest_stretch_s / sample_interval_s),
+        round(FORCES.trimmed_end_s / sample_interval_s),
+        round(FORCES.shortest_stretch_s / sample_interval_s),
     )
     for start, stop in runs(finite):
         if stop - start < shortest:
@@ -233,7 +233,7 @@ def friction_sums(
 
     The curve has centres of bins of y - d (b,), m, and rL - rR there (b,), m, NaN where it is not known.
     """
-    p, step = vehicle, max(1, int(OF_FORCES.sum_interval_s / sample_interval_s + 1e-6))
+    p, step = vehicle, max(1, int(FORCES.sum_interval_s / sample_interval_s + 1e-6))
     difference = _on_curve(motion.displacement, *curve) - signals.linear_difference
     known = signals.valid & np.isfinite(difference) & np.isfinite(signals.lateral) & np.isfinite(distance)
     good = np.flatnonzero(known[::step]) * step
@@ -248,7 +248,7 @@ def friction_sums(
     saturated = np.zeros((len(cells), 4, len(INVERSE)))
     forces = np.stack([0.5 * moment / p.half_contact_distance, 0.5 * signals.lateral[good], signals.spin[good]])
     add_saturated(excess_table(), np.stack([e, q, x]), forces, index, 0.5 * p.load / INVERSE, saturated)
-    kept = counts * step * sample_interval_s >= OF_FORCES.least_place_s
+    kept = counts * step * sample_interval_s >= FORCES.least_place_s
     return FrictionSums(cells[kept], counts[kept].astype(float), squares[kept], saturated[kept])
 
 
@@ -296,14 +296,12 @@ def window_adhesion(
         None if isinstance(angles, Reason) else angles,
         mounted_reversed=inputs.mounted_reversed,
     )
-    if found.valid.sum() < OF_FORCES.fewest_samples:
+    if found.valid.sum() < FORCES.fewest_samples:
         few = Reason(
-            ReasonCode.TOO_FEW_USABLE, f"{found.valid.sum()} samples of creep, {OF_FORCES.fewest_samples} are needed"
+            ReasonCode.TOO_FEW_USABLE, f"{found.valid.sum()} samples of creep, {FORCES.fewest_samples} are needed"
         )
         return refused(*of_window, few)
-    error = (
-        float(np.hypot(OF_FORCES.force_std, OF_FORCES.smoothed_force_std)) if forces.smoothed else OF_FORCES.force_std
-    )
+    error = float(np.hypot(FORCES.force_std, FORCES.smoothed_force_std)) if forces.smoothed else FORCES.force_std
     distance = inputs.correction.at(window.distance)
     of_samples = (found, motion, distance, curve, vehicle, window.sample_interval_s)
     sums = None if isinstance(angles, Reason) else friction_sums(*of_samples)
@@ -333,8 +331,8 @@ def _forces(
     along = 0.5 * found.moment / vehicle_class.parameters.half_contact_distance
     across = np.stack([0.5 * found.lateral + found.spin, 0.5 * found.lateral - found.spin])  # of left and right wheel
     larger = np.hypot(along, across)[:, found.valid].max(axis=0)
-    used = float(np.quantile(larger, OF_FORCES.saturation_quantile)) / (0.5 * vehicle_class.parameters.load)
-    error = math.hypot(OF_FORCES.lateral_creep_std, of_lateral, of_load)
+    used = float(np.quantile(larger, FORCES.saturation_quantile)) / (0.5 * vehicle_class.parameters.load)
+    error = math.hypot(FORCES.lateral_creep_std, of_lateral, of_load)
     return (
         contact_force,
         with_interval(lateral, lateral * error),

@@ -18,7 +18,7 @@ from itertools import combinations
 
 import numpy as np
 
-from estimation.alerts.parameters import OF_FINDINGS
+from estimation.alerts.parameters import FINDINGS
 from estimation.trend.change_point import Series, StepModel, newest_change
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
@@ -64,9 +64,9 @@ def newest_mirrored(parts: Parts, model: StepModel) -> Mirrored | None:
     # although most of what they hold is common to all intervals of a wheelset. Over a history the noise is known: the
     # even parts are one pattern of changing size, which wears slowly, and a wheelset that was turned end for end has
     # the same size with the other sign.
-    bins = np.isfinite(parts.even).mean(axis=0) >= 1.0 - OF_FINDINGS.size_tolerance
+    bins = np.isfinite(parts.even).mean(axis=0) >= 1.0 - FINDINGS.size_tolerance
     whole = np.flatnonzero(np.isfinite(parts.even[:, bins]).all(axis=1))
-    if bins.sum() < OF_FINDINGS.fewest_mirrored_bins or len(whole) < 2 * EVEN.least_points:
+    if bins.sum() < FINDINGS.fewest_mirrored_bins or len(whole) < 2 * EVEN.least_points:
         return None
     even, odd, std = (1e3 * table[whole][:, bins] for table in (parts.even, parts.odd, parts.std))
     even = even - even.mean(axis=1, keepdims=True)  # a band-passed signal leaves the level open
@@ -83,11 +83,11 @@ def newest_mirrored(parts: Parts, model: StepModel) -> Mirrored | None:
     odd_change, even_change = (_change(table, x_km, sides) for table in (odd, even))
     unlike, common = abs(after + before), float(np.median(error))
     if (
-        odd_change > OF_FINDINGS.mirrored_odd_share * even_change
-        or unlike > OF_FINDINGS.size_tolerance * abs(found.size) + OF_FINDINGS.common_stds * common
+        odd_change > FINDINGS.mirrored_odd_share * even_change
+        or unlike > FINDINGS.size_tolerance * abs(found.size) + FINDINGS.common_stds * common
     ):
         return None
-    left = unlike / float(np.hypot(found.std, OF_FINDINGS.common_stds * common))
+    left = unlike / float(np.hypot(found.std, FINDINGS.common_stds * common))
     return Mirrored(int(whole[found.last]), int(whole[found.first]), abs(found.size) / found.std, left)
 
 

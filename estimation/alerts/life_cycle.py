@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-from estimation.alerts.parameters import OF_FINDINGS
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
@@ -206,7 +206,7 @@ def _changed(before: Alert, after: Alert, events: tuple[AlertEventKind, ...]) ->
 
 
 def _material(alert: Alert) -> tuple[object, ...]:
-    band = None if alert.probability is None else bisect_right(OF_FINDINGS.probability_bands, alert.probability)
+    band = None if alert.probability is None else bisect_right(FINDINGS.probability_bands, alert.probability)
     evidence = {key: value for key, value in alert.evidence.items() if key not in EVERY_KILOMETRE}
     limits = (alert.raise_limit, alert.clear_limit)
     return alert.severity, alert.condition, band, evidence, alert.action, limits, alert.acknowledged_by

@@ -49,4 +49,4 @@ class FindingParameters:
     end_for_end_prior: float = 0.04
 
 
-OF_FINDINGS = FindingParameters()
+FINDINGS = FindingParameters()

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from estimation.compiled import compiled
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.method import ContactMethod
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ContactError, ParameterError
 from estimation.values.arrays import FloatArray
@@ -230,7 +230,7 @@ def _from_travel(middle, amplitude, energy, points, values, potential):  # type:
     return (_ANGLES / total) ** 2
 
 
-DRAWS = OF_PROFILES.conicity_draws
+DRAWS = PROFILES.conicity_draws
 
 
 class MeasuredShapes(NamedTuple):
@@ -276,7 +276,7 @@ def conicity_std(
     wanted = np.array(amplitudes, dtype=np.float64, ndmin=1)
     if shapes.exact:
         return np.zeros(len(wanted))
-    random = np.random.default_rng(OF_PROFILES.draw_seed)
+    random = np.random.default_rng(PROFILES.draw_seed)
     expected = _conicity(wheelset, lateral_displacement, wanted, method)
     values = np.full((draws, len(wanted)), np.nan)
     for row in range(draws):
@@ -287,7 +287,7 @@ def conicity_std(
             continue
     covered = np.isfinite(values)
     squares = np.where(covered, (values - expected) ** 2, 0.0).sum(axis=0) / np.maximum(covered.sum(axis=0), 1)
-    return np.where(covered.mean(axis=0) >= OF_PROFILES.least_draw_share, np.sqrt(squares), np.nan)
+    return np.where(covered.mean(axis=0) >= PROFILES.least_draw_share, np.sqrt(squares), np.nan)
 
 
 def _conicity(

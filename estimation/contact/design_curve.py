@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import cKDTree
 
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import HEIGHTS, THICKNESSES, ProfileKind, rail_profile, wheel_profile
 from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, Segment
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
@@ -53,19 +53,19 @@ class DesignCurve(FrozenArrays):
 
 def nearest_design(kind: ProfileKind, points: FloatArray) -> DesignCurve | None:
     """Return the design nearest to measured points (n, 2), mm, moved to them; None if they are of no known one."""
-    shown = points[np.unique(np.linspace(0, len(points) - 1, OF_PROFILES.placing_points).astype(np.int64))]
+    shown = points[np.unique(np.linspace(0, len(points) - 1, PROFILES.placing_points).astype(np.int64))]
     found = []
     for name in _names(kind, shown):
         start = _start(_design(kind, name)[0], shown) if kind == "rail" else (0.0, 0.0, 0.0)
-        movement = _moved(kind, name, start, shown, OF_PROFILES.search_reaches[:1])
+        movement = _moved(kind, name, start, shown, PROFILES.search_reaches[:1])
         found.append((_distance(kind, name, movement, shown), name, movement))
     finals = [
-        (name, _moved(kind, name, start, shown, OF_PROFILES.search_reaches[1:]))
-        for _, name, start in sorted(found)[: OF_PROFILES.finalist_designs]
+        (name, _moved(kind, name, start, shown, PROFILES.search_reaches[1:]))
+        for _, name, start in sorted(found)[: PROFILES.finalist_designs]
     ]
     name, movement = min(finals, key=lambda final: _distance(kind, final[0], final[1], shown))
     design = _design(kind, name)[0]
-    if float(np.median(np.abs(_across(kind, name, movement, shown)[0]))) > OF_PROFILES.most_design_distance:
+    if float(np.median(np.abs(_across(kind, name, movement, shown)[0]))) > PROFILES.most_design_distance:
         return None
     turn = _rotation(movement[2])
     return DesignCurve(
@@ -82,18 +82,18 @@ def explains(design: DesignCurve, points: FloatArray, noise: FloatArray, length:
     at, tangent = design.at(arc)
     across = ((points - at) * np.column_stack([-tangent[:, 1], tangent[:, 0]])).sum(axis=1)
     inside = (arc >= design.inner[0]) & (arc <= design.inner[1])
-    if np.count_nonzero(inside) < OF_PROFILES.fewest_design_points:
+    if np.count_nonzero(inside) < PROFILES.fewest_design_points:
         return False
     across = across[inside] / noise[inside]
     spacing = float(np.median(np.diff(np.sort(arc[inside]))))
     alike = math.exp(-spacing / length) if length > 0.0 else 0.0
-    for window in OF_PROFILES.averaging_lengths:
+    for window in PROFILES.averaging_lengths:
         count = max(1, round(window / spacing))
         if count >= len(across):
             break
         mean = np.convolve(across, np.full(count, 1.0 / count), "valid")
         std = math.sqrt((1.0 + alike) / (1.0 - alike) / count)
-        if float(np.abs(mean).max()) > OF_PROFILES.significant_stds * std:
+        if float(np.abs(mean).max()) > PROFILES.significant_stds * std:
             return False
     return True
 
@@ -104,7 +104,7 @@ def _names(kind: ProfileKind, points: FloatArray) -> list[str]:
     height = min(
         np.arange(HEIGHTS[0], HEIGHTS[1] + 0.1, 2.0), key=lambda value: abs(float(value) - float(points[:, 1].max()))
     )
-    thicknesses = np.arange(THICKNESSES[0], THICKNESSES[1] + 0.1, OF_PROFILES.thickness_step)
+    thicknesses = np.arange(THICKNESSES[0], THICKNESSES[1] + 0.1, PROFILES.thickness_step)
     family = [f"EN13715-{tread}/h{height:g}/e{thickness:g}" for tread in _TREADS for thickness in thicknesses]
     return [*(name for name in _different(WHEEL_DEFINITIONS) if name != "S1002"), *family]  # S1002 is of the family
 
@@ -121,9 +121,9 @@ def _design(kind: ProfileKind, name: str) -> tuple[DesignCurve, cKDTree]:
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     y, z = points.T
     inside = (
-        (y >= OF_PROFILES.design_wheel_range[0]) & (y <= OF_PROFILES.design_wheel_range[1])
+        (y >= PROFILES.design_wheel_range[0]) & (y <= PROFILES.design_wheel_range[1])
         if kind == "wheel"
-        else z - z.min() <= OF_PROFILES.design_rail_depth
+        else z - z.min() <= PROFILES.design_rail_depth
     )
     inner = float(arc[inside][0]), float(arc[inside][-1])
     return DesignCurve(name, arc, points, tangent, inner), cKDTree(points)
@@ -132,7 +132,7 @@ def _design(kind: ProfileKind, name: str) -> tuple[DesignCurve, cKDTree]:
 def _start(design: DesignCurve, points: FloatArray) -> _Movement:
     middles = []
     for head in (design.points, points):
-        upper = head[head[:, 1] < head[:, 1].min() + OF_PROFILES.head_depth, 0]
+        upper = head[head[:, 1] < head[:, 1].min() + PROFILES.head_depth, 0]
         middles.append(0.5 * float(upper.min() + upper.max()))
     return middles[1] - middles[0], float(points[:, 1].min() - design.points[:, 1].min()), 0.0
 
@@ -141,7 +141,7 @@ def _moved(
     kind: ProfileKind, name: str, movement: _Movement, points: FloatArray, reaches: tuple[float, ...]
 ) -> _Movement:
     for reach in reaches:
-        for _ in range(OF_PROFILES.search_rounds):
+        for _ in range(PROFILES.search_rounds):
             across, at, normal = _across(kind, name, movement, points)
             # a small turn moves the foot at right angles to its arm
             matrix = np.column_stack([normal, at[:, 0] * normal[:, 1] - at[:, 1] * normal[:, 0]])
@@ -181,4 +181,4 @@ def _foot(design: DesignCurve, tree: cKDTree, points: FloatArray) -> tuple[Float
 
 def _distance(kind: ProfileKind, name: str, movement: _Movement, points: FloatArray) -> float:
     across = np.abs(_across(kind, name, movement, points)[0])
-    return float(np.minimum(across, OF_PROFILES.search_reaches[-1]).mean())
+    return float(np.minimum(across, PROFILES.search_reaches[-1]).mean())

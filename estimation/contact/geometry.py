@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from estimation.contact import kernels
 from estimation.contact.method import ContactMethod
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import Profile
 from estimation.contact.surfaces import Surface, rail_surface, wheel_surface
 from estimation.errors import ContactError
@@ -191,7 +191,7 @@ def search_setting(wheelset: WheelsetOnTrack, method: ContactMethod) -> Setting:
     wheels = (_plain(wheel_surface(wheelset.left_wheel)), _plain(wheel_surface(wheelset.right_wheel)))
     left_rail = _plain(rail_surface(wheelset.left_rail, wheelset.inclination, wheelset.gauge))
     right_rail = _plain(rail_surface(wheelset.right_rail, wheelset.inclination, wheelset.gauge))
-    half = wheelset.flange_back_distance / 2.0 + OF_PROFILES.tread_datum
+    half = wheelset.flange_back_distance / 2.0 + PROFILES.tread_datum
     radii = (wheelset.left_radius, wheelset.right_radius)
     return method is ContactMethod.RIGID, half, radii, wheels, (left_rail, right_rail)
 

@@ -18,18 +18,18 @@ import math
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 
-STRIDE = OF_PROFILES.scan_stride
-RIVAL_MARGIN = OF_PROFILES.rival_gap
-ROLL_TOLERANCE = OF_PROFILES.roll_tolerance
-SLOPE_TOLERANCE = OF_PROFILES.slope_tolerance
-POSITION_TOLERANCE = OF_PROFILES.position_tolerance
-ROLL_LIMIT = OF_PROFILES.roll_limit
-JUMP_DISTANCE = OF_PROFILES.jump_distance
-JUMP_INTERVAL = OF_PROFILES.jump_interval
-CURVE_TOLERANCE = OF_PROFILES.curve_tolerance
-CURVE_INTERVAL = OF_PROFILES.curve_interval
+STRIDE = PROFILES.scan_stride
+RIVAL_MARGIN = PROFILES.rival_gap
+ROLL_TOLERANCE = PROFILES.roll_tolerance
+SLOPE_TOLERANCE = PROFILES.slope_tolerance
+POSITION_TOLERANCE = PROFILES.position_tolerance
+ROLL_LIMIT = PROFILES.roll_limit
+JUMP_DISTANCE = PROFILES.jump_distance
+JUMP_INTERVAL = PROFILES.jump_interval
+CURVE_TOLERANCE = PROFILES.curve_tolerance
+CURVE_INTERVAL = PROFILES.curve_interval
 
 
 OUTSIDE = 1.0e3  # m, gap where there is no rail

@@ -101,4 +101,4 @@ class ProfileParameters:
     middle_neighbours: int = 15  # points to either side, whose noise is that of the point between them
 
 
-OF_PROFILES = ProfileParameters()
+PROFILES = ProfileParameters()

@@ -18,7 +18,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import nnls
 
 from estimation.contact.design_curve import DesignCurve
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.units import STD_PER_MAD
 
@@ -88,7 +88,7 @@ def fit_spline(
     weights = weight.copy()
     rough, length = correlated_noise(points)
     noise = noise_std**2 if noise_std is not None else max(rough**2, _TINY)
-    for rounds in (OF_PROFILES.first_fit_rounds, OF_PROFILES.fit_rounds):
+    for rounds in (PROFILES.first_fit_rounds, PROFILES.fit_rounds):
         knots, basis = _basis(arc, spacing)
         rows = _whitened(points - design.at(arc)[0] if design else points, basis, weights, arc, length)
         fit = _evidence_fit(rows, noise, rounds, known=noise_std is not None, pooled=_on_design(design, knots))
@@ -98,16 +98,12 @@ def fit_spline(
     knots, basis = _basis(arc, spacing)
     rows = _whitened(points - design.at(arc)[0] if design else points, basis, weights, arc, length)
     fit = _evidence_fit(
-        rows,
-        fit.noise,
-        OF_PROFILES.fit_rounds,
-        known=noise_std is not None,
-        pooled=_on_design(design, knots),
+        rows, fit.noise, PROFILES.fit_rounds, known=noise_std is not None, pooled=_on_design(design, knots)
     )
     if design is None:
         fit = _levelled(rows, fit, known=noise_std is not None)
     _, residual, _ = _projected(points, arc, knots, fit.coefficients, design)
-    root = np.asarray(np.linalg.cholesky(fit.covariance * OF_PROFILES.penalty_widening**2), dtype=np.float64)
+    root = np.asarray(np.linalg.cholesky(fit.covariance * PROFILES.penalty_widening**2), dtype=np.float64)
     return PenalisedSpline(fit.coefficients, knots, root, float(np.sqrt(fit.noise)), residual, design)
 
 
@@ -126,20 +122,20 @@ def correlated_noise(points: FloatArray) -> tuple[float, float]:
     with the distance. The correlation is taken as exponential.
     """
     spacing = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
-    steps = sorted({max(1, round(distance / max(spacing, _TINY))) for distance in OF_PROFILES.noise_distances})
-    steps = [step for step in steps if step == 1 or OF_PROFILES.fewest_difference_spans * step < len(points)]
+    steps = sorted({max(1, round(distance / max(spacing, _TINY))) for distance in PROFILES.noise_distances})
+    steps = [step for step in steps if step == 1 or PROFILES.fewest_difference_spans * step < len(points)]
     found = np.log([max(rough_noise(points, step) ** 2, _TINY) for step in steps])
     best = (np.inf, 0.0, 0.0)
     white = np.inf
-    for length in OF_PROFILES.correlation_lengths:
+    for length in PROFILES.correlation_lengths:
         alike = np.exp(-np.outer(np.array(steps) * spacing, np.arange(1, 5)) / length) if length else np.zeros((1, 4))
-        expected = np.log(np.maximum(1.0 + alike @ np.array(_PRODUCTS), OF_PROFILES.least_variance_share))
+        expected = np.log(np.maximum(1.0 + alike @ np.array(_PRODUCTS), PROFILES.least_variance_share))
         level = float(np.mean(found - expected))
         cost = float(((found - expected - level) ** 2).sum())
         white = cost if length == 0.0 else white
         best = min(best, (cost, length, level))
     cost, length, level = best
-    if white - cost < OF_PROFILES.significant_correlation:
+    if white - cost < PROFILES.significant_correlation:
         return float(np.exp(0.5 * np.mean(found))), 0.0
     return float(np.exp(0.5 * level)), length
 
@@ -172,7 +168,7 @@ def _first_arc(points: FloatArray) -> tuple[FloatArray, float]:
 
 def _basis(arc: FloatArray, spacing: float) -> tuple[FloatArray, FloatArray]:
     first, last = float(arc.min()), float(arc.max())
-    count = max(2 * DEGREE, round((last - first) / max(OF_PROFILES.knot_step, spacing)))
+    count = max(2 * DEGREE, round((last - first) / max(PROFILES.knot_step, spacing)))
     knots: FloatArray = first + (last - first) / count * np.arange(-DEGREE, count + DEGREE + 1, dtype=np.float64)
     inside = np.clip(arc, knots[DEGREE], knots[-DEGREE - 1])
     return knots, np.asarray(BSpline.design_matrix(inside, knots, DEGREE).toarray())
@@ -190,7 +186,7 @@ def _whitened(points: FloatArray, basis: FloatArray, weights: FloatArray, arc: F
         return design, target
     gap = np.abs(np.diff(arc[kept]))
     alike = np.where(
-        gap > OF_PROFILES.correlated_reach, 0.0, np.minimum(np.exp(-gap / length), OF_PROFILES.most_correlation)
+        gap > PROFILES.correlated_reach, 0.0, np.minimum(np.exp(-gap / length), PROFILES.most_correlation)
     )[:, np.newaxis]
     own = np.sqrt(1.0 - alike**2)
     return (
@@ -201,18 +197,18 @@ def _whitened(points: FloatArray, basis: FloatArray, weights: FloatArray, arc: F
 
 def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool, pooled: BoolArray | None = None) -> _Fit:
     """Return the fit whose variance of third differences, local or ``pooled``, explains points best (MacKay)."""
-    local = np.full(rows[0].shape[1] - ORDER, (OF_PROFILES.first_third_derivative * OF_PROFILES.knot_step**ORDER) ** 2)
-    least = (OF_PROFILES.least_third_derivative * OF_PROFILES.knot_step**ORDER) ** 2
+    local = np.full(rows[0].shape[1] - ORDER, (PROFILES.first_third_derivative * PROFILES.knot_step**ORDER) ** 2)
+    least = (PROFILES.least_third_derivative * PROFILES.knot_step**ORDER) ** 2
     normal = rows[0].T @ rows[0], rows[0].T @ rows[1]
     fit = _posterior(normal, noise, local)
     for _ in range(rounds):
         third = np.diff(fit.coefficients, n=ORDER, axis=0)
         variance = np.diff(np.diff(fit.covariance, n=ORDER, axis=0), n=ORDER, axis=1).diagonal()
-        determined = np.clip(1.0 - variance / fit.local, OF_PROFILES.least_determined_share, 1.0)
+        determined = np.clip(1.0 - variance / fit.local, PROFILES.least_determined_share, 1.0)
         squares = (third**2).sum(axis=1)
         local = np.maximum(_over_neighbours(squares) / _over_neighbours(determined), least)
         if pooled is not None:
-            unseen = (OF_PROFILES.unseen_fourth_derivative * np.sqrt(noise) * OF_PROFILES.knot_step**ORDER) ** 2
+            unseen = (PROFILES.unseen_fourth_derivative * np.sqrt(noise) * PROFILES.knot_step**ORDER) ** 2
             local[pooled] = max(float(squares[pooled].sum() / determined[pooled].sum()), unseen)
         noise = fit.noise if known else _noise(rows, fit)
         fit = _posterior(normal, noise, local)
@@ -284,9 +280,9 @@ def _relative_precision(tangent: FloatArray, residual: FloatArray, weight: Float
     """Return weights (n,), geometric mean 1: noise has one variance in height (cos^2) and one laterally (sin^2)."""
     share = tangent**2 / np.maximum((tangent**2).sum(axis=1), _TINY)[:, np.newaxis]  # cos^2, sin^2
     variance = np.full(len(residual), max(float((weight @ residual**2) / weight.sum()), _TINY))
-    for _ in range(OF_PROFILES.noise_rounds):
+    for _ in range(PROFILES.noise_rounds):
         scaled = np.sqrt(weight) / variance
         found, _ = nnls(share * scaled[:, np.newaxis], residual**2 * scaled)
-        found = np.maximum(found, max(OF_PROFILES.least_noise_share * float(found.max()), _TINY))
+        found = np.maximum(found, max(PROFILES.least_noise_share * float(found.max()), _TINY))
         variance = share @ found
     return np.asarray(np.exp(np.log(variance).mean()) / variance)

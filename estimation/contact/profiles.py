@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.contact.wheel_definitions import (
     RAIL_DEFINITIONS,
     S1002_THROAT,
@@ -32,9 +32,9 @@ from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.fields import Served
 from estimation.values.units import IN_MM, MILLIMETRE
 
-TREAD_DATUM = OF_PROFILES.tread_datum
-GAUGE_DEPTH = OF_PROFILES.gauge_depth
-SAMPLING_STEP_MM = OF_PROFILES.sampling_step_mm
+TREAD_DATUM = PROFILES.tread_datum
+GAUGE_DEPTH = PROFILES.gauge_depth
+SAMPLING_STEP_MM = PROFILES.sampling_step_mm
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
@@ -259,7 +259,7 @@ def _named(kind: ProfileKind, name: str, definitions: Mapping[str, tuple[Segment
 
 
 def _sampled(kind: ProfileKind, name: str, segments: tuple[Segment, ...]) -> Profile:
-    y, z, slope = sample(segments, OF_PROFILES.sampling_step_mm)
+    y, z, slope = sample(segments, PROFILES.sampling_step_mm)
     return Profile(kind, name, y * MILLIMETRE, z * MILLIMETRE, slope)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from estimation.contact.design_curve import DesignCurve, explains, nearest_design
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.contact.penalised_spline import DEGREE, PenalisedSpline, correlated_noise, fit_spline
 from estimation.contact.profiles import Profile, ProfileKind
 from estimation.errors import ProfileError
@@ -83,7 +83,7 @@ def smoothed_profile(
         noise_std: Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
     """
     level = correlated_noise(points)[0] if noise_std is None else noise_std
-    if level < OF_PROFILES.exact_noise:
+    if level < PROFILES.exact_noise:
         kept = advancing(points[:, 0], _peak(kind, points[:, 1]))
         y, z = points[kept].T * MILLIMETRE
         return SmoothedProfile(datum_at_zero(profile_from_points(kind, name, y, z)), 0.0)
@@ -98,7 +98,7 @@ def smoothed_profile(
         ) from error
     counted = weight > 0.0
     design = nearest_design(kind, points[chosen][counted])
-    local = np.sqrt(np.nanmean(_windows(spline.residual[counted] ** 2, OF_PROFILES.middle_neighbours), axis=1))
+    local = np.sqrt(np.nanmean(_windows(spline.residual[counted] ** 2, PROFILES.middle_neighbours), axis=1))
     if design and explains(design, points[chosen][counted], local, correlated_noise(points[chosen])[1]):
         spline = fit_spline(points[chosen], weight, noise_std, design)
     profile = _profile(kind, name, spline, spline.coefficients)
@@ -109,10 +109,10 @@ def smoothed_profile(
 def _without_outliers(points: FloatArray, level: float, noise_std: float | None) -> tuple[PenalisedSpline, FloatArray]:
     weight = without_spikes(points, level)
     spline = fit_spline(points, weight, noise_std)
-    for _ in range(OF_PROFILES.outlier_rounds):
+    for _ in range(PROFILES.outlier_rounds):
         limit = _limit(spline.residual, weight)
         magnitude = np.where(weight > 0.0, np.abs(spline.residual), 0.0)
-        farthest = magnitude >= np.nanmax(_windows(magnitude, OF_PROFILES.outlier_neighbours), axis=1)
+        farthest = magnitude >= np.nanmax(_windows(magnitude, PROFILES.outlier_neighbours), axis=1)
         far = (weight > 0.0) & (np.abs(spline.residual) > limit) & farthest
         if not far.any():
             break
@@ -149,7 +149,7 @@ def advancing(y: FloatArray, peak: int) -> IntArray:
 def _beyond_all_before(y: FloatArray) -> IntArray:
     """Return the indices of the points beyond all before them, and not too close to the last of these."""
     kept = np.flatnonzero(np.concatenate([[True], y[1:] > np.maximum.accumulate(y)[:-1]]))
-    while len(close := np.flatnonzero(np.diff(y[kept]) <= OF_PROFILES.least_spacing)):
+    while len(close := np.flatnonzero(np.diff(y[kept]) <= PROFILES.least_spacing)):
         kept = np.delete(kept, close[np.concatenate([[True], np.diff(close) > 1])] + 1)
     return kept.astype(np.int64)
 
@@ -160,11 +160,11 @@ def _peak(kind: ProfileKind, z: FloatArray) -> int:
 
 def _profile(kind: ProfileKind, name: str, spline: PenalisedSpline, coefficients: FloatArray) -> Profile:
     first, last = float(spline.knots[DEGREE]), float(spline.knots[-DEGREE - 1])
-    arc = np.linspace(first, last, 2 + int((last - first) / OF_PROFILES.smoothed_step))
+    arc = np.linspace(first, last, 2 + int((last - first) / PROFILES.smoothed_step))
     point, derivative = spline.at(arc, coefficients)
     (y, z), (across, down) = point.T, derivative.T
     kept = advancing(y, _peak(kind, z))
-    kept = kept[across[kept] * OF_PROFILES.steepest_smoothed > np.abs(down[kept])]
+    kept = kept[across[kept] * PROFILES.steepest_smoothed > np.abs(down[kept])]
     profile = Profile(kind, name, y[kept] * MILLIMETRE, z[kept] * MILLIMETRE, down[kept] / across[kept])
     return datum_at_zero(profile)
 
@@ -176,13 +176,13 @@ def without_spikes(points: FloatArray, level: float) -> FloatArray:
     middle = np.median(points[index], axis=1)
     distance = np.hypot(*(points - middle).T)
     reach = np.hypot(*np.median(np.abs(points[index] - middle[:, np.newaxis]), axis=1).T)
-    return np.where(distance > np.maximum(8.0 * level, OF_PROFILES.least_outlier_distance) + 3.0 * reach, 0.0, 1.0)
+    return np.where(distance > np.maximum(8.0 * level, PROFILES.least_outlier_distance) + 3.0 * reach, 0.0, 1.0)
 
 
 def _limit(residual: FloatArray, weight: FloatArray) -> FloatArray:
     magnitude = np.where(weight > 0.0, np.abs(residual), np.nan)
-    local = STD_PER_MAD * np.nanmedian(_windows(magnitude, OF_PROFILES.noise_neighbours), axis=1)
-    return np.maximum(OF_PROFILES.outlier_stds * local, OF_PROFILES.least_outlier_distance)
+    local = STD_PER_MAD * np.nanmedian(_windows(magnitude, PROFILES.noise_neighbours), axis=1)
+    return np.maximum(PROFILES.outlier_stds * local, PROFILES.least_outlier_distance)
 
 
 def _windows(values: FloatArray, reach: int) -> FloatArray:

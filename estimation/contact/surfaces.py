@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import GAUGE_DEPTH, Profile
 from estimation.errors import ContactError
 from estimation.values.arrays import FloatArray, FrozenArrays, runs
@@ -36,9 +36,9 @@ def wheel_surface(wheel: Profile) -> Surface:
     Raises:
         ContactError: Nothing of it can touch: it ends in its flange.
     """
-    margin = OF_PROFILES.tip_height if np.ptp(wheel.z) > OF_PROFILES.least_flange_height else 0.0
+    margin = PROFILES.tip_height if np.ptp(wheel.z) > PROFILES.least_flange_height else 0.0
     start = int(np.flatnonzero(wheel.z >= wheel.z.max() - margin)[-1])
-    face = int(np.searchsorted(wheel.y, OF_PROFILES.flange_face_end))  # a worn flange face may be as steep as it likes
+    face = int(np.searchsorted(wheel.y, PROFILES.flange_face_end))  # a worn flange face may be as steep as it likes
     keep = slice(start, _run(wheel.slope, wheel.z, min(max(start, face), len(wheel.y) - 1), 1) + 1)
     if keep.stop - keep.start < _FEWEST_GRIDDED:
         raise ContactError(f"wheel {wheel.name!r} ends in its flange: it has no tread that can touch", field="wheel")
@@ -61,10 +61,10 @@ def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
     z = rail.z * math.cos(angle) - rail.y * math.sin(angle)
     forward = math.cos(angle) + rail.slope * math.sin(angle)
     rise = rail.slope * math.cos(angle) - math.sin(angle)
-    slope = np.divide(rise, forward, out=np.full_like(rise, np.inf), where=forward > 1.0 / OF_PROFILES.steepest_slope)
+    slope = np.divide(rise, forward, out=np.full_like(rise, np.inf), where=forward > 1.0 / PROFILES.steepest_slope)
     top = int(np.argmin(z))
     edge = _gauge_edge(
-        rail.name, y[: top + 1], z[: top + 1] - z[top], wall=bool(forward[0] * OF_PROFILES.wall_slope < abs(rise[0]))
+        rail.name, y[: top + 1], z[: top + 1] - z[top], wall=bool(forward[0] * PROFILES.wall_slope < abs(rise[0]))
     )
     first, last = _run(slope, z, top, -1), _run(slope, z, top, 1)
     outwards = (
@@ -77,7 +77,7 @@ def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
     return _gridded(
         y[keep] - edge + gauge / 2.0,
         z[keep] - z[top],
-        np.clip(slope[keep], -OF_PROFILES.steepest_slope, OF_PROFILES.steepest_slope),
+        np.clip(slope[keep], -PROFILES.steepest_slope, PROFILES.steepest_slope),
     )
 
 
@@ -102,16 +102,16 @@ def _gauge_edge(name: str, y: FloatArray, depth: FloatArray, *, wall: bool) -> f
 def _run(slope: FloatArray, z: FloatArray, start: int, direction: int) -> int:
     """Return the last index from ``start`` in ``direction`` (+1, -1) up to which the surface can be touched."""
     # it ends where the surface is too steep over more than a notch of height; a point or two of noise do not end it
-    steep = np.abs(slope[start::direction]) >= OF_PROFILES.steepest_slope
+    steep = np.abs(slope[start::direction]) >= PROFILES.steepest_slope
     height = z[start::direction]
     for first, behind in runs(steep):
         before, after = max(first - 1, 0), min(behind, len(steep) - 1)
-        if abs(height[after] - height[before]) > OF_PROFILES.notch_height or behind == len(steep):
+        if abs(height[after] - height[before]) > PROFILES.notch_height or behind == len(steep):
             return start + direction * int(before)
     return start + direction * (len(steep) - 1)
 
 
 def _gridded(y: FloatArray, z: FloatArray, slope: FloatArray) -> Surface:
     curve = CubicHermiteSpline(y, z, slope)
-    grid = y[0] + OF_PROFILES.grid_step * np.arange(int((y[-1] - y[0]) / OF_PROFILES.grid_step) + 1)
-    return Surface(float(y[0]), OF_PROFILES.grid_step, curve(grid), curve(grid, nu=1))
+    grid = y[0] + PROFILES.grid_step * np.arange(int((y[-1] - y[0]) / PROFILES.grid_step) + 1)
+    return Surface(float(y[0]), PROFILES.grid_step, curve(grid), curve(grid, nu=1))

@@ -20,7 +20,7 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import Profile
 from estimation.errors import ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
@@ -37,8 +37,8 @@ class TreadWear:
     flange_wear: float = 0.0  # reduction of the flange thickness
 
     def __post_init__(self) -> None:
-        _within("depth", self.depth, OF_PROFILES.deepest_hollow)
-        _within("flange_wear", self.flange_wear, OF_PROFILES.most_flange_wear)
+        _within("depth", self.depth, PROFILES.deepest_hollow)
+        _within("flange_wear", self.flange_wear, PROFILES.most_flange_wear)
         _check_band(self)
 
 
@@ -62,10 +62,7 @@ def worn(wheel: Profile, wear: TreadWear) -> Profile:
     """Return the wheel profile after it has lost that material; the new profile is not touched."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear is applied to wheels", field="kind")
-    (root, root_rate), (tip, tip_rate) = (
-        _blend(wheel.y, *OF_PROFILES.root_range),
-        _blend(wheel.y, *OF_PROFILES.tip_range),
-    )
+    (root, root_rate), (tip, tip_rate) = (_blend(wheel.y, *PROFILES.root_range), _blend(wheel.y, *PROFILES.tip_range))
     moved = wear.flange_wear * (1.0 - root) * tip  # from how far field-wards the surface at y came
     rate = wear.flange_wear * ((1.0 - root) * tip_rate - root_rate * tip)
     source = np.clip(wheel.y + moved, wheel.y[0], wheel.y[-1])
@@ -125,17 +122,17 @@ def wear_measures(wheel: Profile) -> WearMeasures:
     """Return the wear measures of a whole wheel whose origin is the tread datum, 70 mm from the flange back."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear measures are a wheel's", field="kind")
-    if not wheel.y[0] < OF_PROFILES.tread_begin or not wheel.y[-1] > 0.0:
+    if not wheel.y[0] < PROFILES.tread_begin or not wheel.y[-1] > 0.0:
         raise ProfileError(f"{wheel.name!r} does not reach from the flange to the tread datum", field="y")
-    y = np.arange(wheel.y[0], wheel.y[-1], OF_PROFILES.wear_step)
+    y = np.arange(wheel.y[0], wheel.y[-1], PROFILES.wear_step)
     z = wheel.height(y)
     tip = int(np.argmax(z))
     tread = float(wheel.height(np.zeros(1))[0])
-    thick = _face(y[tip:], z[tip:], tread + OF_PROFILES.face_depth)
-    high = _face(y[tip:], z[tip:], float(z[tip]) - OF_PROFILES.gradient_height)
-    part = z[(y >= OF_PROFILES.tread_begin) & (y <= y[-1] - OF_PROFILES.rim_margin)]
+    thick = _face(y[tip:], z[tip:], tread + PROFILES.face_depth)
+    high = _face(y[tip:], z[tip:], float(z[tip]) - PROFILES.gradient_height)
+    part = z[(y >= PROFILES.tread_begin) & (y <= y[-1] - PROFILES.rim_margin)]
     hollow = float((np.maximum.accumulate(part[::-1])[::-1] - part).max())  # below the highest point farther out
-    return WearMeasures(float(z[tip]) - tread, thick + OF_PROFILES.tread_datum, thick - high, hollow)
+    return WearMeasures(float(z[tip]) - tread, thick + PROFILES.tread_datum, thick - high, hollow)
 
 
 def _face(y: FloatArray, z: FloatArray, level: float) -> float:
@@ -155,7 +152,7 @@ class RailWear:
     half_width: float = 0.030  # from the middle to where the band ends
 
     def __post_init__(self) -> None:
-        _within("depth", self.depth, OF_PROFILES.deepest_band)
+        _within("depth", self.depth, PROFILES.deepest_band)
         _check_band(self)
 
 

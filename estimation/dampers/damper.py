@@ -21,7 +21,7 @@ from scipy.special import chdtri, ndtr
 
 from estimation.adhesion.creep_forces import GearSegment, GearSegments
 from estimation.dampers.damper_filters import DamperFilters, add_products, damper_filters, of_signals
-from estimation.dampers.parameters import OF_DAMPING
+from estimation.dampers.parameters import DAMPING
 from estimation.dampers.suspension_equations import (
     between_samples,
     low_pass,
@@ -45,7 +45,7 @@ def looked_at(first: Window) -> bool:
     """Return whether the damper is looked at in a window: in one of ``EVERY``, whatever others there are."""
     # Its start is mixed first, so that no recorder that runs at regular times is always left out. Both running gears of
     # a vehicle are looked at in the same windows.
-    return zlib.crc32(f"{first.vehicle} {first.start_ns // first.length_ns}".encode()) % OF_DAMPING.window_stride == 0
+    return zlib.crc32(f"{first.vehicle} {first.start_ns // first.length_ns}".encode()) % DAMPING.window_stride == 0
 
 
 def window_damper(
@@ -87,7 +87,7 @@ def _window_sums(gear: GearSegments, vehicle_class: VehicleClass) -> tuple[Dampe
         add_products(filters, *taken, products)
         count += int(counted.sum())
         square += float((above[0, counted] ** 2).sum())
-    if count < OF_DAMPING.fewest_samples:
+    if count < DAMPING.fewest_samples:
         return Reason(ReasonCode.TOO_FEW_USABLE, f"{count} samples of deflections are known"), None
     return _judged(products, count, square, filters)
 
@@ -97,9 +97,9 @@ def not_judged(vehicle_class: VehicleClass) -> Reason | None:
     if not nominal_damping(vehicle_class) > 0.0:
         return Reason(ReasonCode.DAMPER_NOT_ON_FILE, f"class {vehicle_class.code!r} has no lateral damper on file")
     for name, std in uncertain_parameters(vehicle_class).items():
-        if std > OF_DAMPING.largest_std:
+        if std > DAMPING.largest_std:
             text = f"{name} of class {vehicle_class.code!r} is known to {std:.0%} only"
-            return Reason(ReasonCode.SUSPENSION_UNCERTAIN, f"{text}, at most {OF_DAMPING.largest_std:.0%} will do")
+            return Reason(ReasonCode.SUSPENSION_UNCERTAIN, f"{text}, at most {DAMPING.largest_std:.0%} will do")
     return None
 
 
@@ -112,14 +112,14 @@ def _taken(
     """
     axles, known, dt = gear.axles, segment.axles[0].known, gear.sample_interval_s
     stride, half = stride_of(dt), len(low_pass(dt)) // 2
-    unknown = round(OF_DAMPING.unknown_begin_s / (stride * dt))
+    unknown = round(DAMPING.unknown_begin_s / (stride * dt))
     if len(known) - 2 * half < 2 * unknown * stride:
         return None
     signals = [segment.accelerations[: 2 * axles : 2], segment.accelerations[2 * axles :]]
     taken = [[thinned(bridged(one, known), dt) for one in rows] for rows in signals]
     (below, below_apart), (above, above_apart) = ((np.mean(rows, axis=0), 0.5 * (rows[0] - rows[-1])) for rows in taken)
     raised, raised_apart = between_samples(below), between_samples(below_apart)
-    late = OF_DAMPING.clock_std_s / (stride * dt)
+    late = DAMPING.clock_std_s / (stride * dt)
     counted = known[half : len(known) - half][::stride].copy()
     counted[:unknown] = counted[-1:] = False
     of_wheelsets = [raised, raised + apart[0] * raised_apart, raised, raised + late * np.gradient(raised_apart)]
@@ -132,19 +132,17 @@ def _judged(
 ) -> tuple[DamperSums | Reason, float]:
     whole = of_signals(filters, products)
     least = min(_least(one, count) for one in whole)
-    innovation = float(least) / (
-        float(filters.noise[:, 0, 0].max()) + OF_DAMPING.most_unexplained_share * square / count
-    )
+    innovation = float(least) / (float(filters.noise[:, 0, 0].max()) + DAMPING.most_unexplained_share * square / count)
     if not (np.isfinite(innovation) and innovation <= 1.0):
         text = f"the innovations of the suspension's filters are {np.sqrt(innovation):.1f} times what is believed"
         return Reason(ReasonCode.DIVERGED, f"{text}; check class and sensors"), innovation
-    independent = count * min(2.0 * OF_DAMPING.pass_hz * filters.step_s, 1.0)
-    scale = independent / (count * least + OF_DAMPING.model_error**2 * square)
+    independent = count * min(2.0 * DAMPING.pass_hz * filters.step_s, 1.0)
+    scale = independent / (count * least + DAMPING.model_error**2 * square)
     excited = _excitation(whole * scale, count * scale * filters.noise)
-    if not excited > OF_DAMPING.least_excitation:
+    if not excited > DAMPING.least_excitation:
         text = f"the motion shows the damper {max(excited, 0.0):.1f} times as much as noise does"
         return Reason(
-            ReasonCode.DAMPER_NOT_EXCITED, f"{text}, {OF_DAMPING.least_excitation:g} times are needed"
+            ReasonCode.DAMPER_NOT_EXCITED, f"{text}, {DAMPING.least_excitation:g} times are needed"
         ), innovation
     return DamperSums((whole - count * filters.noise) * scale, independent, filters.curved), innovation
 

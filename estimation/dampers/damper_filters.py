@@ -18,7 +18,7 @@ import scipy.linalg
 
 from estimation.adhesion.stationary_filter import over_a_sample
 from estimation.compiled import compiled
-from estimation.dampers.parameters import OF_DAMPING
+from estimation.dampers.parameters import DAMPING
 from estimation.dampers.suspension_equations import (
     between_samples,
     low_pass,
@@ -209,7 +209,7 @@ def _signals(physical: int, variants: int) -> FloatArray:
 def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) -> FloatArray:
     """Return what the noise of the sensors adds to the products of a sample on average, (q - 1, v + 2, v + 2)."""
     stride, taps = stride_of(dt), low_pass(dt)
-    count = round(OF_DAMPING.memory_s / filters.step_s)
+    count = round(DAMPING.memory_s / filters.step_s)
     variants = len(filters.source) + 1
     products = np.zeros((len(SHARES) - 1, variants, variants))
     counted, silent = np.ones(count, np.bool_), np.zeros((len(SOURCES), count))
@@ -223,7 +223,7 @@ def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) ->
             mean = np.tile(one, (len(SOURCES), 1))
             apart = silent.copy()
             apart[1 if below else 2] = filters.apart[0 if below else 1] * one
-            apart[3] = OF_DAMPING.clock_std_s * np.gradient(one, filters.step_s)
+            apart[3] = DAMPING.clock_std_s * np.gradient(one, filters.step_s)
             for signal in (mean, apart):
                 both = (signal, silent) if below else (silent, signal)
                 add_products(filters, both[0], both[1], counted, products)
@@ -259,8 +259,8 @@ def gain_std(vehicle_class: VehicleClass) -> float:
 
 
 def _scale_stds(sensors: SensorLayout) -> tuple[float, float]:
-    return max(sensors.lateral.scale_std, OF_DAMPING.least_scale_std), max(
-        sensors.mass_lateral.scale_std, OF_DAMPING.least_scale_std
+    return max(sensors.lateral.scale_std, DAMPING.least_scale_std), max(
+        sensors.mass_lateral.scale_std, DAMPING.least_scale_std
     )
 
 
@@ -279,7 +279,7 @@ def _one(
     measured[:-1] = (1.0 + stds.get(GAIN, 0.0)) * equations.measured
     of_wheelsets, above = _densities(vehicle_class.sensors, _axles(vehicle_class))
     intensity = np.outer(by_input, by_input) * of_wheelsets**2 / 2.0
-    intensity[-1, -1] = (2.0 * math.pi * OF_DAMPING.offset_corner_hz) ** 2 * above**2 / 2.0
+    intensity[-1, -1] = (2.0 * math.pi * DAMPING.offset_corner_hz) ** 2 * above**2 / 2.0
     unit = above**2 / (2.0 * step_s)  # variance of what is measured above, which all covariances are over
     transition, process = over_a_sample(rates, intensity / unit, step_s)
     predicted = scipy.linalg.solve_discrete_are(transition.T, measured[:, None], process, np.eye(1))
@@ -298,5 +298,5 @@ def _held(rates: FloatArray, by_input: FloatArray, step_s: float) -> FloatArray:
 
 
 def _densities(sensors: SensorLayout, axles: int) -> tuple[float, float]:
-    found = [max(one.noise_density, OF_DAMPING.least_noise_density) for one in (sensors.lateral, sensors.mass_lateral)]
+    found = [max(one.noise_density, DAMPING.least_noise_density) for one in (sensors.lateral, sensors.mass_lateral)]
     return found[0] / math.sqrt(axles), found[1] / math.sqrt(axles)

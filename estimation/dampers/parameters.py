@@ -32,4 +32,4 @@ class DampingParameters:
     step_s: float = 0.016  # between the samples that the filters take
 
 
-OF_DAMPING = DampingParameters()
+DAMPING = DampingParameters()

@@ -24,7 +24,7 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.dampers.parameters import OF_DAMPING
+from estimation.dampers.parameters import DAMPING
 from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass, VehicleParameters
 
@@ -102,7 +102,7 @@ def _bogie(p: VehicleParameters, bogie: BogieParameters, share: float) -> Suspen
 
 def stride_of(sample_interval_s: float) -> int:
     """Return of how many samples one is kept."""
-    return max(round(OF_DAMPING.step_s / sample_interval_s), 1)
+    return max(round(DAMPING.step_s / sample_interval_s), 1)
 
 
 @lru_cache(maxsize=4)
@@ -110,8 +110,8 @@ def low_pass(sample_interval_s: float) -> FloatArray:
     """Return the taps (k,) of the low-pass, odd in number and symmetric."""
     from scipy.signal import firwin, kaiserord  # noqa: PLC0415 - slow to import, and few need it
 
-    count, beta = kaiserord(OF_DAMPING.stop_db, 2.0 * sample_interval_s * (OF_DAMPING.stop_hz - OF_DAMPING.pass_hz))
-    corner = 0.5 * (OF_DAMPING.pass_hz + OF_DAMPING.stop_hz)
+    count, beta = kaiserord(DAMPING.stop_db, 2.0 * sample_interval_s * (DAMPING.stop_hz - DAMPING.pass_hz))
+    corner = 0.5 * (DAMPING.pass_hz + DAMPING.stop_hz)
     taps = firwin(count | 1, corner, window=("kaiser", beta), fs=1.0 / sample_interval_s)
     return frozen_array(taps, (None,), name="taps")
 

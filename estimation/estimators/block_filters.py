@@ -31,7 +31,7 @@ from estimation.estimators.interface import (
     nothing,
     usable,
 )
-from estimation.estimators.parameters import OF_RIVALS
+from estimation.estimators.parameters import RIVALS
 from estimation.estimators.series import SeriesState, added, empty, misfit, shifts
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
@@ -42,8 +42,8 @@ from estimation.values.windows import Motion
 from estimation.vehicle.regressors import regression
 from estimation.vehicle.vehicle_class import VehicleParameters
 
-STEEPEST = OF_RIVALS.steepest_slope
-OFFSET_STD = OF_RIVALS.offset_std
+STEEPEST = RIVALS.steepest_slope
+OFFSET_STD = RIVALS.offset_std
 
 
 class Inputs(NamedTuple):
@@ -87,13 +87,13 @@ class FilterState(FrozenArrays):
 def follows(found: Posterior) -> bool:
     """Return whether a filter has followed the motion of a block: by its innovations, and by its covariance."""
     finite = np.isfinite(found.mean).all() and np.isfinite(found.covariance).all() and np.isfinite(found.square)
-    if not finite or found.square > OF_RIVALS.most_innovation:
+    if not finite or found.square > RIVALS.most_innovation:
         return False
     return bool(np.linalg.eigvalsh(found.covariance)[0] > 0.0)
 
 
 def _inputs(motion: Motion, parameters: EstimatorParameters, keep: BoolArray) -> Inputs:
-    stride = max(round(OF_RIVALS.step_s / motion.sample_interval_s), 1)
+    stride = max(round(RIVALS.step_s / motion.sample_interval_s), 1)
     at = np.flatnonzero(keep)
     run = np.cumsum(np.append(0, np.diff(at) > 1))
     within = np.arange(len(at)) - np.searchsorted(run, run)
@@ -131,11 +131,7 @@ class BlockFilters(ABC):
         """Return the state before any block."""
         m = len(self.prior.mean)
         return FilterState(
-            empty(parameters, m),
-            np.zeros((OF_RIVALS.series_groups, m, m)),
-            np.zeros((OF_RIVALS.series_groups, m)),
-            0,
-            0,
+            empty(parameters, m), np.zeros((RIVALS.series_groups, m, m)), np.zeros((RIVALS.series_groups, m)), 0, 0
         )
 
     def update(self, state: FilterState, motion: Motion, weight: float = 1.0) -> FilterState:
@@ -146,18 +142,18 @@ class BlockFilters(ABC):
         precision, information = state.precision.copy(), state.information.copy()
         blocks, diverged = state.blocks, state.diverged
         of_sensors = math.sqrt(motion.displacement_noise)
-        noise = max(math.hypot(parameters.uncertainty.alignment_noise, of_sensors), OF_RIVALS.least_noise_std)
+        noise = max(math.hypot(parameters.uncertainty.alignment_noise, of_sensors), RIVALS.least_noise_std)
         before = np.diag(prior.std**-2.0)
         for block in np.unique(motion.block[keep]):
             inputs = _inputs(motion, parameters, keep & (motion.block == block))
-            if len(inputs.yaw) < OF_RIVALS.shortest_block:
+            if len(inputs.yaw) < RIVALS.shortest_block:
                 continue
             found = self.filter_block(parameters.vehicle, inputs, noise)
             blocks += 1
             if not follows(found):
                 diverged += 1
                 continue
-            group = int(group_of(np.array([block]), OF_RIVALS.series_groups)[0])
+            group = int(group_of(np.array([block]), RIVALS.series_groups)[0])
             after = np.linalg.inv(found.covariance)
             precision[group] += weight * (after - before)
             information[group] += weight * (after @ found.mean - before @ prior.mean)
@@ -169,16 +165,16 @@ class BlockFilters(ABC):
         span = covered_range(series.counts)
         if isinstance(span, Reason):
             return nothing(span, series.parameters, series.samples, series.stretches)
-        if state.diverged > OF_RIVALS.most_diverged_share * state.blocks:
+        if state.diverged > RIVALS.most_diverged_share * state.blocks:
             text = f"the filter has diverged in {state.diverged} of {state.blocks} blocks of running"
             return nothing(Reason(ReasonCode.DIVERGED, text), series.parameters, series.samples, series.stretches)
         present = np.flatnonzero(np.trace(state.precision, axis1=1, axis2=2) != 0.0)
-        if len(present) < OF_RIVALS.fewest_groups:
+        if len(present) < RIVALS.fewest_groups:
             return nothing(too_few_blocks(len(present)), series.parameters, series.samples, series.stretches)
         before = np.diag(self.prior.std**-2.0)
         precision = before + state.precision.sum(axis=0)
         information = before @ self.prior.mean + state.information.sum(axis=0)
-        x = np.linspace(*span, round((span[1] - span[0]) / OF_RIVALS.curve_spacing) + 1)
+        x = np.linspace(*span, round((span[1] - span[0]) / RIVALS.curve_spacing) + 1)
         functions = self.basis(x)
         value = functions @ np.linalg.solve(precision, information)
         left_out = [
@@ -228,8 +224,7 @@ class ParticleFilter(BlockFilters):
     """
 
     prior = Prior(
-        np.array([0.0, 0.5 * STEEPEST * MILLIMETRE]),
-        np.array([OFFSET_STD, STEEPEST / np.sqrt(12.0) * MILLIMETRE]),
+        np.array([0.0, 0.5 * STEEPEST * MILLIMETRE]), np.array([OFFSET_STD, STEEPEST / np.sqrt(12.0) * MILLIMETRE])
     )
     particles: int = 48
     name: str = "particles"
@@ -248,16 +243,14 @@ class ParticleFilter(BlockFilters):
         square = kernels.particles(*inputs, noise, lever, slope, mean, P, _draws(self.particles))
         found = np.column_stack([mean[:, 2], slope * MILLIMETRE])
         covariance = np.cov(found.T, bias=True) + np.diag(
-            [P[:, 2, 2].mean(), OF_RIVALS.least_slope_variance * self.prior.std[1] ** 2]
+            [P[:, 2, 2].mean(), RIVALS.least_slope_variance * self.prior.std[1] ** 2]
         )
         return Posterior(found.mean(axis=0), covariance, square)
 
 
 @lru_cache
 def _draws(particles: int) -> FloatArray:
-    rng = np.random.default_rng(OF_RIVALS.draw_seed)
-    drawn = np.column_stack(
-        [rng.uniform(size=OF_RIVALS.drawn_rows), rng.standard_normal((OF_RIVALS.drawn_rows, particles))]
-    )
+    rng = np.random.default_rng(RIVALS.draw_seed)
+    drawn = np.column_stack([rng.uniform(size=RIVALS.drawn_rows), rng.standard_normal((RIVALS.drawn_rows, particles))])
     drawn.flags.writeable = False
     return drawn

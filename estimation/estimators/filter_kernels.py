@@ -15,16 +15,16 @@ import math
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.estimators.parameters import OF_RIVALS
+from estimation.estimators.parameters import RIVALS
 from estimation.values.arrays import FloatArray
 from estimation.values.units import MILLIMETRE
 
-ALIGNMENT = OF_RIVALS.alignment_intensity
-YAW_RATE = OF_RIVALS.yaw_rate_intensity
-YAW = OF_RIVALS.yaw_std
-RENEWED = OF_RIVALS.renewed_stds
-MOVED = OF_RIVALS.moved_share
-COOLING = OF_RIVALS.least_spread_share
+ALIGNMENT = RIVALS.alignment_intensity
+YAW_RATE = RIVALS.yaw_rate_intensity
+YAW = RIVALS.yaw_std
+RENEWED = RIVALS.renewed_stds
+MOVED = RIVALS.moved_share
+COOLING = RIVALS.least_spread_share
 
 
 @compiled(nogil=True, error_model="numpy")

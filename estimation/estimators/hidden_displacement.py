@@ -36,7 +36,7 @@ from estimation.estimators.interface import (
     run_around_middle,
     usable,
 )
-from estimation.estimators.parameters import OF_RIVALS
+from estimation.estimators.parameters import RIVALS
 from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.tables.bin_table import group_of
@@ -237,7 +237,7 @@ class HiddenDisplacement:
             raise ParameterError("the interval between samples is not known", field="sample_interval_s")
         chunk = max(round(HIDDEN.chunk_s / motion.sample_interval_s), 1) if state.parameters.band_limited else 1
         piece = HiddenPiece(
-            x, R[:, 0], np.append(first, len(x)), group_of(block[first], OF_RIVALS.series_groups),
+            x, R[:, 0], np.append(first, len(x)), group_of(block[first], RIVALS.series_groups),
             chunk, weight,
         )  # fmt: skip
         return HiddenState(
@@ -255,7 +255,7 @@ class HiddenDisplacement:
         if isinstance(span, Reason):
             return nothing(span, state.parameters, samples, state.stretches)
         groups = len({group for piece in state.pieces for group in piece.group.tolist()})
-        if groups < OF_RIVALS.fewest_groups:
+        if groups < RIVALS.fewest_groups:
             return nothing(too_few_blocks(groups), state.parameters, samples, state.stretches)
         sums, counts = self._expected(state)
         number = counts.sum(axis=0)
@@ -288,7 +288,7 @@ def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArr
     grid: FloatArray = np.zeros(1) if curve is None else GRID
     prior = np.exp(-0.5 * (grid / HIDDEN.prior_std) ** 2)
     prior /= prior.sum()
-    sums, counts = np.zeros((2, OF_RIVALS.series_groups, FINE))
+    sums, counts = np.zeros((2, RIVALS.series_groups, FINE))
     for piece in state.pieces:
         for group, first, last in zip(piece.group, piece.start[:-1], piece.start[1:], strict=True):
             x, R, chunk = piece.displacement[first:last], piece.difference[first:last], piece.chunk

@@ -35,7 +35,7 @@ from estimation.estimators.interface import (
     run_around_middle,
     usable,
 )
-from estimation.estimators.parameters import OF_RIVALS
+from estimation.estimators.parameters import RIVALS
 from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.geometry.uncertainty import ParameterUncertainty
@@ -137,7 +137,7 @@ def _recurse_bin(theta: FloatArray, P: FloatArray, X: FloatArray, z: FloatArray,
     return theta
 
 
-GROUPS = OF_RIVALS.paper_algorithm_groups
+GROUPS = RIVALS.paper_algorithm_groups
 
 
 MIDDLES = frozen_array((np.arange(CELLS) + 0.5) * WIDTH - REACH, (CELLS,), name="middles")  # m
@@ -239,7 +239,7 @@ class PaperAlgorithm:
         index = np.floor(motion.displacement[keep] / self.width + 0.5).astype(np.int64) + self._half
         features = (
             np.column_stack([motion.yaw[keep], motion.roll_rate[keep], np.ones(int(keep.sum()))])
-            / OF_RIVALS.regressor_scale
+            / RIVALS.regressor_scale
         )
         output = yaw_output(motion, state.parameters.vehicle, V, keep)
         root = np.sqrt(weight)
@@ -276,15 +276,15 @@ class PaperAlgorithm:
         per_unit = -p.yaw_inertia * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
         run = run_around_middle(np.isfinite(state.theta[:, 2]) & (state.count > self.threshold + REGRESSORS))
         samples = int(state.count.sum())
-        if run.stop == self._half or run.stop - run.start < OF_RIVALS.fewest_bins:
-            text = f"fewer than {OF_RIVALS.fewest_bins} bins around the centre have reached the threshold"
+        if run.stop == self._half or run.stop - run.start < RIVALS.fewest_bins:
+            text = f"fewer than {RIVALS.fewest_bins} bins around the centre have reached the threshold"
             return nothing(Reason(ReasonCode.TOO_FEW_BINS, text), state.parameters, samples, state.stretches)
-        R = per_unit * state.theta[run, 2] / OF_RIVALS.regressor_scale[2]
+        R = per_unit * state.theta[run, 2] / RIVALS.regressor_scale[2]
         variance = state.squares[run] / (state.count[run] - REGRESSORS)
-        std = abs(per_unit) * np.sqrt(variance * state.covariance[run, 2, 2]) / OF_RIVALS.regressor_scale[2]
+        std = abs(per_unit) * np.sqrt(variance * state.covariance[run, 2, 2]) / RIVALS.regressor_scale[2]
         x = (np.arange(run.start, run.stop) - self._half) * self.width
         left_out = state.cells.left_out(x)
-        if len(left_out) < OF_RIVALS.fewest_groups:
+        if len(left_out) < RIVALS.fewest_groups:
             return nothing(too_few_blocks(len(left_out)), state.parameters, samples, state.stretches)
         uncertain = R + state.cells.shifted(x, R, state.parameters.uncertainty)
         shifted = np.vstack([uncertain, jumps_elsewhere(x, R, self.width / np.sqrt(12.0))])
@@ -304,7 +304,7 @@ def _start(waiting: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         return np.full(REGRESSORS, np.nan), np.zeros((REGRESSORS, REGRESSORS)), 0.0
     root, triangle = np.linalg.qr(X / size)
     diagonal = np.abs(np.diag(triangle))
-    if diagonal.min() <= OF_RIVALS.least_rank_share * diagonal.max():
+    if diagonal.min() <= RIVALS.least_rank_share * diagonal.max():
         return np.full(REGRESSORS, np.nan), np.zeros((REGRESSORS, REGRESSORS)), 0.0
     inverse = np.linalg.inv(triangle) / size[:, None]
     theta = inverse @ (root.T @ z)

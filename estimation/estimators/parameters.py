@@ -49,4 +49,4 @@ class RivalParameters:
     least_rank_share: float = 1e-9  # smallest to largest, of a triangle that still is solved
 
 
-OF_RIVALS = RivalParameters()
+RIVALS = RivalParameters()

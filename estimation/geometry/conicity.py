@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel, zero_crossing
-from estimation.geometry.parameters import OF_GEOMETRY
+from estimation.geometry.parameters import PRIORS
 from estimation.geometry.sharpening import (
     FREE,
     ContactRoll,
@@ -90,11 +90,9 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     amplitude = np.array(parameters.amplitudes)
     run = _run_around_zero(curve, parameters)
     groups = len(curve.difference) - 1
-    if run is None or groups < OF_GEOMETRY.fewest_groups:
+    if run is None or groups < PRIORS.fewest_groups:
         few_bins = Reason(ReasonCode.TOO_FEW_BINS, "too few bins around the centre have samples")
-        unknown = Estimate.unknown(
-            too_few_blocks(groups) if groups < OF_GEOMETRY.fewest_groups else few_bins, curve.count
-        )
+        unknown = Estimate.unknown(too_few_blocks(groups) if groups < PRIORS.fewest_groups else few_bins, curve.count)
         return CurveEstimates(
             amplitude, (unknown,) * len(amplitude), parameters.reference_amplitude, unknown, unknown, unknown
         )
@@ -124,7 +122,7 @@ def not_covered(amplitude: float) -> Reason:
 
 def too_few_blocks(groups: int) -> Reason:
     """Return that there are too few blocks of running time for an interval."""
-    return Reason(ReasonCode.TOO_FEW_BLOCKS, f"{groups} blocks of data, {OF_GEOMETRY.fewest_groups} are needed")
+    return Reason(ReasonCode.TOO_FEW_BLOCKS, f"{groups} blocks of data, {PRIORS.fewest_groups} are needed")
 
 
 def _nonlinearity(
@@ -251,7 +249,7 @@ def _conicity(values: FloatArray, groups: int, count: float, amplitude: float, p
     found = _estimate(values, groups, count, not_covered(amplitude))
     if found.value is None or found.high is None or found.std is None:
         return found
-    if found.std <= max(OF_GEOMETRY.largest_conicity_std, parameters.largest_share * found.value):
+    if found.std <= max(PRIORS.largest_conicity_std, parameters.largest_share * found.value):
         return found
     text = f"the data leave the conicity at {1e3 * amplitude:g} mm open by {found.high - found.value:.2f} either way"
     return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), count)

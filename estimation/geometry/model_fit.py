@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.geometry.uncertainty import MOUNTING_STD, ParameterUncertainty
-from estimation.motion.parameters import OF_MOTION
+from estimation.motion.parameters import MOTION
 from estimation.motion.rolling_sums import UNKNOWNS
 from estimation.tables.bin_table import BinParameters, Solution, inverses, unpack
 from estimation.values.arrays import BoolArray, FloatArray
@@ -70,8 +70,8 @@ class RollingFitParameters:
     expected_unknown_stds: tuple[float, ...] = (0.01, 10.0, 0.1, 0.1, 300.0, 300.0)
 
 
-ROLLING_FIT = RollingFitParameters()
-EXPECTED, EXPECTED_STD = np.array(ROLLING_FIT.expected_unknowns), np.array(ROLLING_FIT.expected_unknown_stds)
+ROLLING = RollingFitParameters()
+EXPECTED, EXPECTED_STD = np.array(ROLLING.expected_unknowns), np.array(ROLLING.expected_unknown_stds)
 
 
 def solve_with_shared_scales(
@@ -108,7 +108,7 @@ def solve_with_shared_scales(
     right = np.where(known_bins, cross[:, :, :q, :] - coupling @ alone, 0.0).sum(axis=1)
     unshared = np.maximum(square - np.einsum("rbi,rbi->rb", alone[..., 0], cross[:, :, q:, 0]), 0.0)
     freedom = np.maximum(np.where(solvable, weight - (p - q), 0.0).sum(axis=1), 1.0)
-    variance = np.maximum(np.where(solvable, unshared, 0.0).sum(axis=1) / freedom, ROLLING_FIT.smallest_variance)
+    variance = np.maximum(np.where(solvable, unshared, 0.0).sum(axis=1) / freedom, ROLLING.smallest_variance)
     counted = np.ones(q) if counted_as_one is None else np.asarray(counted_as_one)
     known = variance[:, None, None] * np.diag(counted / np.square(prior_stds))
     common = np.linalg.solve(left + known, right)[:, None]
@@ -209,14 +209,14 @@ def mismatch(
 def displaced(fit: ModelFit) -> Contradiction | None:
     """Return that sensors and track leave the lateral displacement open, which flattens the curve; None else."""
     share = fit.displacement_error
-    if share <= ROLLING_FIT.most_displacement_error:
+    if share <= ROLLING.most_displacement_error:
         return None
     text = (
         f"{share:.0%} of the power of the lateral displacement are errors of the alignment on file and of the sensors,"
-        f" {ROLLING_FIT.most_displacement_error:.0%} may be: the conicity may be too small by as much;"
+        f" {ROLLING.most_displacement_error:.0%} may be: the conicity may be too small by as much;"
         " survey the section again"
     )
-    relative = min(share / max(1.0 - share, 1e-9), ROLLING_FIT.most_widening)
+    relative = min(share / max(1.0 - share, 1e-9), ROLLING.most_widening)
     return Contradiction(Reason(ReasonCode.CONICITY_OPEN, text), certain=False, relative=relative)
 
 
@@ -274,19 +274,19 @@ def check_radius(
     A radius that nobody measured and that the motion does not tell from one off by ``MISTAKE`` stands beside the
     number as a doubt; one that was ``measured`` stands against another measurement, a doubt too. Few data say nothing.
     """
-    if len(parts) < ROLLING_FIT.fewest_parts:
+    if len(parts) < ROLLING.fewest_parts:
         return None
     found = rolling_radius(parts)
     if found is None:
         return None if measured else _open(on_file, "the motion does not show the radius on which the wheelset rolls")
     std = math.hypot(found.std, relative_std * on_file)
     stds = abs(found.value - on_file) / std
-    if stds <= ROLLING_FIT.doubted_stds:
-        if measured or stds + ROLLING_FIT.doubted_stds <= ROLLING_FIT.radius_mistake * on_file / std:
+    if stds <= ROLLING.doubted_stds:
+        if measured or stds + ROLLING.doubted_stds <= ROLLING.radius_mistake * on_file / std:
             return None
         by_motion = f"{1e3 * found.value:.0f} mm (std {1e3 * found.std:.0f} mm)"
         return _open(on_file, f"the motion shows the radius on which the wheelset rolls as {by_motion}")
-    certain = stds > ROLLING_FIT.certain_stds and not measured
+    certain = stds > ROLLING.certain_stds and not measured
     reason = Reason(
         ReasonCode.ROLLING_RADIUS_DIFFERS,
         f"the wheelset rolls as on wheels of {1e3 * found.value:.0f} mm radius (std {1e3 * found.std:.0f} mm),"
@@ -299,7 +299,7 @@ def check_radius(
 def _open(on_file: float, shown: str) -> Contradiction:
     text = (
         f"{shown}, which does not confirm the {1e3 * on_file:.0f} mm on file: a radius"
-        f" {ROLLING_FIT.radius_mistake:.0%} off moves the conicity by {ROLLING_FIT.radius_mistake:.0%};"
+        f" {ROLLING.radius_mistake:.0%} off moves the conicity by {ROLLING.radius_mistake:.0%};"
         " put its std on file, as measured or as wheels wear"
     )
     return Contradiction(Reason(ReasonCode.ROLLING_RADIUS_OPEN, text), certain=False, relative=0.0)
@@ -307,7 +307,7 @@ def _open(on_file: float, shown: str) -> Contradiction:
 
 def rolling_radius(parts: Sequence[RollingSums]) -> RollingRadius | None:
     """Return the radius on which a wheelset rolls; None where the data do not determine it."""
-    if len(parts) < ROLLING_FIT.fewest_parts:
+    if len(parts) < ROLLING.fewest_parts:
         return None
     products = np.array([one.products for one in parts])
     noise = np.array([one.noise for one in parts])
@@ -322,35 +322,35 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
     taken_off = noise.copy()
     # curve and gravity are one where contact is straight: its noise is what keeps them apart there
     taken_off[..., 1 + _CURVE, 1 + _CURVE] = 0.0
-    with_noise = _solution(_weighted(np.ones(OF_MOTION.wavelength_bands), total))
+    with_noise = _solution(_weighted(np.ones(MOTION.wavelength_bands), total))
     share = min(1.0, float(np.min(_left(total, of_noise, with_noise))))  # sensors may be better than on file
-    weights = np.ones(OF_MOTION.wavelength_bands)
-    left = np.ones(OF_MOTION.wavelength_bands)
+    weights = np.ones(MOTION.wavelength_bands)
+    left = np.ones(MOTION.wavelength_bands)
     without_noise = products - share * taken_off
     by_band = without_noise.sum(axis=0)
-    for _ in range(ROLLING_FIT.weight_rounds):
+    for _ in range(ROLLING.weight_rounds):
         left = _left(total, of_noise, _solution(_weighted(weights, by_band)))
-        weights = (left <= ROLLING_FIT.outlying_factor * np.median(left)) / np.maximum(left, 1.0)
+        weights = (left <= ROLLING.outlying_factor * np.median(left)) / np.maximum(left, 1.0)
     sums = np.einsum("b,pbij->pij", weights, without_noise)
     whole = sums.sum(axis=0)
     information = whole[1:, 1:] + np.diag(1.0 / EXPECTED_STD**2)
     if np.linalg.eigvalsh(information)[0] <= 0.0:
         return None
     best = _solution(whole)
-    if best[_RADIUS] <= 0.0 or _unexplained_share(whole, best) > ROLLING_FIT.most_unexplained_share:
+    if best[_RADIUS] <= 0.0 or _unexplained_share(whole, best) > ROLLING.most_unexplained_share:
         return None
     replicates = np.array([best, *(_solution(whole - one) for one in sums)])
     bound = math.sqrt(float(np.linalg.inv(information)[_RADIUS, _RADIUS]))
     corrected = best[_RADIUS] - _solution(_weighted(weights, total))[_RADIUS]
     sampling = float(normal_equivalent(jackknife_std(replicates), len(sums))[_RADIUS])
-    vibrating = bool((left[-ROLLING_FIT.short_bands :] > ROLLING_FIT.outlying_factor * np.median(left)).any())
-    doubt = ROLLING_FIT.noise_doubt_vibrating if vibrating else ROLLING_FIT.radius_noise_doubt
+    vibrating = bool((left[-ROLLING.short_bands :] > ROLLING.outlying_factor * np.median(left)).any())
+    doubt = ROLLING.noise_doubt_vibrating if vibrating else ROLLING.radius_noise_doubt
     stds = [
         max(sampling, bound, _std_of_bands(weights, by_band)),
-        ROLLING_FIT.model_radius_std,
-        (doubt + ROLLING_FIT.noise_doubt_left * max(float(left.min()) - 1.0, 0.0)) * corrected,
-        ROLLING_FIT.friction_share * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),
-        ROLLING_FIT.scale_share * best[_RADIUS] * abs(best[_SCALE] - 1.0),
+        ROLLING.model_radius_std,
+        (doubt + ROLLING.noise_doubt_left * max(float(left.min()) - 1.0, 0.0)) * corrected,
+        ROLLING.friction_share * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),
+        ROLLING.scale_share * best[_RADIUS] * abs(best[_SCALE] - 1.0),
     ]
     return RollingRadius(float(best[_RADIUS]), float(np.linalg.norm(stds)), bound)
 

@@ -30,4 +30,4 @@ class PriorParameters:
     scale_std_hidden: float = 0.008
 
 
-OF_GEOMETRY = PriorParameters()
+PRIORS = PriorParameters()

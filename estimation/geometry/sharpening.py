@@ -46,10 +46,10 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtr
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
-from estimation.motion.parameters import OF_MOTION
+from estimation.motion.parameters import MOTION
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.units import NORMAL_95
-from estimation.vehicle.parameters import OF_GEAR
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleClass
 
 
@@ -351,9 +351,9 @@ def standard_curve(x: FloatArray, curve: FloatArray, roll: ContactRoll) -> tuple
     flat, rises = split_at_rises(x, curve, middle)
     phi = SHARPENING.roll_per_displacement * away + SHARPENING.roll_per_radius * flat
     moved = (
-        curve - rises + displaced(x, rises, middle, (SHARPENING.crown_depth - OF_GEAR.rail_head_radius) * np.abs(phi))
+        curve - rises + displaced(x, rises, middle, (SHARPENING.crown_depth - VEHICLE.rail_head_radius) * np.abs(phi))
     )
     if roll is ContactRoll.SEEN:
         return x, moved
-    taken = OF_MOTION.hidden_roll_share / (1.0 + OF_MOTION.hidden_roll_share) * away
-    return x + OF_GEAR.rail_head_radius * phi - taken, moved
+    taken = MOTION.hidden_roll_share / (1.0 + MOTION.hidden_roll_share) * away
+    return x + VEHICLE.rail_head_radius * phi - taken, moved

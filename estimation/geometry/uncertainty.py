@@ -13,23 +13,23 @@ from typing import Self
 
 import numpy as np
 
-from estimation.geometry.parameters import OF_GEOMETRY
+from estimation.geometry.parameters import PRIORS
 from estimation.geometry.sharpening import FREE, ContactRoll, held_shares
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
 from estimation.vehicle.vehicle_class import VehicleClass
 
-MOUNTING_STD = OF_GEOMETRY.mounting_std
+MOUNTING_STD = PRIORS.mounting_std
 
 
-SCALE_STDS = {ContactRoll.SEEN: OF_GEOMETRY.scale_std_seen, ContactRoll.HIDDEN: OF_GEOMETRY.scale_std_hidden}
+SCALE_STDS = {ContactRoll.SEEN: PRIORS.scale_std_seen, ContactRoll.HIDDEN: PRIORS.scale_std_hidden}
 
 
 def quotient_widening(relative: float) -> float:
     """Return by how much the std of a quotient exceeds that of first order: 1/(1 - s), infinite from 0.4."""
     # The quotient grows without limit as its divisor, of relative std s, nears zero. With this std 92 to 96 % of the 95
     # % intervals of 1/(1 + e), e normal with std s, hold 1.
-    return 1.0 / (1.0 - relative) if relative < OF_GEOMETRY.unknown_factor_std else float("inf")
+    return 1.0 / (1.0 - relative) if relative < PRIORS.unknown_factor_std else float("inf")
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,7 @@ class ParameterUncertainty:
 def _sensors_of_bogie(vehicle_class: VehicleClass) -> tuple[float, float, float]:
     """Return the stds of the yaw sensor's scale against the frame's, of the frame sensors' difference, of the angle."""
     of_yaw, of_frame = vehicle_class.sensors.yaw.scale_std, vehicle_class.sensors.mass_lateral.scale_std
-    least = OF_GEOMETRY.least_scale_std
+    least = PRIORS.least_scale_std
     return math.hypot(least, of_yaw, of_frame), math.hypot(least, math.sqrt(2.0) * of_frame), MOUNTING_STD
 
 
@@ -208,9 +208,7 @@ class DisplacementError:
 
     def jump_place_std(self, blur: float) -> float:
         """Return the std, m, of where contact jumps are found on average behind a blur (m, std)."""
-        return float(
-            np.linalg.norm([OF_GEOMETRY.jump_place_std, OF_GEOMETRY.jump_place_share * blur, self.jump_mean_std])
-        )
+        return float(np.linalg.norm([PRIORS.jump_place_std, PRIORS.jump_place_share * blur, self.jump_mean_std]))
 
     @staticmethod
     def of(
@@ -228,8 +226,8 @@ class DisplacementError:
         the fields of where contact jumps are.
         """
         variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
-        excess = min(std**2 / variance, OF_GEOMETRY.most_error_share) if variance > 0 else 0.0
-        known = (0.0, 0.0) if not integrated else (OF_GEOMETRY.projection_scale_std, OF_GEOMETRY.origin_std)
+        excess = min(std**2 / variance, PRIORS.most_error_share) if variance > 0 else 0.0
+        known = (0.0, 0.0) if not integrated else (PRIORS.projection_scale_std, PRIORS.origin_std)
         return DisplacementError(std, excess, float(np.hypot(known[0], scale)), known[1], **jumps)
 
     def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
@@ -258,9 +256,9 @@ class DisplacementError:
             0.0, x, values[smooth]
         )  # jumps below are part of it, not of the slope
         scaled = np.maximum(np.abs(slope * x), np.abs(above_centre)) * np.hypot(self.excess, self.scale)
-        shifted = np.hypot(scaled, slope * np.hypot(self.origin, OF_GEOMETRY.origin_std_share * self.jump_position_std))
+        shifted = np.hypot(scaled, slope * np.hypot(self.origin, PRIORS.origin_std_share * self.jump_position_std))
         scattered = np.zeros(len(centre))
-        both = replace(self, std=float(np.hypot(OF_GEOMETRY.scatter_stds * self.std, self.jump_position_std)))
+        both = replace(self, std=float(np.hypot(PRIORS.scatter_stds * self.std, self.jump_position_std)))
         scattered[observed] = both.rounded(centre[observed], values[observed]) - values[observed]
         left_unknown[smooth] = np.hypot(shifted, scattered[smooth])
         return left_unknown

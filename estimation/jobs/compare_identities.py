@@ -23,7 +23,7 @@ from estimation.alerts.rules.rule import latest_run, raised_at
 from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspension_change_finding
 from estimation.alerts.rules.sensor_data import IdentityRule
 from estimation.jobs.job import JobContext
-from estimation.jobs.parameters import OF_STAGES
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.assumptions import identity_changes
 from estimation.storage import UnitOfWork
@@ -112,11 +112,11 @@ def _changed_since(
     if changed is None:
         return []
     earlier = sorted(interval for interval in look.numbers if interval < changed)
-    for back in OF_STAGES.intervals_read:
+    for back in JOBS.intervals_read:
         first = earlier[-back] if len(earlier) > back else None
         read = unit.geometries.intervals(serial, look.baseline, first=first)
         usable = [one for one in read if one.interval in earlier and one.geometry.windows >= parameters.least_windows]
-        if first is None or len(usable) >= OF_STAGES.intervals_before_change:
+        if first is None or len(usable) >= JOBS.intervals_before_change:
             known = _observations(read, change)
             if first is None or not jumps(known, parameters):
                 return known

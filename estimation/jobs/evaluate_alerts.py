@@ -12,7 +12,7 @@ from functools import partial
 
 from estimation.alerts.identity import IDENTITY_EVENT
 from estimation.alerts.life_cycle import close, transition, without_stale_acknowledgement
-from estimation.alerts.parameters import OF_FINDINGS
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rule_book import RuleBook, findings, in_flood, next_change_ns, opened, refreshed, superseded
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS, SUSPENSIONS
@@ -286,7 +286,7 @@ ALERTS = Stage(
         *(Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, Facet.RESTARTS, GEOMETRY.stage, Facet.BESIDE),
         *(TREND.stage, IDENTITY_EVENT.stage),
     ),
-    settings=lambda settings: (settings.trend, settings.rules.version, OF_FINDINGS),
+    settings=lambda settings: (settings.trend, settings.rules.version, FINDINGS),
     load=load,
     compute=compute,
     counted=Counted(

@@ -43,4 +43,4 @@ class StageParameters:
     design_amplitudes: tuple[float, ...] = (1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)
 
 
-OF_STAGES = StageParameters()
+JOBS = StageParameters()

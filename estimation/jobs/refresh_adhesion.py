@@ -17,10 +17,10 @@ from estimation.adhesion.friction import section_adhesion, touched
 from estimation.alerts.life_cycle import close, section_transition
 from estimation.alerts.rules.running_gear import LowAdhesionRule, section_finding
 from estimation.dampers.damper import DamperParameters, gear_damper
-from estimation.dampers.parameters import OF_DAMPING
+from estimation.dampers.parameters import DAMPING
 from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.parameters import OF_STAGES
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.load_window import certain_stretches
@@ -107,7 +107,7 @@ def load_dampers(unit: UnitOfWork, vehicles: Sequence[str], _: JobContext) -> Ma
     """Return what the dampers of some vehicles are found from."""
     gears: dict[str, list[tuple[WindowDamper, ...]]] = {}
     for vehicle, first_axle in unit.dampers.gears(vehicles):
-        newest = tuple(unit.dampers.newest(vehicle, first_axle, OF_STAGES.most_gear_windows))
+        newest = tuple(unit.dampers.newest(vehicle, first_axle, JOBS.most_gear_windows))
         if newest:
             gears.setdefault(vehicle, []).append(newest)
     return {vehicle: VehicleDampers(tuple(own), DamperParameters()) for vehicle, own in gears.items()}
@@ -125,7 +125,7 @@ def forget_windows(
     """Forget what windows say that do not count any more."""
     for inputs, _outcome in made.values():
         for windows in () if inputs is None else inputs.gears:
-            if len(windows) == OF_STAGES.most_gear_windows:
+            if len(windows) == JOBS.most_gear_windows:
                 unit.dampers.forget(*windows[-1].gear, windows[-1].start_ns)
     return {}
 
@@ -184,7 +184,7 @@ def _of_section(
     if before is not None and before[1] != limits:
         starts.update(unit.adhesion.starts_with_sums(section, 0, before[0]))
     ends = pool_ends(starts, pooled_ns(rule))
-    chosen = ends[-OF_STAGES.most_pooled_spans :]
+    chosen = ends[-JOBS.most_pooled_spans :]
     first_ns = chosen[0] - pooled_ns(rule) if chosen else 0
     return FrictionInputs(
         section=section,
@@ -302,7 +302,7 @@ OF_VEHICLES = Stage(
     job=JOB_NAME,
     kind=SubjectKind.VEHICLE,
     facets=(CREEP,),
-    settings=lambda _: (DamperParameters(), OF_DAMPING),
+    settings=lambda _: (DamperParameters(), DAMPING),
     load=load_dampers,
     compute=judge_dampers,
     counted=Counted(looked="looks", changed="results"),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.parameters import OF_STAGES
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.runner import run
 from estimation.jobs.stage import Counted, Outcome, Stage, part_of_result
 from estimation.jobs.steps.assumptions import (
@@ -144,8 +144,7 @@ class RolledGeometries:
             if part.roll_up.number is not None
             and part.roll_up.sealed
             and self.rules.of_its_baseline(part.roll_up)
-            and last_km - self.rules.end_km(part.roll_up.key)
-            > OF_STAGES.remembered_half_lives * self.rules.half_life_km
+            and last_km - self.rules.end_km(part.roll_up.key) > JOBS.remembered_half_lives * self.rules.half_life_km
         ]
 
     def _contradicted(self, parts: Sequence[Part]) -> list[GeometryRecord]:
@@ -189,7 +188,7 @@ class RolledGeometries:
         right = [part for part in of_baseline if not self._passed_over.contradicted(part.roll_up)] or of_baseline
         near = [part for part in right if part.roll_up.key.side is Side.AFTER] or right
         last = max(near, key=lambda part: part.roll_up.last_ns).roll_up
-        longest = OF_STAGES.remembered_half_lives * self.rules.half_life_km
+        longest = JOBS.remembered_half_lives * self.rules.half_life_km
         same = (last.key.table_key, last.key.vehicle_class)
         of_class = (part for part in near if (part.roll_up.key.table_key, part.roll_up.key.vehicle_class) == same)
         weighty = [part for part in of_class if last.last_km - self.rules.end_km(part.roll_up.key) <= longest]

@@ -19,20 +19,14 @@ from estimation.accuracy.wheel_contact import RailShare, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.parameters import OF_STAGES
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.runner import run_all
 from estimation.jobs.settings import RailsSettings
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.assumptions import last_change
 from estimation.jobs.steps.rail_cells import CELL_VERSION, WheelsetCells, wheelset_cells
 from estimation.rails.apart import exceeds, rails_apart, reported
-from estimation.rails.cell import (
-    Anchors,
-    ReferenceWheel,
-    conicity_on_rails,
-    designed_wheel,
-    with_refused,
-)
+from estimation.rails.cell import Anchors, ReferenceWheel, conicity_on_rails, designed_wheel, with_refused
 from estimation.rails.parameters import OF_RAILS, RailsParameters
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
@@ -203,12 +197,12 @@ def _at_gauge(unit: UnitOfWork, section: TrackSectionRecord) -> RailShare:
     rails, track = _rails_of(section), unit.tracks.alignment(section.code, None)
     if track is None or not track.gauge_known:
         return rails
-    return replace(rails, gauge=round(rails.gauge + float(np.mean(track.gauge_deviation)), OF_STAGES.gauge_digits))
+    return replace(rails, gauge=round(rails.gauge + float(np.mean(track.gauge_deviation)), JOBS.gauge_digits))
 
 
 def _alike(one: RailShare, other: RailShare) -> bool:
     same = (one.rail, one.inclination) == (other.rail, other.inclination)
-    return same and abs(one.gauge - other.gauge) <= OF_STAGES.gauge_tolerance
+    return same and abs(one.gauge - other.gauge) <= JOBS.gauge_tolerance
 
 
 def _most(sections: Mapping[str, RailShare], windows: Counter[str]) -> RailShare | None:

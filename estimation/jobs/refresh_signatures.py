@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.parameters import OF_STAGES
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.assumptions import ClassLookup, identity_change, suspected
@@ -23,7 +23,7 @@ from estimation.jobs.steps.signature_windows import ASSUMED, JOB_NAME, OF_WINDOW
 from estimation.jobs.work import fails_alone
 from estimation.signatures.answer import compared, judged
 from estimation.signatures.library import Change, Libraries, Subject, current
-from estimation.signatures.parameters import OF_ANSWERS
+from estimation.signatures.parameters import SIGNATURE
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
@@ -187,9 +187,7 @@ def _subjects(
         begin_ns = last.from_ns if change is None else max(last.from_ns, change.after_ns)
         now = [one for one in mine if one.found.start_ns >= begin_ns]
         newest = now[-1] if now else None
-        near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][
-            -OF_STAGES.judged_windows :
-        ]
+        near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][-JOBS.judged_windows :]
         kind = _kind(near[-1]) if near else None
         pair = reader.pair(mine[-1]) if mine else NO_PAIR
         chosen = [one for one in near if _kind(one) == kind and reader.pair(one) == pair]
@@ -280,7 +278,7 @@ OF_ALL = Stage(
     job=JOB_NAME,
     kind=SubjectKind.WHEELSET,
     facets=(SIGNATURES, Facet.WINDOWS, Facet.REGISTRY, Facet.LAYOUTS, Facet.RESTARTS, GEOMETRY.stage),
-    settings=lambda settings: (settings.signatures, settings.estimation, OF_ANSWERS),
+    settings=lambda settings: (settings.signatures, settings.estimation, SIGNATURE),
     load=load_library,
     compute=judge,
     counted=Counted(looked="looks", changed="answered", more=("retired",)),

@@ -13,7 +13,7 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.assumptions import identity_changes
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import conicity_points
-from estimation.trend.parameters import OF_TRENDS
+from estimation.trend.parameters import CURVES
 from estimation.trend.trend import TrendParameters, behind_step, newest_step, refresh, with_step
 from estimation.values.geometry import GEOMETRY, IntervalConicities
 from estimation.values.registry import VehicleRecord
@@ -21,7 +21,7 @@ from estimation.values.runs import Facet
 from estimation.values.trend import TREND as TRENDS
 from estimation.values.trend import WearTrend, baseline_part, since_change
 
-METHOD = made_from(OF_TRENDS)[:16]
+METHOD = made_from(CURVES)[:16]
 
 
 @dataclass(frozen=True, slots=True)

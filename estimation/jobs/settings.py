@@ -7,28 +7,28 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
 from estimation.alerts.rule_book import RuleBook
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.filters import FILTERS
 from estimation.geometry.estimate import GeometryParameters
-from estimation.geometry.model_fit import ROLLING_FIT
-from estimation.geometry.parameters import OF_GEOMETRY
+from estimation.geometry.model_fit import ROLLING
+from estimation.geometry.parameters import PRIORS
 from estimation.geometry.sharpening import SHARPENING
-from estimation.jobs.parameters import OF_STAGES
-from estimation.motion.axle_distance import OF_AXLES
+from estimation.jobs.parameters import JOBS
+from estimation.motion.axle_distance import AXLES
 from estimation.motion.hunting import HUNTS
 from estimation.motion.integration import Gates, SignalParameters, WindowParameters
-from estimation.motion.parameters import OF_MOTION
+from estimation.motion.parameters import MOTION
 from estimation.motion.rolling_radius_difference import FUSED
 from estimation.motion.without_blows import BLOWS
 from estimation.rails.parameters import RailsParameters
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.tables.bin_table import FAST_NOISE
 from estimation.track.gauge.wheel_functions import WHEELS
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.settings import AlignmentSettings
 from estimation.trend.trend import TrendParameters
 from estimation.values.fields import JsonValue
-from estimation.vehicle.parameters import OF_GEAR
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleClass
 
 
@@ -56,8 +56,8 @@ class RailsSettings:
 
 # numbers that no deployment sets, and that stand beside what they steer or in ``parameters.py`` of its folder
 METHOD_NUMBERS = (
-    *(OF_MOTION, BLOWS, OF_AXLES, HUNTS, FUSED, FILTERS, FAST_NOISE, OF_GEOMETRY, SHARPENING, ROLLING_FIT),
-    *(OF_PROFILES, OF_GEAR, OF_TRACK, WHEELS, OF_STAGES),
+    *(MOTION, BLOWS, AXLES, HUNTS, FUSED, FILTERS, FAST_NOISE, PRIORS, SHARPENING, ROLLING),
+    *(PROFILES, VEHICLE, TRACK, WHEELS, JOBS),
 )
 METHOD = hashlib.sha256(repr(METHOD_NUMBERS).encode()).hexdigest()[:16]
 _MOTION = ("signals", "gates", "interval_km", "method")  # settings of the motion that alignments are made from

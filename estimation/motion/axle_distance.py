@@ -52,7 +52,7 @@ class AxleDistanceParameters:
     least_frame_share: float = 0.2  # of what the frame moves above the other axle: right nodes have a half and more
 
 
-OF_AXLES = AxleDistanceParameters()
+AXLES = AxleDistanceParameters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,29 +74,23 @@ class AxleDistance:
     @property
     def leads(self) -> bool | None:
         """Whether the axle meets the track in the order of the registry; None where the rolls do not say."""
-        if max(self.expected, self.exchanged) < OF_AXLES.least_exchanged:
+        if max(self.expected, self.exchanged) < AXLES.least_exchanged:
             return self.ordered
         clearer = _clearer(self.exchanged, self.expected)
-        return (
-            False
-            if clearer >= OF_AXLES.exchanged_ratio
-            else True
-            if 1.0 / clearer >= OF_AXLES.exchanged_ratio
-            else None
-        )
+        return False if clearer >= AXLES.exchanged_ratio else True if 1.0 / clearer >= AXLES.exchanged_ratio else None
 
     @property
     def contradicted(self) -> bool:
         """Whether the rolls say that the distance is another one."""
         if self.leads is False:
             return True
-        if self.nearest <= OF_AXLES.distance_tolerance:
+        if self.nearest <= AXLES.distance_tolerance:
             return False
-        if self.nearest <= OF_AXLES.next_wave_distance and self.stands_out:
+        if self.nearest <= AXLES.next_wave_distance and self.stands_out:
             return True
         return (
-            self.correlation >= OF_AXLES.least_correlation
-            and _clearer(self.correlation, self.expected) >= OF_AXLES.clear_ratio
+            self.correlation >= AXLES.least_correlation
+            and _clearer(self.correlation, self.expected) >= AXLES.clear_ratio
         )
 
 
@@ -127,21 +121,21 @@ def check_axle_distance(window: Window, partner: Window, ahead: float) -> Reason
 def axle_distance(window: Window, partner: Window, ahead: float) -> AxleDistance | None:
     """Return by how far one axle of a bogie is ahead of the other; None where too little is known."""
     known = window.valid & partner.valid & np.isfinite(window.speed)
-    if known.mean() < OF_AXLES.least_valid_share:
+    if known.mean() < AXLES.least_valid_share:
         return None
     at = np.arange(len(known))
     speed = np.interp(at, at[known], window.speed[known])
     run = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) * window.sample_interval_s
-    if run[-1] < OF_AXLES.least_distance:
+    if run[-1] < AXLES.least_distance:
         return None
     own, other = (_short_waves(run, node.roll_acceleration, known) for node in (window, partner))
     power = float(np.sqrt((own @ own) * (other @ other)))
     if not power > 0.0:
         return None
-    shortest, longest = OF_AXLES.wavelength_band
+    shortest, longest = AXLES.wavelength_band
     # std of the correlation of two signals of the band, as long, that have nothing in common
-    by_chance = 1.0 / math.sqrt(2.0 * (OF_AXLES.grid_step * len(own)) * (1.0 / shortest - 1.0 / longest))
-    return _highest(_correlation(own, other) / power, ahead, OF_AXLES.significant_stds * by_chance)
+    by_chance = 1.0 / math.sqrt(2.0 * (AXLES.grid_step * len(own)) * (1.0 / shortest - 1.0 / longest))
+    return _highest(_correlation(own, other) / power, ahead, AXLES.significant_stds * by_chance)
 
 
 def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatArray:
@@ -150,10 +144,10 @@ def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatAr
     # gyroscope, differentiated, grows with frequency
     from scipy.signal import sosfiltfilt  # noqa: PLC0415 - slow to import, and only windows in bogies need it
 
-    finer = math.ceil(OF_AXLES.grid_step * (len(run) - 1) / run[-1])
-    grid = np.arange(0.0, run[-1], OF_AXLES.grid_step / finer)
+    finer = math.ceil(AXLES.grid_step * (len(run) - 1) / run[-1])
+    grid = np.arange(0.0, run[-1], AXLES.grid_step / finer)
     values = np.interp(grid, run, np.where(known, roll, 0.0))
-    ends = finer * round(OF_AXLES.filtered_end / OF_AXLES.grid_step)
+    ends = finer * round(AXLES.filtered_end / AXLES.grid_step)
     return np.asarray(sosfiltfilt(_band_pass(finer), values)[ends:-ends:finer])
 
 
@@ -161,15 +155,13 @@ def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatAr
 def _band_pass(finer: int) -> FloatArray:
     from scipy.signal import butter  # noqa: PLC0415 - the same
 
-    shortest, longest = OF_AXLES.wavelength_band
+    shortest, longest = AXLES.wavelength_band
     ends = (1.0 / longest, 1.0 / shortest)
-    return np.asarray(
-        butter(OF_AXLES.filter_order, ends, btype="bandpass", fs=finer / OF_AXLES.grid_step, output="sos")
-    )
+    return np.asarray(butter(AXLES.filter_order, ends, btype="bandpass", fs=finer / AXLES.grid_step, output="sos"))
 
 
 def _correlation(own: FloatArray, other: FloatArray) -> FloatArray:
-    reach = round(OF_AXLES.farthest_shift / OF_AXLES.grid_step)
+    reach = round(AXLES.farthest_shift / AXLES.grid_step)
     size = 1 << (len(own) + reach).bit_length()
     products = np.fft.irfft(np.conj(np.fft.rfft(own, size)) * np.fft.rfft(other, size), size)
     return np.concatenate([products[-reach:], products[: reach + 1]])
@@ -179,18 +171,18 @@ def _highest(correlation: FloatArray, ahead: float, least: float) -> AxleDistanc
     """Return the maximum of the magnitude of a correlation beside those at the expected distance, of either sign."""
     # maxima below `least` may be chance
     size = np.abs(correlation)
-    distance = OF_AXLES.grid_step * (np.arange(len(size)) - len(size) // 2)
+    distance = AXLES.grid_step * (np.arange(len(size)) - len(size) // 2)
     at = int(np.argmax(size))
-    near = [np.abs(distance - expected) <= OF_AXLES.distance_tolerance for expected in (ahead, -ahead)]
+    near = [np.abs(distance - expected) <= AXLES.distance_tolerance for expected in (ahead, -ahead)]
     expected, exchanged = (float(size[part].max()) if part.any() else 0.0 for part in near)
     inner = size[1:-1]
     maxima = np.flatnonzero((inner >= size[:-2]) & (inner >= size[2:])) + 1
-    clear = maxima[size[maxima] >= min(least, OF_AXLES.least_correlation)]
+    clear = maxima[size[maxima] >= min(least, AXLES.least_correlation)]
     nearest = float(np.abs(distance[clear] - ahead).min()) if len(clear) else np.inf
-    others = size[maxima[np.abs(distance[maxima] - distance[at]) > OF_AXLES.distance_tolerance]]
-    alone = bool(len(clear) and size[at] >= OF_AXLES.stand_out_ratio * max(others, default=0.0))
+    others = size[maxima[np.abs(distance[maxima] - distance[at]) > AXLES.distance_tolerance]]
+    alone = bool(len(clear) and size[at] >= AXLES.stand_out_ratio * max(others, default=0.0))
     off, exchanged_off = abs(distance[at] - ahead), abs(distance[at] + ahead)
-    ordered = bool(off < exchanged_off) if alone and min(off, exchanged_off) <= OF_AXLES.distance_tolerance else None
+    ordered = bool(off < exchanged_off) if alone and min(off, exchanged_off) <= AXLES.distance_tolerance else None
     stands_out = alone and off <= nearest
     return AxleDistance(float(distance[at]), float(size[at]), expected, exchanged, nearest, stands_out, ordered)
 
@@ -231,7 +223,7 @@ def check_frame_sensors(window: Window, partner: Window) -> Reason | None:
     nodes = (window, partner)
     moved = [float(np.std(node.mass_lateral_acceleration[known])) for node in nodes]
     least, most = sorted(range(len(nodes)), key=moved.__getitem__)
-    if moved[least] >= OF_AXLES.least_frame_share * moved[most] > 0.0:
+    if moved[least] >= AXLES.least_frame_share * moved[most] > 0.0:
         return None
     return Reason(
         ReasonCode.FRAME_UNKNOWN,

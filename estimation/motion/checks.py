@@ -18,7 +18,7 @@ from scipy.ndimage import uniform_filter1d
 
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.integration import Gates, IntegratedWindow, SignalParameters, bridged, integrate
-from estimation.motion.parameters import OF_MOTION
+from estimation.motion.parameters import MOTION
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, runs
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackLayout
@@ -28,7 +28,7 @@ from estimation.values.windows import Window, WindowQuality, fast_enough
 
 def straight(distance: FloatArray, layout: TrackLayout, limits: SignalParameters) -> BoolArray:
     """Return which places (n,) are on track that is straight within ``limits``; places off the layout do not."""
-    grid = np.union1d(np.arange(layout.s[0], layout.s[-1], OF_MOTION.layout_step), layout.s)
+    grid = np.union1d(np.arange(layout.s[0], layout.s[-1], MOTION.layout_step), layout.s)
     bent = (np.abs(np.interp(grid, layout.s, layout.curvature)) > limits.sharpest_curvature) | (
         np.abs(np.interp(grid, layout.s, layout.cant)) > limits.highest_cant
     )
@@ -49,13 +49,13 @@ def check_upright(window: Window, usable: BoolArray) -> Reason | None:
     places = {"axle box": window.lateral_acceleration, "mass or frame": window.mass_lateral_acceleration}
     means = {name: float(np.mean(values[usable])) for name, values in places.items()}
     name = max(means, key=lambda place: abs(means[place]))
-    if abs(means[name]) <= OF_MOTION.most_rest_acceleration:
+    if abs(means[name]) <= MOTION.most_rest_acceleration:
         return None
     angle = np.degrees(np.arcsin(min(abs(means[name]) / GRAVITY, 1.0)))
     return Reason(
         ReasonCode.SENSOR_TURNED,
         f"the lateral accelerometer of the {name} measures {means[name]:+.1f} m/s2 on average, like one that is turned"
-        f" by {angle:.0f} degrees; at most {OF_MOTION.most_rest_acceleration:g} m/s2 may be its offset;"
+        f" by {angle:.0f} degrees; at most {MOTION.most_rest_acceleration:g} m/s2 may be its offset;"
         " check its mounting, and its offset in the mapping of the bus",
     )
 
@@ -76,13 +76,13 @@ def detect_uncompensated_acceleration(
 
 def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> float:
     """Return by how much the slow lateral acceleration of wheelset and mass together changes in a window, m/s2."""
-    size = round(OF_MOTION.mean_span_s / window.sample_interval_s)
+    size = round(MOTION.mean_span_s / window.sample_interval_s)
     count = len(usable) // size
     known = usable[: count * size].reshape(count, size)
     lateral = 0.5 * (window.lateral_acceleration + window.mass_lateral_acceleration)[: count * size].reshape(
         count, size
     )
-    enough = known.mean(axis=1) >= OF_MOTION.least_mean_share
+    enough = known.mean(axis=1) >= MOTION.least_mean_share
     if not enough.any():
         return 0.0
     means = np.where(known, lateral, 0.0).sum(axis=1)[enough] / known.sum(axis=1)[enough]
@@ -217,8 +217,8 @@ def position_jumps(integrated: IntegratedWindow) -> tuple[Jump, ...]:
     for segment in integrated.segments:
         at, run = bridged(window.distance[segment.part], segment.known), segment.run
         error = at - (1.0 if float(np.median(np.diff(at))) >= 0.0 else -1.0) * run
-        look = min(round(OF_MOTION.comparison_s / window.sample_interval_s), len(at) - 1)
-        deviates = np.abs(error[look:] - error[:-look]) > OF_MOTION.position_jump + OF_MOTION.position_jump_share * (
+        look = min(round(MOTION.comparison_s / window.sample_interval_s), len(at) - 1)
+        deviates = np.abs(error[look:] - error[:-look]) > MOTION.position_jump + MOTION.position_jump_share * (
             run[look:] - run[:-look]
         )
         for first, behind in runs(deviates):
@@ -260,9 +260,9 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
     # with one of the two sensors the wrong way round, the sign is the other. Where one of the two is on another axis,
     # or measures something else, they have nothing in common.
     correlation = lateral_yaw_correlation(integrated)
-    if correlation is None or correlation >= OF_MOTION.unrelated_correlation:
+    if correlation is None or correlation >= MOTION.unrelated_correlation:
         return None
-    if correlation >= OF_MOTION.backwards_correlation:
+    if correlation >= MOTION.backwards_correlation:
         return Reason(
             ReasonCode.SENSOR_TURNED,
             f"lateral velocity and yaw of the wheelset have nothing in common (correlation {correlation:.2f}): a sensor"
@@ -279,8 +279,7 @@ def lateral_yaw_correlation(integrated: IntegratedWindow) -> float | None:
     """Return the correlation of lateral velocity with speed times yaw, vibration apart; None where nothing moves."""
     products, lateral, yaw = 0.0, 0.0, 0.0
     second, fast = (
-        round(length / integrated.window.sample_interval_s)
-        for length in (OF_MOTION.comparison_s, OF_MOTION.smoothing_s)
+        round(length / integrated.window.sample_interval_s) for length in (MOTION.comparison_s, MOTION.smoothing_s)
     )
     for segment in integrated.segments:
         both = np.stack([segment.rates[0], segment.speed * segment.displacements[1]])
@@ -307,7 +306,7 @@ def direction(window: Window) -> int:
     if not len(moving):
         return 1
     forward = float((moving > 0.0).mean())
-    return 1 if forward >= OF_MOTION.one_way_share else -1 if forward <= 1.0 - OF_MOTION.one_way_share else 0
+    return 1 if forward >= MOTION.one_way_share else -1 if forward <= 1.0 - MOTION.one_way_share else 0
 
 
 def check_running(window: Window, signals: SignalParameters) -> Reason | None:
@@ -327,7 +326,7 @@ def runs_backwards(window: Window) -> bool | None:
     """Return whether the axes of a node point against the direction of travel; None where it does not say."""
     signals = SignalParameters()
     correlation = lateral_yaw_correlation(integrate(window, moving_samples(window, signals), signals))
-    if correlation is None or abs(correlation) < abs(OF_MOTION.backwards_correlation):
+    if correlation is None or abs(correlation) < abs(MOTION.backwards_correlation):
         return None
     return correlation < 0.0
 
@@ -344,7 +343,7 @@ def away_from_low_adhesion(
     distance = window.distance if correction is None else correction.at(window.distance)
     low = np.zeros(len(window.valid), np.bool_)
     for begin, end in stretches:
-        low |= (distance >= begin - OF_MOTION.low_friction_margin) & (distance <= end + OF_MOTION.low_friction_margin)
+        low |= (distance >= begin - MOTION.low_friction_margin) & (distance <= end + MOTION.low_friction_margin)
     left = window.valid & ~low
     if not left.any() and window.valid.any():
         return Reason(ReasonCode.LOW_ADHESION, "all of the window is on rails of low friction")
@@ -354,7 +353,7 @@ def away_from_low_adhesion(
 def refused_for_low_adhesion(reason: Reason, window: Window, kept: Window) -> Reason:
     """Return why a window is refused: low friction, where that took most of its samples and too few are left."""
     share = 1.0 - float(kept.valid.sum()) / max(int(window.valid.sum()), 1)
-    if share < OF_MOTION.most_left_out_share or reason.code not in TOO_LITTLE:
+    if share < MOTION.most_left_out_share or reason.code not in TOO_LITTLE:
         return reason
     text = f"{share:.0%} of its samples are on rails of low friction; of the rest: {reason.text}"
     return Reason(ReasonCode.LOW_ADHESION, text)

@@ -30,11 +30,11 @@ import numpy as np
 from estimation.compiled import compiled
 from estimation.errors import ParameterError
 from estimation.filters import remove_wander
-from estimation.motion.parameters import OF_MOTION
+from estimation.motion.parameters import MOTION
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS, Window
-from estimation.vehicle.parameters import OF_GEAR
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters, usable_cutoff
 
 
@@ -265,7 +265,7 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
     run = np.empty_like(speed)
     integrate_once(speed, dt, run)
     if window.measures_gravity:
-        (roll,) = remove_wander(displacements[[_ROLL]], run, known, OF_MOTION.roll_cutoff_wavelength)
+        (roll,) = remove_wander(displacements[[_ROLL]], run, known, MOTION.roll_cutoff_wavelength)
         lateral = accelerations[_LATERAL] - GRAVITY * roll
         lateral_rates, lateral_displacements = np.empty_like(lateral), np.empty_like(lateral)
         integrate_twice(lateral, dt, lateral_rates, lateral_displacements)
@@ -298,10 +298,10 @@ def standard_displacement(displacement: FloatArray, roll: FloatArray, radius: fl
         level: Whether gravity has been taken out of the lateral signals: the track may roll.
     """
     seen = observed_displacement(displacement, roll, radius, level=level)
-    return seen * (1.0 + OF_MOTION.hidden_roll_share) if level else seen
+    return seen * (1.0 + MOTION.hidden_roll_share) if level else seen
 
 
 def observed_displacement(displacement: FloatArray, roll: FloatArray, radius: float, *, level: bool) -> FloatArray:
     """Return the same (n,), m, as far as it is measured; for a displacement from which no alignment is taken off."""
-    height = radius if level else radius + OF_GEAR.rail_head_radius
+    height = radius if level else radius + VEHICLE.rail_head_radius
     return displacement + height * roll

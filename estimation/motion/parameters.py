@@ -61,4 +61,4 @@ class MotionParameters:
     usual_rate_noise: float = 1e-4  # rad/s per root hertz, of a gyroscope
 
 
-OF_MOTION = MotionParameters()
+MOTION = MotionParameters()

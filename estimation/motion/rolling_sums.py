@@ -25,7 +25,7 @@ from estimation.compiled import compiled
 from estimation.motion.axle_distance import turned_over
 from estimation.motion.checks import moving_samples, runs_backwards
 from estimation.motion.integration import SignalParameters, bridged, segments
-from estimation.motion.parameters import OF_MOTION
+from estimation.motion.parameters import MOTION
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.roll_up import RollingSums
 from estimation.values.units import GRAVITY
@@ -198,7 +198,7 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     if runs_backwards(window):
         window = turned_over(window)
     dt = window.sample_interval_s
-    size, each = round(OF_MOTION.piece_s / dt), round(OF_MOTION.jackknife_part_s / dt)
+    size, each = round(MOTION.piece_s / dt), round(MOTION.jackknife_part_s / dt)
     usable = moving_samples(window, signals)
     samples, starts = [], []
     for first, behind in segments(usable, window, signals):
@@ -206,7 +206,7 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
         starts.append(np.arange(0, behind - first - size + 1, size // 2))
     parts = [first + at for (first, _), of in zip(samples, starts, strict=True) for at in of]
     numbers = sorted({place // each for place in parts})
-    products, noise = np.zeros((2, len(numbers), OF_MOTION.wavelength_bands, TERMS, TERMS))
+    products, noise = np.zeros((2, len(numbers), MOTION.wavelength_bands, TERMS, TERMS))
     for (first, rows), at in zip(samples, starts, strict=True):
         part = np.searchsorted(numbers, (first + at) // each)
         _add(rows, at, part, window, vehicle_class, size, products, noise)
@@ -229,9 +229,9 @@ def _add(
     dt, taper = window.sample_interval_s, _taper(size)
     unit = 0.5 * size / dt * float(np.mean(taper**2))  # of a squared spectrum per squared noise density
     densities = _densities(vehicle_class.sensors), _resolution_noise(window)
-    place = (dt, size, unit, _equation(vehicle_class), *densities, OF_MOTION.wavelength_range)
-    for first in range(0, len(starts), OF_MOTION.pieces_together):
-        some = slice(first, first + OF_MOTION.pieces_together)
+    place = (dt, size, unit, _equation(vehicle_class), *densities, MOTION.wavelength_range)
+    for first in range(0, len(starts), MOTION.pieces_together):
+        some = slice(first, first + MOTION.pieces_together)
         speeds = np.empty(len(starts[some]))
         pieces = np.empty((len(speeds), ROWS, size))
         write_pieces(rows, starts[some], dt, taper, pieces, speeds)
@@ -272,15 +272,15 @@ def _resolution_noise(window: Window) -> FloatArray:
 
 def _densities(sensors: SensorLayout) -> FloatArray:
     usual = (
-        OF_MOTION.usual_lateral_noise,
-        OF_MOTION.usual_angular_noise,
-        OF_MOTION.usual_angular_noise,
-        OF_MOTION.usual_lateral_noise,
+        MOTION.usual_lateral_noise,
+        MOTION.usual_angular_noise,
+        MOTION.usual_angular_noise,
+        MOTION.usual_lateral_noise,
     )
     rates = (False, sensors.yaw_is_gyroscope, sensors.roll_is_gyroscope, False)
     return np.square(
         [
-            one.noise_density or (OF_MOTION.usual_rate_noise if rate else density)
+            one.noise_density or (MOTION.usual_rate_noise if rate else density)
             for one, density, rate in zip(sensors.channels.values(), usual, rates, strict=True)
         ]
     )

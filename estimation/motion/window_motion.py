@@ -36,7 +36,7 @@ from estimation.motion.integration import (
     mirrored,
     standard_displacement,
 )
-from estimation.motion.parameters import OF_MOTION
+from estimation.motion.parameters import MOTION
 from estimation.motion.rolling_radius_difference import FUSED, fuse, motion_signals
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array, runs
 from estimation.values.reasons import Reason, ReasonCode
@@ -118,7 +118,7 @@ TRACKS = 16  # sections whose deconvolved alignment is kept: every window of a s
 
 def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength: float) -> FloatArray:
     """Return d (n,), m, by a cubic spline through the stored alignment; NaN off the section and where not known."""
-    as_it_is = track.cutoff_wavelength >= OF_MOTION.full_band_factor * cutoff_wavelength
+    as_it_is = track.cutoff_wavelength >= MOTION.full_band_factor * cutoff_wavelength
     return at_places(_curve(track, as_it_is=as_it_is), distance)
 
 
@@ -131,7 +131,7 @@ def _certain(track: TrackAlignment) -> FloatArray:
     # places of a survey that no pass has made better would blur what the rest shows
     if not (track.passes > 0).any():
         return track.alignment
-    most = max(OF_MOTION.uncertain_std, OF_MOTION.uncertain_factor * float(np.nanmedian(track.alignment_std)))
+    most = max(MOTION.uncertain_std, MOTION.uncertain_factor * float(np.nanmedian(track.alignment_std)))
     certain = np.where(track.alignment_std <= most, track.alignment, np.nan)
     return frozen_array(certain, (len(certain),), name="alignment")
 
@@ -162,7 +162,7 @@ def _regularised_inverse(filtered: FloatArray, weights: FloatArray) -> FloatArra
     kernel = np.zeros(size)
     kernel[: len(weights)] = weights
     left = 1 - fft.rfft(np.roll(kernel, -(len(weights) // 2))).real  # F by wavenumber: the weights are symmetric
-    inverse = left / (left**2 + OF_MOTION.inverse_floor**2)
+    inverse = left / (left**2 + MOTION.inverse_floor**2)
     return np.asarray(fft.irfft(fft.rfft(filtered, size) * inverse, size)[:n])
 
 
@@ -193,7 +193,7 @@ def gauge_shift(
             continue
         whole = (grid.difference + more * grid.stiffness_term)[None, :]
         (fast,) = remove_wander(
-            np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, OF_MOTION.radius_cutoff_wavelength
+            np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, MOTION.radius_cutoff_wavelength
         )
         known = segment.known & (run >= grid.run[0] + ends) & (run <= grid.run[-1] - ends)
         shift[part][known] = table.at(np.interp(run[known], grid.run, fast), e[part][known])

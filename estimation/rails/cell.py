@@ -9,7 +9,7 @@ from typing import Annotated, TypeVar
 
 import numpy as np
 
-from estimation.accuracy.parameters import OF_ACCURACY
+from estimation.accuracy.parameters import ACCURACY
 from estimation.accuracy.wheel_contact import RailShare, WheelPair, conicity_of
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
@@ -238,9 +238,9 @@ def conicity_on_rails(wheels: WheelPair, rails: RailShare, amplitude: FloatArray
         wheelset = WheelsetOnTrack(
             wheels.left, wheels.right, rail, rail, rails.inclination, rails.gauge, radius, radius
         )
-        x = OF_ACCURACY.displacement_step * np.arange(
-            -round(OF_ACCURACY.displacement_reach / OF_ACCURACY.displacement_step),
-            round(OF_ACCURACY.displacement_reach / OF_ACCURACY.displacement_step) + 1,
+        x = ACCURACY.displacement_step * np.arange(
+            -round(ACCURACY.displacement_reach / ACCURACY.displacement_step),
+            round(ACCURACY.displacement_reach / ACCURACY.displacement_step) + 1,
         )
         curve = radius_difference_curve(wheelset, x)
     except (ContactError, ProfileError, ParameterError):

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import fdtri
 
-from estimation.geometry.parameters import OF_GEOMETRY
+from estimation.geometry.parameters import PRIORS
 from estimation.rails.cell import ReferenceWheel
 from estimation.rails.component import Component
 from estimation.rails.parameters import OF_RAILS, RailsParameters
@@ -262,7 +262,7 @@ class _Publisher:
 
     def _published(self, value: float, sampled: float, systematic: float, windows: float) -> Estimate:
         found = with_interval(value, sampled, systematic, self.groups, windows)
-        if found.std is not None and found.std <= OF_GEOMETRY.largest_conicity_std:
+        if found.std is not None and found.std <= PRIORS.largest_conicity_std:
             return found
         text = f"the data leave the conicity open by {found.std:.2f}"
         return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), windows)

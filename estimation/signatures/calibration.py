@@ -31,7 +31,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from estimation.signatures.mixed_model import Likelihood, MixedModel, Rows, fitted, level_of, levels_between, likelihood
-from estimation.signatures.parameters import OF_ANSWERS
+from estimation.signatures.parameters import SIGNATURE
 from estimation.signatures.window_signatures import SignatureParameters, families
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
@@ -40,7 +40,7 @@ from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
 SHARES: FloatArray = np.asarray(np.linspace(0.0, 1.0, 21))  # of the variances of geometries, that are tried
 
 
-COVERAGE = OF_ANSWERS.interval_coverage
+COVERAGE = SIGNATURE.interval_coverage
 
 
 _NONE = np.eye(len(SHARES))[0]  # no share of anything
@@ -66,7 +66,7 @@ class OnFile(FrozenArrays):
         # errors in common add up as they are, not as squares: it is a mean of standard deviations, of all entries or of
         # those near by, whichever is larger
         each = self.shared[:, None] + np.sqrt(1.0 - SHARES) * self.claimed[:, None]
-        near = np.exp(-0.5 * ((self.conicity - conicity) / OF_ANSWERS.near_conicity) ** 2) + np.finfo(np.float64).tiny
+        near = np.exp(-0.5 * ((self.conicity - conicity) / SIGNATURE.near_conicity) ** 2) + np.finfo(np.float64).tiny
         return np.asarray(np.maximum(each.mean(axis=0), near @ each / near.sum()))
 
 
@@ -131,7 +131,7 @@ class Reach:
     @property
     def largest(self) -> float:
         """Distance from which on a signature is novel: the quantile of one more wheelset."""
-        quantile = special.stdtrit(self.wheelsets - 1, OF_ANSWERS.novel_quantile) * np.sqrt(1.0 + 1.0 / self.wheelsets)
+        quantile = special.stdtrit(self.wheelsets - 1, SIGNATURE.novel_quantile) * np.sqrt(1.0 + 1.0 / self.wheelsets)
         return float(np.exp(self.mean + quantile * self.std))
 
 
@@ -207,14 +207,14 @@ def differences(rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], mar
 def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
     """Return the conicities (k,) that are tried."""
     low, high = max(float(known.min()) - 2 * margin, 0.01), float(known.max()) + 2 * margin
-    return np.asarray(np.arange(low, high + OF_ANSWERS.conicity_step, OF_ANSWERS.conicity_step))
+    return np.asarray(np.arange(low, high + SIGNATURE.conicity_step, SIGNATURE.conicity_step))
 
 
 def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
     found = families(groups)
     family = {name: number for number, names in enumerate(found) for name in names}
     of_row = np.array([family[min(group)] for group in groups])
-    count = min(OF_ANSWERS.validation_folds, len(found))
+    count = min(SIGNATURE.validation_folds, len(found))
     # families in the order of their conicity, so that every fold has all kinds
     means = np.bincount(of_row, rows.conicity, len(found)) / np.maximum(np.bincount(of_row, minlength=len(found)), 1)
     rank = np.argsort(np.argsort(means, kind="stable"), kind="stable")[of_row]
@@ -224,14 +224,14 @@ def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
 def outside(found: Likelihood, known: tuple[float, float], margin: float) -> bool:
     """Return whether the conicity may be one that a library does not cover: then it says nothing."""
     beyond = (found.conicity < known[0] - margin) | (found.conicity > known[1] + margin)
-    return float(found.posterior[beyond].sum()) > OF_ANSWERS.most_outside_probability
+    return float(found.posterior[beyond].sum()) > SIGNATURE.most_outside_probability
 
 
 def _judged(rows: Rows, on_file: OnFile, apart: Sequence[BoolArray], basis: Basis, margin: float) -> Iterator[_Judged]:
     """Yield how well wheelsets are judged, section by section, by those that share nothing with them."""
     # those of which nothing would be said are left out
     tasks = [task for left_out in apart for task in _tasks(rows, left_out, basis) if task[0].any() and task[1].any()]
-    each = -(-OF_ANSWERS.most_answers // max(len(tasks), 1))
+    each = -(-SIGNATURE.most_answers // max(len(tasks), 1))
     for taught, asked in tasks:
         model = fitted(rows.chosen(np.flatnonzero(taught)))
         known = np.unique(rows.place[taught])
@@ -269,7 +269,7 @@ def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[Bool
         yield ~left_out, left_out
         return
     sections, section = np.unique(rows.section, return_inverse=True)
-    count = min(OF_ANSWERS.validation_folds, len(sections))
+    count = min(SIGNATURE.validation_folds, len(sections))
     for number in range(count):
         here = section % count == number
         yield ~left_out & ~here, left_out & here

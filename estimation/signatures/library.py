@@ -19,14 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimation.signatures.calibration import Calibration, OnFile, calibrated, differences, judged_by, unjudged
-from estimation.signatures.mixed_model import (
-    MixedModel,
-    Rows,
-    fitted,
-    levels_between,
-    scatter_of,
-    track_effects,
-)
+from estimation.signatures.mixed_model import MixedModel, Rows, fitted, levels_between, scatter_of, track_effects
 from estimation.signatures.window_signatures import SignatureParameters, folds, sharers
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.reasons import Reason, ReasonCode

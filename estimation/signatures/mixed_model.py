@@ -20,7 +20,7 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.signatures.parameters import OF_ANSWERS
+from estimation.signatures.parameters import SIGNATURE
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.signatures import SIGNALS
 
@@ -79,7 +79,7 @@ def features_of(powers: FloatArray) -> FloatArray:
 
 def terms(conicity: FloatArray, speed: FloatArray) -> FloatArray:
     """Return the terms (..., 5) of the response, the logarithm of the conicity first."""
-    c, v = np.broadcast_arrays(np.log(conicity / OF_ANSWERS.middle_conicity), np.log(speed / OF_ANSWERS.usual_speed))
+    c, v = np.broadcast_arrays(np.log(conicity / SIGNATURE.middle_conicity), np.log(speed / SIGNATURE.usual_speed))
     return np.stack([c, c * c, v, v * v, c * v], axis=-1)
 
 
@@ -103,7 +103,7 @@ def fitted(rows: Rows) -> MixedModel:
     sections, section = np.unique(rows.section[np.unique(place, return_index=True)[1]], return_inverse=True)
     mean = _means(effects, section).mean(axis=0)
     level = effects[:, LEVEL] - mean[LEVEL]
-    of_level = level @ (effects - mean) / max(float(level @ level), OF_ANSWERS.ridge_variance)
+    of_level = level @ (effects - mean) / max(float(level @ level), SIGNATURE.ridge_variance)
     around = effects - mean - level[:, None] * of_level
     by_section = _means(around, section)
     bent = _bent(_means(rows.conicity[:, None], wheelset)[:, 0])
@@ -126,7 +126,7 @@ def fitted(rows: Rows) -> MixedModel:
 
 def _of_errors(rows: Rows, response: FloatArray, level: FloatArray) -> FloatArray:
     """Return the covariance (f, f) that errors of the known conicities give the features, by the slopes at each."""
-    c, v = np.log(rows.conicity / OF_ANSWERS.middle_conicity), np.log(rows.speed / OF_ANSWERS.usual_speed)
+    c, v = np.log(rows.conicity / SIGNATURE.middle_conicity), np.log(rows.speed / SIGNATURE.usual_speed)
     none = np.zeros_like(c)
     slopes = np.stack([none + 1.0, 2.0 * c, none, none, v, level], axis=1) @ response
     return np.asarray((slopes * rows.variance[:, None]).T @ slopes / len(slopes))
@@ -142,7 +142,7 @@ def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> tuple[F
 
 
 def _bent(conicity: FloatArray) -> FloatArray:
-    c = np.log(conicity / OF_ANSWERS.middle_conicity)
+    c = np.log(conicity / SIGNATURE.middle_conicity)
     return np.stack([np.ones_like(c), c, c * c], axis=-1)
 
 
@@ -173,9 +173,9 @@ def _means(values: FloatArray, group: IntArray) -> FloatArray:
 def _covariance(residuals: FloatArray, freedom: int) -> FloatArray:
     raw = residuals.T @ residuals / freedom
     return np.asarray(
-        (1 - OF_ANSWERS.covariance_shrinkage) * raw
-        + OF_ANSWERS.covariance_shrinkage * np.diag(np.diag(raw))
-        + OF_ANSWERS.ridge_variance * np.eye(len(raw))
+        (1 - SIGNATURE.covariance_shrinkage) * raw
+        + SIGNATURE.covariance_shrinkage * np.diag(np.diag(raw))
+        + SIGNATURE.ridge_variance * np.eye(len(raw))
     )
 
 
@@ -189,7 +189,7 @@ def _less(whole: FloatArray, part: FloatArray) -> FloatArray:
     root = np.linalg.cholesky(whole)
     half = np.linalg.solve(root, part)
     share, axes = np.linalg.eigh(np.linalg.solve(root, half.T))
-    left = root @ axes * np.sqrt(1.0 - np.clip(share, 0.0, OF_ANSWERS.largest_share))
+    left = root @ axes * np.sqrt(1.0 - np.clip(share, 0.0, SIGNATURE.largest_share))
     return np.asarray(left @ left.T)
 
 
@@ -206,7 +206,7 @@ def levels_between(model: MixedModel, section: IntArray, places: int) -> tuple[f
     mean = np.bincount(section, model.levels) / np.bincount(section)
     within = float(np.std(model.levels - mean[section]))
     ordered = np.sort(mean)
-    gap = float(max(ordered[1] - ordered[0], ordered[-1] - ordered[-2], OF_ANSWERS.level_margin))
+    gap = float(max(ordered[1] - ordered[0], ordered[-1] - ordered[-2], SIGNATURE.level_margin))
     reach = gap + 2.0 * within / np.sqrt(places)
     return float(ordered[0]) - reach, float(ordered[-1]) + reach
 

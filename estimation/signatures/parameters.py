@@ -29,4 +29,4 @@ class AnswerParameters:
     least_step: float = 1e-9  # m from sample to sample at least
 
 
-OF_ANSWERS = AnswerParameters()
+SIGNATURE = AnswerParameters()

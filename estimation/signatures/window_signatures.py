@@ -18,7 +18,7 @@ from estimation.motion.integration import (
     integrate,
 )
 from estimation.motion.rolling_radius_difference import FUSED, fuse, motion_signals, sample_smoothed
-from estimation.signatures.parameters import OF_ANSWERS
+from estimation.signatures.parameters import SIGNATURE
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import POWERS, SIGNALS, AxlePosition, LibraryEntry, Place, Signature
@@ -83,8 +83,7 @@ def folds(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> l
     mean = {name: sum(values) / len(values) for name, values in known.items()}
     ordered = sorted(found, key=lambda names: (min(mean[name] for name in names if name in mean), min(names)))
     return [
-        frozenset().union(*ordered[first :: OF_ANSWERS.validation_folds])
-        for first in range(OF_ANSWERS.validation_folds)
+        frozenset().union(*ordered[first :: SIGNATURE.validation_folds]) for first in range(SIGNATURE.validation_folds)
     ]
 
 
@@ -197,7 +196,7 @@ def _checked(window: Window, signals: SignalParameters, layout: TrackLayout | No
 def _stretch(segment: IntegratedSegment, window: Window, parameters: WindowParameters, way: int) -> _Stretch:
     known = np.flatnonzero(segment.known)
     at = np.interp(np.arange(len(segment.known)), known, window.distance[segment.part][known])
-    run = np.maximum.accumulate(way * at) + OF_ANSWERS.least_step * np.arange(len(at))
+    run = np.maximum.accumulate(way * at) + SIGNATURE.least_step * np.arange(len(at))
     fused = fuse(motion_signals(segment, parameters.vehicle, run), parameters.vehicle)
     first, count = round(float(fused.run[0]) / FUSED.grid_step), len(fused.run)
     fine = FUSED.grid_step / FUSED.oversampling

@@ -7,13 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.track.gauge.search import (
-    GaugePrior,
-    SearchParameters,
-    gauge_step,
-    search_gauge,
-    with_gauge_effect,
-)
+from estimation.track.gauge.search import GaugePrior, SearchParameters, gauge_step, search_gauge, with_gauge_effect
 from estimation.track.gauge.wheel_functions import (
     contact_samples,
     fit_wheels,
@@ -44,7 +38,7 @@ from estimation.track.panel.solution import (
     residual_of_passes,
     result,
 )
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Journey, Pass, PositionParameters
 from estimation.track.positions import compose, correlate_positions, refine, register
 from estimation.track.survey_positions import positions_on_survey
@@ -153,7 +147,7 @@ def iterate(
     first = first_rounds(setting, panel, corrections)
     setting = replace(setting, placed_on_survey=first.placed_on_survey)
     constant = prior is not None and prior.gauge_known and not prior.gauge.any()
-    if constant or not (first.state.count >= OF_TRACK.fewest_place_passes).any():
+    if constant or not (first.state.count >= TRACK.fewest_place_passes).any():
         return first
     if (
         prior is None or not prior.gauge_known

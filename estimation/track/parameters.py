@@ -59,4 +59,4 @@ class TrackParameters:
     ratio_prior_std: float = 0.15  # of the stiffness ratio of a vehicle, relative
 
 
-OF_TRACK = TrackParameters()
+TRACK = TrackParameters()

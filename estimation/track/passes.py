@@ -28,7 +28,7 @@ from estimation.motion.checks import (
 )
 from estimation.motion.integration import IntegratedWindow, WindowParameters, bridged, integrate
 from estimation.motion.rolling_radius_difference import fuse, motion_signals
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.registry import WheelsetRecord
@@ -202,7 +202,7 @@ def examine(
 Item = TypeVar("Item")
 
 
-MOST = OF_TRACK.most_pass_windows
+MOST = TRACK.most_pass_windows
 
 
 def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = MOST) -> list[list[Item]]:

@@ -17,7 +17,7 @@ from estimation.track.iteration import Grouped, IterationResult, Setting, first_
 from estimation.track.panel.basis import MeasuredCurve, Panel, unfiltered_residual
 from estimation.track.panel.instrumental_slope import PRIOR_STD
 from estimation.track.panel.solution import PanelSolution, PriorAlignment, between_pass_std_ratio, prior_on_grid
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Journey, ProfileLife
 from estimation.track.positions import correlate_positions
 from estimation.track.settings import SectionParameters
@@ -231,7 +231,7 @@ def position_std(iterated: IterationResult) -> dict[Journey, float]:
     """Return the std of each journey's offset, m, by the slope of the alignment and the residuals; inf for none."""
     panel, solution = iterated.panel, iterated.solution
     slope = np.gradient(np.nan_to_num(solution.alignment), panel.grid.step)
-    weight = panel.grid.step / OF_TRACK.correlated_length / max(iterated.noise, 1e-9) ** 2
+    weight = panel.grid.step / TRACK.correlated_length / max(iterated.noise, 1e-9) ** 2
     information = {
         journey: weight * sum(float(np.sum(slope[item.used_points] ** 2)) for item in one.passes if not item.empty)
         for journey, one in iterated.placed.items()
@@ -243,7 +243,7 @@ def shrunk(iterated: IterationResult) -> Mapping[Journey, Correction]:
     """Return the corrections of journeys, each as far as it is better known than the reported position."""
     found = {}
     for journey, std in position_std(iterated).items():
-        share = OF_TRACK.reported_position_std**2 / (OF_TRACK.reported_position_std**2 + std**2)
+        share = TRACK.reported_position_std**2 / (TRACK.reported_position_std**2 + std**2)
         one = iterated.corrections[journey]
         found[journey] = replace(one, offset=share * one.offset, scale=share * one.scale)
     return found

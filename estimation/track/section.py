@@ -23,7 +23,7 @@ from estimation.track.panel.solution import (
     prior_on_grid,
     too_few_passes,
 )
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Journey, Pass, ProfileLife, journeys
 from estimation.track.results import AlignmentReport, JourneyReport, merged_alignment, nothing
 from estimation.track.settings import SectionParameters
@@ -44,11 +44,9 @@ class Residuals:
     def weights(self) -> dict[ProfileLife, float]:
         """Return by profile life how much a pass counts where it is far off; empty where that would not matter."""
         known = [value for value in self.of_lives.values() if np.isfinite(value)]
-        usual = max(OF_TRACK.usual_std_factor * float(np.median(known)), OF_TRACK.least_usual_std) if known else np.inf
-        found = {
-            life: (usual / value) ** OF_TRACK.weight_power for life, value in self.of_lives.items() if value > usual
-        }
-        return found if any(weight < OF_TRACK.largest_effective_weight for weight in found.values()) else {}
+        usual = max(TRACK.usual_std_factor * float(np.median(known)), TRACK.least_usual_std) if known else np.inf
+        found = {life: (usual / value) ** TRACK.weight_power for life, value in self.of_lives.items() if value > usual}
+        return found if any(weight < TRACK.largest_effective_weight for weight in found.values()) else {}
 
 
 def residuals(iterated: IterationResult) -> Residuals:

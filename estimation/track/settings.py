@@ -9,7 +9,7 @@ import numpy as np
 
 from estimation.track.iteration import IterationParameters
 from estimation.track.panel.basis import PanelParameters
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.passes import PartitionParameters, PositionParameters
 from estimation.track.screening.agreement import ScreeningParameters
 from estimation.values.arrays import FloatArray
@@ -167,7 +167,7 @@ def carry_over_findings(found: TrackAlignment, before: TrackAlignment | None) ->
     shifts, was, now = dict(new.gauge_shifts), before.gauge_deviation, found.gauge_deviation
     powers = float(was @ was) * float(now @ now)
     if (
-        shifts and powers > 0.0 and float(was @ now) > OF_TRACK.same_gauge_correlation * np.sqrt(powers)
+        shifts and powers > 0.0 and float(was @ now) > TRACK.same_gauge_correlation * np.sqrt(powers)
     ):  # one gauge, sign and all
         shifts = {**old.gauge_shifts, **shifts}
     missed = old.stiffness_ratio.keys() - new.stiffness_ratio.keys()

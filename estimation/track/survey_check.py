@@ -17,7 +17,7 @@ from scipy import fft
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gauge.wheel_functions import WHEELS, contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.positions import peak_position
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
@@ -113,7 +113,7 @@ def worth_more(fleet: TrackAlignment, survey: TrackAlignment) -> bool:
     compared = (r != 0.0) & (f != 0.0)
     wrong = float(np.sqrt(np.mean((f - r)[compared] ** 2))) if compared.any() else 0.0
     std = float(np.nanmedian(fleet.alignment_std))
-    return std < OF_TRACK.worthwhile_std and std < OF_TRACK.worthwhile_share * wrong
+    return std < TRACK.worthwhile_std and std < TRACK.worthwhile_share * wrong
 
 
 def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: SurveyCheckParameters) -> list[Reason]:
@@ -153,7 +153,7 @@ def _on_one_grid(
         inside = valid_support(inside, weights)
         r = high_pass(r, weights)
     seen = inside & np.isfinite(fleet.alignment) & np.isfinite(fleet.alignment_std)
-    if np.count_nonzero(seen) * step < 2.0 * OF_TRACK.correlation_length:
+    if np.count_nonzero(seen) * step < 2.0 * TRACK.correlation_length:
         return None
     std = np.interp(fleet.s, recorded.s, np.nan_to_num(recorded.alignment_std))
     variance = std**2 + np.where(seen, np.nan_to_num(fleet.alignment_std), 0.0) ** 2
@@ -178,7 +178,7 @@ def _by_lag(r: FloatArray, f: FloatArray, weight: FloatArray, reach: int) -> tup
 
 def _memory(r: FloatArray, f: FloatArray, step: float) -> float:
     """Return over how many m one independent sample of the product reaches (Bartlett)."""
-    far = min(int(OF_TRACK.correlation_length / step), len(r) - 1)
+    far = min(int(TRACK.correlation_length / step), len(r) - 1)
     size = fft.next_fast_len(len(r) + far, real=True)
     own = [fft.irfft(np.abs(fft.rfft(signal, size)) ** 2, size)[: far + 1] for signal in (r, f)]
     first, second = (values / max(float(values[0]), 1e-300) for values in own)

@@ -22,13 +22,13 @@ from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import Panel, unfiltered_residual
 from estimation.track.panel.instrumental_slope import error_of_difference
 from estimation.track.panel.solution import PanelSolution
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.results import findings, position_std
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackAlignment
 
-EDGES = OF_TRACK.band_edges
+EDGES = TRACK.band_edges
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +262,7 @@ def total_variance(variances: Sequence[FloatArray]) -> FloatArray:
     count = len(stds)
     apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     of_distance = np.zeros(max(count, 3))
-    of_distance[:3] = 1.0, OF_TRACK.neighbour_correlation, OF_TRACK.second_neighbour_correlation
+    of_distance[:3] = 1.0, TRACK.neighbour_correlation, TRACK.second_neighbour_correlation
     correlation = of_distance[apart]
     return np.asarray(np.einsum("in,ij,jn->n", stds, correlation, stds))
 

@@ -18,7 +18,7 @@ from scipy import linalg
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import PanelState, groups_of, init, update
 from estimation.track.panel.solution import PriorAlignment, curves_of_sum, prior_of_curves
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Journey
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.quantities import jackknife_std
@@ -42,7 +42,7 @@ class SurveyFit:
     def scale(self) -> float:
         """Survey over truth: an error of the survey makes the factor too small, which is taken back."""
         own = max(self.error**2 - self.coherent**2, 0.0)
-        share = min(own / self.size**2, OF_TRACK.most_survey_error_share) if self.size > 0.0 else 0.0
+        share = min(own / self.size**2, TRACK.most_survey_error_share) if self.size > 0.0 else 0.0
         return (1.0 - share) / self.factor if self.factor != 0.0 else float("inf")
 
 
@@ -57,7 +57,7 @@ def fit_survey(iterated: IterationResult, survey: PriorAlignment) -> SurveyFit |
         state = update(init(iterated.panel), kept)
     sums = _Sums.of(state, survey.alignment)
     present = np.flatnonzero(sums.square > 0.0)
-    if len(present) < OF_TRACK.fewest_blocks:
+    if len(present) < TRACK.fewest_blocks:
         return None
     factor, explained, followed = sums.fit(present)
     if not np.isfinite(factor):

@@ -14,7 +14,7 @@ import numpy as np
 from estimation.track.gauge.wheel_functions import WHEELS
 from estimation.track.panel.basis import MeasuredCurve
 from estimation.track.panel.solution import prior_on_grid
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Pass, PassOutcome, PassStatus, ProfileLife
 from estimation.track.results import shrunk
 from estimation.track.screening.screen import Screened, screen
@@ -251,7 +251,7 @@ def _extended(
         std, std_now = (float(np.nanmedian(one.alignment_std)) for one in (posterior.before, found))
         first = not posterior.before.passes.any()
         if (
-            (first and std > settings.same_least and std_now < OF_TRACK.sharper_std_share * std)
+            (first and std > settings.same_least and std_now < TRACK.sharper_std_share * std)
             or requires_reestimation(posterior.before, in_motion, settings)
             or posterior.before.scale_std < settings.same_std * doubted
         ):

@@ -22,7 +22,7 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.trend.parameters import OF_TRENDS
+from estimation.trend.parameters import CURVES
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.geometry import IntervalConicities, KnownConicity, WheelsetGeometry, known_conicities
 from estimation.values.mixture import NormalMixture
@@ -30,8 +30,8 @@ from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.trend import TrendPoint
 
-LIMIT_AMPLITUDE = OF_TRENDS.limit_amplitude
-SAME_AMPLITUDE = OF_TRENDS.same_amplitude
+LIMIT_AMPLITUDE = CURVES.limit_amplitude
+SAME_AMPLITUDE = CURVES.same_amplitude
 
 
 SHOWN = 40  # values that show how the changes of members are spread
@@ -55,7 +55,7 @@ class Extrapolation:
     def mixture(self) -> NormalMixture:
         """Return the distribution, which is skewed: conicity rises steeply beyond, or stays as it is."""
         count, around = len(self.beyond), np.array(self.beyond)
-        rest = float(np.hypot(self.measured_std, OF_TRENDS.smoothing_share * self.spread))
+        rest = float(np.hypot(self.measured_std, CURVES.smoothing_share * self.spread))
         return NormalMixture(np.full(count, 1.0 / count), self.value + around, np.full(count, rest))
 
 
@@ -110,7 +110,7 @@ def _of_design_pairs(known: tuple[KnownConicity, ...]) -> Extrapolation | None:
 
 def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extrapolation | None:
     largest = known[-1]
-    if largest.amplitude < OF_TRENDS.least_amplitude - SAME_AMPLITUDE:
+    if largest.amplitude < CURVES.least_amplitude - SAME_AMPLITUDE:
         return None
     shown = [largest, *_below(known, family.amplitude[0])]
     if len(shown) == 1:
@@ -122,24 +122,24 @@ def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extra
     error = (members - [one.value for one in shown]) @ steps.T
     covariance = steps @ _covariance(shown) @ steps.T
     # by how much level and slopes of a member may differ
-    alike = max(OF_TRENDS.least_alike_difference, OF_TRENDS.alike_share * largest.value) * np.array(
-        [1.0] + [OF_TRENDS.slope_alike_share] * (len(shown) - 1)
+    alike = max(CURVES.least_alike_difference, CURVES.alike_share * largest.value) * np.array(
+        [1.0] + [CURVES.slope_alike_share] * (len(shown) - 1)
     )
     weighed = _alike(error, covariance, alike, _stopped(family, largest.amplitude, members[:, 0]))
     if weighed is None:
         return None
     weight, width = weighed
-    counts = weight > OF_TRENDS.negligible_weight
+    counts = weight > CURVES.negligible_weight
     weight, change = weight[counts], (_at(family, LIMIT_AMPLITUDE) - members[:, 0])[counts]
     level, measured_std, left = _local_fit(error[counts], covariance, width, weight, change)
     spread = float(np.sqrt(weight @ left**2 / weight.sum()))
     result = Extrapolation(largest.value + level, measured_std, spread, _quantiles(left, weight))
-    return result if result.std <= OF_TRENDS.largest_conicity_std and result.value > 0.0 else None
+    return result if result.std <= CURVES.largest_conicity_std and result.value > 0.0 else None
 
 
 def _below(known: Sequence[KnownConicity], least: float) -> list[KnownConicity]:
     lower = [one for one in known[:-1] if one.amplitude >= least - SAME_AMPLITUDE]
-    wanted = [known[-1].amplitude - below for below in OF_TRENDS.shape_distances] if lower else []
+    wanted = [known[-1].amplitude - below for below in CURVES.shape_distances] if lower else []
     nearest = {min(lower, key=lambda one: abs(one.amplitude - amplitude)) for amplitude in wanted}
     return sorted(nearest, key=lambda one: -one.amplitude)
 
@@ -153,16 +153,16 @@ def _at(family: WornFamily, amplitude: float) -> FloatArray:
 
 def _covariance(shown: Sequence[KnownConicity]) -> FloatArray:
     amplitude, std = (np.array([getattr(one, name) for one in shown]) for name in ("amplitude", "std"))
-    near = np.exp(-np.abs(np.subtract.outer(amplitude, amplitude)) / OF_TRENDS.near_amplitude)
-    return np.asarray(np.outer(std, std) * (OF_TRENDS.shared_error_share + (1.0 - OF_TRENDS.shared_error_share) * near))
+    near = np.exp(-np.abs(np.subtract.outer(amplitude, amplitude)) / CURVES.near_amplitude)
+    return np.asarray(np.outer(std, std) * (CURVES.shared_error_share + (1.0 - CURVES.shared_error_share) * near))
 
 
 def _stopped(family: WornFamily, amplitude: float, conicity: FloatArray) -> FloatArray:
     """Return how likely (m,) the motion of the members ends before the next amplitude (m); 1 where conicity is even."""
-    beyond = np.maximum(_at(family, amplitude + OF_TRENDS.uncovered_step), OF_TRENDS.flat_conicity)
-    ratio = 2.0 * np.log1p(OF_TRENDS.uncovered_step / amplitude)
+    beyond = np.maximum(_at(family, amplitude + CURVES.uncovered_step), CURVES.flat_conicity)
+    ratio = 2.0 * np.log1p(CURVES.uncovered_step / amplitude)
     return np.asarray(
-        np.clip(1.0 + np.log(beyond / np.maximum(conicity, OF_TRENDS.flat_conicity)) / ratio, *OF_TRENDS.stop_weights)
+        np.clip(1.0 + np.log(beyond / np.maximum(conicity, CURVES.flat_conicity)) / ratio, *CURVES.stop_weights)
     )
 
 
@@ -175,10 +175,10 @@ def _alike(
     errors of the estimate and the width of what is alike, and by how likely their motion ends there (m,). That all of
     them lie to one side is no reason to say nothing: the fit is carried on to the wheelset.
     """
-    for wider in OF_TRENDS.widening_factors:
+    for wider in CURVES.widening_factors:
         inverse = np.linalg.inv(covariance + np.diag((wider * width) ** 2))
         weight = stopped * np.exp(-0.5 * ((error @ inverse) * error).sum(axis=1))
-        if weight.sum() >= OF_TRENDS.least_members:
+        if weight.sum() >= CURVES.least_members:
             return weight, wider * width
     return None
 
@@ -189,7 +189,7 @@ def _local_fit(
     """Return the change up to the limit's amplitude, its std from the estimate's error, and what is left (m,)."""
     # the changes (m,) are fitted as linear in level and slopes (m, n), by the weights (m,)
     design = np.column_stack([np.ones(len(error)), error / width])
-    normal = (design * weight[:, np.newaxis]).T @ design + OF_TRENDS.ridge_weight * np.diag([0.0] + [1.0] * len(width))
+    normal = (design * weight[:, np.newaxis]).T @ design + CURVES.ridge_weight * np.diag([0.0] + [1.0] * len(width))
     level, *slopes = np.linalg.solve(normal, design.T @ (weight * change))
     left = change - design @ np.array([level, *slopes])
     gradient = np.array(slopes) / width
@@ -266,7 +266,7 @@ def _extrapolated_points(having: Sequence[_Covered], chosen: int, notes: Sequenc
         smaller = [covered[key]._replace(amplitude=key * SAME_AMPLITUDE) for key in sorted(covered) if key <= chosen]
         found.append((record, extrapolated(smaller)))
     known = [(record, one) for record, one in found if one is not None]
-    if not known or found[-1][1] is None or len(known) < OF_TRENDS.covering_share * len(found):
+    if not known or found[-1][1] is None or len(known) < CURVES.covering_share * len(found):
         return None
     points = tuple(_point(record, one) for record, one in known)
     note = combined([extrapolated_from(chosen * SAME_AMPLITUDE), *notes])
@@ -278,8 +278,8 @@ def _amplitude(covered: Sequence[Mapping[int, KnownConicity]]) -> int:
     keys = sorted({key for c in covered for key in c})
     keys = [key for key in keys if key <= _PREFERRED] or keys
     counts = {key: sum(key in c for c in covered) for key in keys}
-    latest = covered[-OF_TRENDS.covering_intervals :]
-    enough = [key for key in keys if sum(key in c for c in latest) >= OF_TRENDS.covering_share * len(latest)]
+    latest = covered[-CURVES.covering_intervals :]
+    enough = [key for key in keys if sum(key in c for c in latest) >= CURVES.covering_share * len(latest)]
     return max(enough) if enough else max(counts, key=lambda key: (counts[key], key))
 
 
@@ -310,4 +310,4 @@ def worn_family() -> WornFamily:
     """Return all pairs, as they are kept beside this module."""
     with as_file(files("estimation.contact") / TABLE) as path:
         stored = np.load(path, allow_pickle=False)
-    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * OF_TRENDS.stored_unit), stored[:, 0].astype(np.int64))
+    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * CURVES.stored_unit), stored[:, 0].astype(np.int64))

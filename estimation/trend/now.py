@@ -22,7 +22,7 @@ from estimation.trend.extrapolation import (
     conicity_at_limit_amplitude,
     extrapolated,
 )
-from estimation.trend.parameters import OF_TRENDS
+from estimation.trend.parameters import CURVES
 from estimation.values.alerts import NO_FORECAST, LimitNow, MileageNow, Severity, Urgency
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
@@ -166,7 +166,7 @@ def limit_state(geometry: WheelsetGeometry, trend: WearTrend | None) -> LimitSta
     if conicity is None or conicity.status is not Status.ESTIMATED:
         conicity = conicity_at_limit_amplitude(geometry)
     amplitude = geometry.reported_amplitude
-    reaches = OF_TRENDS.least_amplitude - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
+    reaches = CURVES.least_amplitude - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
     known = reaches and geometry.equivalent_conicity.status is Status.ESTIMATED
     beyond = extrapolated(below_limit(geometry)) if known else None
     last: list[Estimate] = []
@@ -174,7 +174,7 @@ def limit_state(geometry: WheelsetGeometry, trend: WearTrend | None) -> LimitSta
         pairs = zip(trend.value[-LAST_POINTS:].tolist(), trend.std[-LAST_POINTS:].tolist(), strict=True)
         last = [with_interval(value, std) for value, std in pairs]
     left_open = any(
-        OF_TRENDS.least_amplitude - SAME_AMPLITUDE < at < LIMIT_AMPLITUDE + SAME_AMPLITUDE
+        CURVES.least_amplitude - SAME_AMPLITUDE < at < LIMIT_AMPLITUDE + SAME_AMPLITUDE
         and code_of(one.reason) is ReasonCode.CONICITY_OPEN
         for at, one in zip(geometry.amplitude.tolist(), geometry.conicity, strict=True)
     )

@@ -56,4 +56,4 @@ class CurveParameters:
     share_tolerance: float = 1e-7  # far below what a result shows
 
 
-OF_TRENDS = CurveParameters()
+CURVES = CurveParameters()

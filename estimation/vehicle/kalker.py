@@ -10,10 +10,10 @@ from scipy import optimize, special
 
 from estimation.errors import ParameterError
 from estimation.values.units import STEEL_POISSON_RATIO, STEEL_SHEAR_MODULUS
-from estimation.vehicle.parameters import OF_GEAR
+from estimation.vehicle.parameters import VEHICLE
 
-FLATTEST = OF_GEAR.flattest_ellipse
-RAIL_CONDITION_STD = OF_GEAR.rail_condition_std
+FLATTEST = VEHICLE.flattest_ellipse
+RAIL_CONDITION_STD = VEHICLE.rail_condition_std
 _ROWS = np.array(  # semi-axis ratio a/b, C11, C22, C23, C33; Poisson's ratio 1/4
     [
         (0.1, 3.31, 2.52, 0.473, 8.28),

@@ -28,7 +28,7 @@ import numpy.typing as npt
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from estimation.values.units import GRAVITY
-from estimation.vehicle.parameters import OF_GEAR
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.regressors import (
     ContactState,
     WheelsetState,
@@ -43,8 +43,8 @@ from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, Vehi
 ComplexArray = npt.NDArray[np.complex128]
 
 
-ANGLE_PER_DIFFERENCE = OF_GEAR.angle_per_difference
-ANGLE_SUM = OF_GEAR.angle_sum
+ANGLE_PER_DIFFERENCE = VEHICLE.angle_per_difference
+ANGLE_SUM = VEHICLE.angle_sum
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,7 +235,7 @@ def _name(model: LinearModel, shares: FloatArray, shape: FloatArray, value: comp
         return names[int(np.argmax(np.where(wheelset, 0.0, shares)))]
     lateral = np.array([name.endswith("wheelset lateral") for name in names])
     direction = "lateral" if shares[lateral].sum() >= shares[wheelset & ~lateral].sum() else "yaw"
-    if abs(value.real) > OF_GEAR.creeping_damping_ratio * abs(value):
+    if abs(value.real) > VEHICLE.creeping_damping_ratio * abs(value):
         return f"wheelset {direction}, creep"
     kind = "kinematic" if abs(value.imag) < 4 * math.pi * model.klingel_hz else f"wheelset {direction}"
     if len(model.wheelset_offsets) == 1:
@@ -250,14 +250,14 @@ def critical_speed(vehicle_class: VehicleClass, contact: LinearContact) -> float
 
     def grows(speed: float) -> bool:
         matrix = linear_model(vehicle_class, speed, contact).matrix
-        return bool(np.linalg.eigvals(matrix).real.max() > OF_GEAR.stable_growth)
+        return bool(np.linalg.eigvals(matrix).real.max() > VEHICLE.stable_growth)
 
-    speeds = np.arange(OF_GEAR.lowest_speed, OF_GEAR.highest_speed + OF_GEAR.speed_step, OF_GEAR.speed_step)
+    speeds = np.arange(VEHICLE.lowest_speed, VEHICLE.highest_speed + VEHICLE.speed_step, VEHICLE.speed_step)
     unstable = next((float(speed) for speed in speeds if grows(float(speed))), math.inf)
-    if unstable in {OF_GEAR.lowest_speed, math.inf}:
+    if unstable in {VEHICLE.lowest_speed, math.inf}:
         return unstable
-    stable = unstable - OF_GEAR.speed_step
-    while unstable - stable > OF_GEAR.speed_tolerance:
+    stable = unstable - VEHICLE.speed_step
+    while unstable - stable > VEHICLE.speed_tolerance:
         middle = (stable + unstable) / 2
         stable, unstable = (stable, middle) if grows(middle) else (middle, unstable)
     return unstable

@@ -33,7 +33,7 @@ from estimation.vehicle.linear_model import (
     sensor_filters,
     true_signals,
 )
-from estimation.vehicle.parameters import OF_GEAR
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
 
 CAUSES = ("noise", "dilution", "track", "creep", "stiffness", "mass", "lengths", "scale")
@@ -95,7 +95,7 @@ class Observed:
     @property
     def seen(self) -> bool:
         """Whether the std is below a quarter of the value."""
-        return self.std < OF_GEAR.seen_std_share * abs(self.value)
+        return self.std < VEHICLE.seen_std_share * abs(self.value)
 
 
 def observability(vehicle_class: VehicleClass, running: Running) -> tuple[Observed, ...]:
@@ -115,8 +115,8 @@ def observability(vehicle_class: VehicleClass, running: Running) -> tuple[Observ
         (
             "dL - dR at 3 mm",
             "mrad",
-            1e3 * OF_GEAR.lateral_amplitude * at.angle_slope,
-            1e3 * OF_GEAR.lateral_amplitude,
+            1e3 * VEHICLE.lateral_amplitude * at.angle_slope,
+            1e3 * VEHICLE.lateral_amplitude,
             lateral,
             "angle_slope",
         ),
@@ -184,7 +184,7 @@ def _sensitivity(vehicle_class: VehicleClass, running: Running) -> _Sensitivity:
     raw = (measured @ u[:, :, None])[:, :, 0]
     channels = layout.channels
     of_sensor = {name: channels[name.removeprefix("other_")] for name in SENSORS}
-    densities = np.array([max(of_sensor[name].noise_density, OF_GEAR.least_noise_density) ** 2 for name in SENSORS])
+    densities = np.array([max(of_sensor[name].noise_density, VEHICLE.least_noise_density) ** 2 for name in SENSORS])
     known = (running.alignment_std / running.alignment_rms) ** 2 * running.alignment_density
     by_track = E[:, :, -1]  # the alignment enters x alone
     return _Sensitivity(
@@ -217,19 +217,19 @@ def _derivatives(
     names = [item.name for item in fields(VehicleParameters) if getattr(p, item.name)]
     by_parameter = {
         name: change(
-            equations(replace(p, **{name: (1 + OF_GEAR.derivative_step) * getattr(p, name)}), wheelbase, speed, at),
-            OF_GEAR.derivative_step,
+            equations(replace(p, **{name: (1 + VEHICLE.derivative_step) * getattr(p, name)}), wheelbase, speed, at),
+            VEHICLE.derivative_step,
         )
         for name in names
     }
     if wheelbase is not None:
         by_parameter["wheelbase"] = change(
-            equations(p, (1 + OF_GEAR.derivative_step) * wheelbase, speed, at), OF_GEAR.derivative_step
+            equations(p, (1 + VEHICLE.derivative_step) * wheelbase, speed, at), VEHICLE.derivative_step
         )
     by_combination = {}
     for name, unit in _UNITS.items():
-        moved = replace(at, **{name: getattr(at, name) + OF_GEAR.derivative_step * unit})
-        by_combination[name] = change(equations(p, wheelbase, speed, moved), OF_GEAR.derivative_step * unit)
+        moved = replace(at, **{name: getattr(at, name) + VEHICLE.derivative_step * unit})
+        by_combination[name] = change(equations(p, wheelbase, speed, moved), VEHICLE.derivative_step * unit)
     return by_combination, by_parameter
 
 
@@ -273,12 +273,12 @@ def _dilution(sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], 
 
 def _bounds(sensitivity: _Sensitivity) -> dict[str, float]:
     changes = {**sensitivity.by_combination, **sensitivity.by_error}
-    prior = [OF_GEAR.angle_sum_std if name == "angle_sum" else math.inf for name in sensitivity.by_combination]
+    prior = [VEHICLE.angle_sum_std if name == "angle_sum" else math.inf for name in sensitivity.by_combination]
     prior += sensitivity.std.values()
     J = np.stack(list(changes.values()), axis=2)  # (f, 2, names)
     weighted = np.linalg.solve(sensitivity.noise + sensitivity.track, J * sensitivity.density[:, None, None])
     information = 2 * sensitivity.duration * np.einsum("fej,fek->jk", J.conj(), weighted).real
-    free = [n for n, std in enumerate(prior) if std > OF_GEAR.certain_std]
+    free = [n for n, std in enumerate(prior) if std > VEHICLE.certain_std]
     names, prior = [list(changes)[n] for n in free], [prior[n] for n in free]
     information = information[np.ix_(free, free)]
 

@@ -48,4 +48,4 @@ class GearParameters:
     derivative_step: float = 1e-4  # of numerical derivatives, relative
 
 
-OF_GEAR = GearParameters()
+VEHICLE = GearParameters()

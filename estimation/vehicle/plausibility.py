@@ -14,11 +14,11 @@ from dataclasses import dataclass, fields, replace
 
 from estimation.errors import ParameterError
 from estimation.values.units import GRAVITY
-from estimation.vehicle.parameters import OF_GEAR
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import BogieParameters, VehicleClass, VehicleParameters
 
-UNIT_FACTOR = OF_GEAR.unit_factor
-RAIL_CONDITION_STD = OF_GEAR.rail_condition_std
+UNIT_FACTOR = VEHICLE.unit_factor
+RAIL_CONDITION_STD = VEHICLE.rail_condition_std
 
 
 UNIT_FACTORS = UNIT_FACTOR, UNIT_FACTOR**2  # kN/mm for N/m, MN for N

@@ -44,7 +44,7 @@ import numpy.typing as npt
 from estimation.compiled import compiled
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.windows import OF_FRAME, Motion
-from estimation.vehicle.parameters import OF_GEAR
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleParameters
 
 YAW_TARGET_COLUMNS = 8
@@ -219,7 +219,7 @@ def angle_difference_derivatives(parameters: VehicleParameters) -> FloatArray:
     by_name = dict.fromkeys(LATERAL_TARGETS[1:], 0.0)
     by_name["spin_creep"] = parameters.lateral_spin_creep_coefficient / parameters.nominal_radius
     by_name["load"] = -parameters.load / 2
-    return np.array(list(by_name.values())) / (angle_difference_factor(parameters) or OF_GEAR.least_force)
+    return np.array(list(by_name.values())) / (angle_difference_factor(parameters) or VEHICLE.least_force)
 
 
 def regression(

@@ -20,7 +20,7 @@ from annotated_types import Ge, Gt, Interval
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from estimation.values.units import GRAVITY
-from estimation.vehicle.parameters import OF_GEAR
+from estimation.vehicle.parameters import VEHICLE
 
 AXLES_OF_A_BOGIE = 2
 
@@ -132,14 +132,14 @@ class VehicleClass:
 
 
 CREEP_STD, STIFFNESS_STD, DAMPING_STD, MASS_STD, LENGTH_STD = (
-    OF_GEAR.creep_std,
-    OF_GEAR.stiffness_std,
-    OF_GEAR.damping_std,
-    OF_GEAR.mass_std,
-    OF_GEAR.length_std,
+    VEHICLE.creep_std,
+    VEHICLE.stiffness_std,
+    VEHICLE.damping_std,
+    VEHICLE.mass_std,
+    VEHICLE.length_std,
 )
-LOAD_STD = OF_GEAR.load_std
-UNSTATED_SCALE_STD = OF_GEAR.unstated_scale_std
+LOAD_STD = VEHICLE.load_std
+UNSTATED_SCALE_STD = VEHICLE.unstated_scale_std
 
 
 def default_relative_std(name: str) -> float:
@@ -222,7 +222,7 @@ def difference_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> f
     p, sensors = vehicle_class.parameters, vehicle_class.sensors
     per_yaw = p.yaw_stiffness * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
     twice = cutoff_wavelength**3 / (3.0 * (2.0 * math.pi) ** 4)
-    once = cutoff_wavelength * OF_GEAR.usual_speed**2 / (2.0 * math.pi) ** 2
+    once = cutoff_wavelength * VEHICLE.usual_speed**2 / (2.0 * math.pi) ** 2
     variance = (once if sensors.yaw_is_gyroscope else twice) * sensors.yaw.noise_density**2
     if vehicle_class.bogie is not None:
         variance += 2.0 * twice * (sensors.mass_lateral.noise_density / vehicle_class.bogie.wheelbase) ** 2
@@ -236,10 +236,10 @@ def usable_cutoff(vehicle_class: VehicleClass, longest: float) -> float:
     longer waves hold noise alone. Shorter ones than ``SHORTEST_CUTOFF`` would not hold the displacement of a wheelset.
     """
     cutoff = longest
-    while cutoff - OF_GEAR.cutoff_step >= OF_GEAR.shortest_cutoff:
-        if math.sqrt(difference_noise(vehicle_class, cutoff) / OF_GEAR.usual_speed**3) <= OF_GEAR.most_difference_noise:
+    while cutoff - VEHICLE.cutoff_step >= VEHICLE.shortest_cutoff:
+        if math.sqrt(difference_noise(vehicle_class, cutoff) / VEHICLE.usual_speed**3) <= VEHICLE.most_difference_noise:
             break
-        cutoff -= OF_GEAR.cutoff_step
+        cutoff -= VEHICLE.cutoff_step
     return cutoff
 
 
@@ -253,7 +253,7 @@ def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, sp
     sensors, height = vehicle_class.sensors, vehicle_class.parameters.nominal_radius
     gravity = GRAVITY if sensors.measures_gravity else 0.0
     if not sensors.measures_gravity:
-        height += OF_GEAR.rail_head_radius
+        height += VEHICLE.rail_head_radius
     of_roll = 1 if sensors.roll_is_gyroscope else 2
     crossed = 2.0 * gravity * height * _integrated(of_roll + 1, slowest)
     both = height**2 * _integrated(of_roll, slowest) + crossed + gravity**2 * _integrated(of_roll + 2, slowest)

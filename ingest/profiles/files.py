@@ -9,7 +9,7 @@ from typing import TypedDict, Unpack
 
 import numpy as np
 
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import Profile, ProfileKind
 from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ProfileError
@@ -141,9 +141,9 @@ def _whole(profile: Profile, path: Path) -> Profile:
             field="y",
         )
     tip = int(np.argmax(profile.z))
-    if not -OF_PROFILES.tread_datum <= profile.y[tip] <= FLANGE_END or profile.z[tip] < MIN_FLANGE_HEIGHT:
+    if not -PROFILES.tread_datum <= profile.y[tip] <= FLANGE_END or profile.z[tip] < MIN_FLANGE_HEIGHT:
         raise ProfileError(
-            f"no flange: its tip is expected between {-OF_PROFILES.tread_datum * 1e3:+.0f} and"
+            f"no flange: its tip is expected between {-PROFILES.tread_datum * 1e3:+.0f} and"
             f" {FLANGE_END * 1e3:+.0f} mm from the tread datum, {MIN_FLANGE_HEIGHT * 1e3:.0f} mm high or more",
             file=path,
             field="z",

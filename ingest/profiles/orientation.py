@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.contact.penalised_spline import rough_noise
 from estimation.contact.profiles import Profile, ProfileKind
 from estimation.contact.smoothed_profile import SmoothedProfile, advancing, smoothed_profile, thinned, without_spikes
@@ -32,7 +32,7 @@ from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.units import MILLIMETRE
 from ingest.profiles.points import FilePoints, Origin
 
-_GAUGE_DEPTH = OF_PROFILES.gauge_depth * 1e3  # mm
+_GAUGE_DEPTH = PROFILES.gauge_depth * 1e3  # mm
 _DEPTHS = np.arange(14.5, 30.1, 0.5)  # mm below the crown, where sides are straight and not worn
 _FEWEST_DEPTHS = 9
 LEAST_LEAN = 0.012  # tangent from which a head counts as leaning; rails are inclined by 1:40 to 1:20
@@ -250,7 +250,7 @@ def _from_datum(
     if abs(tip - y[0]) > abs(y[-1] - tip):
         y, z, lines, tip = -y[::-1], z[::-1], lines[::-1], -tip
     from_back = abs(tip) <= _FLANGE_BACK_WITHIN if origin is Origin.AUTO else origin is Origin.FLANGE_BACK
-    return (y - OF_PROFILES.tread_datum / MILLIMETRE if from_back else y), z, lines
+    return (y - PROFILES.tread_datum / MILLIMETRE if from_back else y), z, lines
 
 
 def _is_mirrored(y: FloatArray, depth: FloatArray, points: FilePoints) -> bool:
@@ -289,7 +289,7 @@ def _check_span(points: FilePoints, kind: ProfileKind) -> None:
 def _check_head(y: FloatArray, depth: FloatArray) -> None:
     crown = int(np.argmin(depth))
     shoulders = min(float(depth[: crown + 1].max()), float(depth[crown:].max()))
-    width = float(np.ptp(y[depth <= OF_PROFILES.gauge_depth / MILLIMETRE]))
+    width = float(np.ptp(y[depth <= PROFILES.gauge_depth / MILLIMETRE]))
     if not _HEAD_WIDTH[0] <= width <= _HEAD_WIDTH[1] or shoulders < _LEAST_HEAD_DEPTH:
         raise ProfileError(
             f"cannot be a rail head: {width:.1f} mm wide within 14 mm of its crown ({_HEAD_WIDTH[0]:.0f} to "

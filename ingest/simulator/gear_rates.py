@@ -32,16 +32,7 @@ import numpy as np
 
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.units import GRAVITY
-from ingest.simulator.rates import (
-    OUTPUTS,
-    STANDSTILL,
-    Constants,
-    Grid,
-    look_up,
-    runge_kutta,
-    stepped,
-    track_at,
-)
+from ingest.simulator.rates import OUTPUTS, STANDSTILL, Constants, Grid, look_up, runge_kutta, stepped, track_at
 from ingest.simulator.running import CreepConstants, share_of_linear
 
 AXLE_STATES = 5  # y, y', psi, psi', u of each wheelset

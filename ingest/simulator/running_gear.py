@@ -28,15 +28,7 @@ from ingest.simulator.gear_rates import (
     Wheels,
     integrate_gear,
 )
-from ingest.simulator.motion import (
-    RATE_LIMIT,
-    STEP,
-    PreparedTable,
-    WheelsetMotion,
-    constants,
-    course,
-    motion_of,
-)
+from ingest.simulator.motion import RATE_LIMIT, STEP, PreparedTable, WheelsetMotion, constants, course, motion_of
 from ingest.simulator.rates import OUTPUTS, STANDSTILL, sub_steps
 from ingest.simulator.running import Creep, CreepLaw
 from ingest.simulator.track import Curves, TrackTruth

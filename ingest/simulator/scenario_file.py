@@ -14,7 +14,7 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Self
 
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import Profile
 from estimation.errors import ProfileError, ScenarioError
 from estimation.values.fields import MM
@@ -187,8 +187,8 @@ class ScenarioTable:
             raise field_error("the rails under a drawn fleet do not wear", *place)
         days = (self.sessions.campaigns - 1) * self.sessions.distance_between / self.sessions.distance_per_day
         deepest = wear.deepest(self.section.tonnage * days / DAYS_PER_YEAR)
-        if deepest > OF_PROFILES.deepest_band:
-            most = 1e3 * OF_PROFILES.deepest_band
+        if deepest > PROFILES.deepest_band:
+            most = 1e3 * PROFILES.deepest_band
             reason = f"the last campaign is on bands {1e3 * deepest:.1f} mm deep; at most {most:g} mm"
             raise field_error(reason, *place)
 

@@ -10,7 +10,7 @@ from typing import Annotated, Self
 from annotated_types import Interval
 from pydantic import AfterValidator
 
-from estimation.contact.parameters import OF_PROFILES
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.wear import RailWear
 from estimation.errors import ProfileError
@@ -93,7 +93,7 @@ class RailFiles:
         return self.rail_left_file_mirror, self.rail_right_file_mirror
 
 
-Depth = Annotated[float, between(0.0, OF_PROFILES.deepest_band / 1e-3), MM]
+Depth = Annotated[float, between(0.0, PROFILES.deepest_band / 1e-3), MM]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from estimation.motion.checks import moving_samples, runs_backwards
 from estimation.motion.integration import SignalParameters, segments
-from estimation.motion.parameters import OF_MOTION
+from estimation.motion.parameters import MOTION
 from estimation.motion.rolling_sums import TERMS
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.roll_up import RollingSums
@@ -31,7 +31,7 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
             frame_yaw_acceleration=None if frame is None else -frame,
         )
     dt = window.sample_interval_s
-    size, each = round(OF_MOTION.piece_s / dt), round(OF_MOTION.jackknife_part_s / dt)
+    size, each = round(MOTION.piece_s / dt), round(MOTION.jackknife_part_s / dt)
     parts: dict[int, list[RollingSums]] = {}
     usable = moving_samples(window, signals)
     for first, behind in segments(usable, window, signals):
@@ -64,8 +64,8 @@ def _piece(samples: FloatArray, dt: float, counting: FloatArray, vehicle_class: 
     """Return the sums of one piece, accelerations, the frame's and speed (6, m)."""
     n, speed = samples.shape[1], float(samples[5].mean())
     frequency = np.asarray(np.fft.rfftfreq(n, dt), dtype=np.float64)
-    longest = speed / OF_MOTION.wavelength_range[1]
-    used = (frequency >= longest) & (frequency <= speed / OF_MOTION.wavelength_range[0])
+    longest = speed / MOTION.wavelength_range[1]
+    used = (frequency >= longest) & (frequency <= speed / MOTION.wavelength_range[0])
     omega = np.asarray(2.0 * np.pi * frequency[used])
     window = np.hanning(n)
     unit = 0.5 * n / dt * float(np.mean(window**2))  # of a squared spectrum per squared noise density
@@ -79,13 +79,13 @@ def _piece(samples: FloatArray, dt: float, counting: FloatArray, vehicle_class: 
     weight = 2.0 / _left(terms, noise, vehicle_class.parameters.nominal_radius)
     band = np.minimum(
         (
-            OF_MOTION.wavelength_bands
+            MOTION.wavelength_bands
             * np.log(frequency[used] / longest)
-            / np.log(OF_MOTION.wavelength_range[1] / OF_MOTION.wavelength_range[0])
+            / np.log(MOTION.wavelength_range[1] / MOTION.wavelength_range[0])
         ),
-        OF_MOTION.wavelength_bands - 1,
+        MOTION.wavelength_bands - 1,
     )
-    share = weight * (band.astype(np.int64)[None, :] == np.arange(OF_MOTION.wavelength_bands)[:, None])
+    share = weight * (band.astype(np.int64)[None, :] == np.arange(MOTION.wavelength_bands)[:, None])
     measured = np.einsum("if,jf->fij", values.conj(), values).real
     of_noise = np.einsum("iaf,jaf->fij", terms.conj() * noise, terms).real
     return RollingSums(np.tensordot(share / unit, measured, axes=1), np.tensordot(share, of_noise, axes=1))
@@ -94,15 +94,15 @@ def _piece(samples: FloatArray, dt: float, counting: FloatArray, vehicle_class: 
 def _densities(sensors: SensorLayout) -> FloatArray:
     """Return the squared noise densities (4,) of the sensors: on file, or usual ones where none is."""
     usual = (
-        OF_MOTION.usual_lateral_noise,
-        OF_MOTION.usual_angular_noise,
-        OF_MOTION.usual_angular_noise,
-        OF_MOTION.usual_lateral_noise,
+        MOTION.usual_lateral_noise,
+        MOTION.usual_angular_noise,
+        MOTION.usual_angular_noise,
+        MOTION.usual_lateral_noise,
     )
     rates = (False, sensors.yaw_is_gyroscope, sensors.roll_is_gyroscope, False)
     return np.square(
         [
-            one.noise_density or (OF_MOTION.usual_rate_noise if rate else density)
+            one.noise_density or (MOTION.usual_rate_noise if rate else density)
             for one, density, rate in zip(sensors.channels.values(), usual, rates, strict=True)
         ]
     )

@@ -12,7 +12,7 @@ from annotated_types import Interval
 from scipy.special import betainc
 
 from estimation.alerts.identity import IdentityEvent
-from estimation.alerts.parameters import OF_FINDINGS
+from estimation.alerts.parameters import FINDINGS
 from estimation.trend.extrapolation import conicity_points
 from estimation.trend.trend import TrendParameters, trend_up_to
 from estimation.values.alerts import Alert, Evidence, Finding, MileageNow, Severity, number_evidence
@@ -222,7 +222,7 @@ def began(newest_first: Iterable[Finding], delays: AlertDelays) -> int | None:
 
 def reach_km(delays: AlertDelays) -> float:
     """Return how far back findings count where a delay is in kilometres; 0 where none is."""
-    return OF_FINDINGS.look_back_factor * max(delays.on_delay_km, delays.off_delay_km)
+    return FINDINGS.look_back_factor * max(delays.on_delay_km, delays.off_delay_km)
 
 
 def within_reach(mileages_km: Sequence[float | None], count: int, reach: float) -> int:
@@ -269,7 +269,7 @@ class WindowsRule(AlertRule):
         if not any(self.is_suspect(window, facts) for window in ordered):
             return replace(now, stands=False)
         mileages = [None if one.implausible is not None else one.mileage_km for one in ordered]
-        first = len(ordered) - within_reach(mileages, OF_FINDINGS.look_back_factor * latest, reach_km(self.delays))
+        first = len(ordered) - within_reach(mileages, FINDINGS.look_back_factor * latest, reach_km(self.delays))
 
         def after(end: int) -> Finding:
             found = self.find_in(ordered[max(first, end - latest) : end], facts)
@@ -373,7 +373,7 @@ class IntervalsRule(AlertRule):
 def counting(facts: WheelsetFacts, delays: AlertDelays) -> Sequence[GeometryRecord]:
     """Return the newest intervals that count; delays in kilometres may reach further back."""
     mileages = [record.mileage_km for record in facts.intervals]
-    return facts.intervals[-within_reach(mileages, OF_FINDINGS.look_back_intervals, reach_km(delays)) :]
+    return facts.intervals[-within_reach(mileages, FINDINGS.look_back_intervals, reach_km(delays)) :]
 
 
 def _newest_first(facts: WheelsetFacts, intervals: Sequence[GeometryRecord]) -> Iterator[WheelsetFacts]:

@@ -10,7 +10,7 @@ from typing import Annotated
 from annotated_types import Interval
 
 from estimation.alerts.identity import IdentityEvent, IdentityParameters, Mistake
-from estimation.alerts.parameters import OF_FINDINGS
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rules.rule import (
     AlertDelays,
     AlertRule,
@@ -204,7 +204,7 @@ class NoDataRule(AlertRule):
         silent_days = (now_ns - since_ns) / DAY_NS
         breached, critical = silent_days > self.days, silent_days > self.critical_days
         raised_ns, critical_ns = (since_ns + round(days * DAY_NS) for days in (self.days, self.critical_days))
-        newest = sorted(facts.windows, key=lambda window: window.start_ns)[-OF_FINDINGS.reasons_from_windows :]
+        newest = sorted(facts.windows, key=lambda window: window.start_ns)[-FINDINGS.reasons_from_windows :]
         refused = [one.reason for one in newest if one.reason is not None and one.start_ns >= since_ns]
         codes = Counter(reason.code for reason in refused)
         usual = codes.most_common(1)[0][0] if codes else None

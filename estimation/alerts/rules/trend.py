@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from estimation.alerts.parameters import OF_FINDINGS
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rules.rule import AlertRule, IntervalsRule, Probability, WheelsetFacts
 from estimation.trend.now import SCALE, limit_now, probability_within
 from estimation.values.alerts import DecidingEvidence, Evidence, Finding, LimitNow, Severity, number_evidence, restated
@@ -137,18 +137,18 @@ def unregistered_change_finding(
 
 
 def _sentence(step: TrendStep, size: float, causes: tuple[StepExplanation, ...]) -> str:
-    which = " or ".join(_WORDS[one.cause] for one in causes if one.share >= OF_FINDINGS.named_probability)
+    which = " or ".join(_WORDS[one.cause] for one in causes if one.share >= FINDINGS.named_probability)
     changed = f"the conicity has {'risen' if size > 0.0 else 'fallen'} by {abs(size):.2f} at {step.after_km:,.0f} km"
     look = "look at the wheels, and register what happened" if size > 0.0 else "register what happened"
     return f"{changed}, which no event on file explains: {which}; {look}"
 
 
 USUAL = {
-    StepCause.TURNED: OF_FINDINGS.turned_prior,
-    StepCause.EXCHANGED: OF_FINDINGS.exchanged_prior,
-    StepCause.DAMAGED: OF_FINDINGS.damaged_prior,
-    StepCause.SENSOR: OF_FINDINGS.sensor_prior,
-    StepCause.TURNED_END_FOR_END: OF_FINDINGS.end_for_end_prior,
+    StepCause.TURNED: FINDINGS.turned_prior,
+    StepCause.EXCHANGED: FINDINGS.exchanged_prior,
+    StepCause.DAMAGED: FINDINGS.damaged_prior,
+    StepCause.SENSOR: FINDINGS.sensor_prior,
+    StepCause.TURNED_END_FOR_END: FINDINGS.end_for_end_prior,
 }
 
 
@@ -161,14 +161,14 @@ def explanations(step: TrendStep, around: StepSurroundings) -> tuple[StepExplana
     size, std = step.size.value or 0.0, step.size.std or 1.0
     found = {
         StepCause.TURNED: _turned(step, std, around),
-        StepCause.EXCHANGED: (1.0 / (OF_FINDINGS.usual_conicities[1] - OF_FINDINGS.usual_conicities[0]), 0.0),
-        StepCause.DAMAGED: (float(np.exp(-size / OF_FINDINGS.damage_rise)) / OF_FINDINGS.damage_rise, 0.0)
+        StepCause.EXCHANGED: (1.0 / (FINDINGS.usual_conicities[1] - FINDINGS.usual_conicities[0]), 0.0),
+        StepCause.DAMAGED: (float(np.exp(-size / FINDINGS.damage_rise)) / FINDINGS.damage_rise, 0.0)
         if size > 0.0
         else (0.0, -size / std),
         StepCause.SENSOR: _sensor(step, around.others),
-        StepCause.TURNED_END_FOR_END: _normal(size, float(np.hypot(std, OF_FINDINGS.own_std))),
+        StepCause.TURNED_END_FOR_END: _normal(size, float(np.hypot(std, FINDINGS.own_std))),
     }
-    weight = {cause: USUAL[cause] * max(density, OF_FINDINGS.least_likelihood) for cause, (density, _) in found.items()}
+    weight = {cause: USUAL[cause] * max(density, FINDINGS.least_likelihood) for cause, (density, _) in found.items()}
     total = sum(weight.values())
     ordered = sorted(found, key=lambda cause: -weight[cause])
     return tuple(StepExplanation(cause, weight[cause] / total, found[cause][1]) for cause in ordered)
@@ -180,17 +180,15 @@ def _turned(step: TrendStep, std: float, around: StepSurroundings) -> tuple[floa
     if not around.designed:
         falls = after < step.level_before
         return (
-            (1.0 / max(step.level_before, OF_FINDINGS.own_std), 0.0)
-            if falls
-            else (0.0, abs(step.size.value or 0.0) / std)
+            (1.0 / max(step.level_before, FINDINGS.own_std), 0.0) if falls else (0.0, abs(step.size.value or 0.0) / std)
         )
     nearest = min(around.designed, key=lambda at: abs(at - step.amplitude))
-    density, left = _normal(after - around.designed[nearest], float(np.hypot(std, OF_FINDINGS.design_std)))
+    density, left = _normal(after - around.designed[nearest], float(np.hypot(std, FINDINGS.design_std)))
     apart = [
-        (one.value - around.designed[at]) / OF_FINDINGS.design_std
+        (one.value - around.designed[at]) / FINDINGS.design_std
         for one in around.behind
         for at in around.designed
-        if abs(at - one.amplitude) < OF_FINDINGS.amplitude_tolerance
+        if abs(at - one.amplitude) < FINDINGS.amplitude_tolerance
     ]
     shape = float(np.sqrt(np.mean(np.square(apart)))) if apart else left
     worse = max(left, shape)
@@ -199,34 +197,34 @@ def _turned(step: TrendStep, std: float, around: StepSurroundings) -> tuple[floa
 
 def _sensor(step: TrendStep, others: Sequence[TrendStep | None]) -> tuple[float, float]:
     """Return density and what is left where a sensor has another scale: wheelsets of one node change by one factor."""
-    after = max(step.level_before + (step.size.value or 0.0), OF_FINDINGS.own_std)
+    after = max(step.level_before + (step.size.value or 0.0), FINDINGS.own_std)
     scale = _log_scale(step)
     together = [one for one in others if one is not None and _together(step, one)]
-    density, left = _normal(scale, OF_FINDINGS.sensor_scale_std)
+    density, left = _normal(scale, FINDINGS.sensor_scale_std)
     if not together:
-        alone = OF_FINDINGS.lone_sensor_share if others else 1.0
+        alone = FINDINGS.lone_sensor_share if others else 1.0
         return alone * density / after, 0.0
-    own = np.hypot(_log_std(step), OF_FINDINGS.node_scale_std)
+    own = np.hypot(_log_std(step), FINDINGS.node_scale_std)
     same = [abs(_log_scale(one) - scale) / float(np.hypot(_log_std(one), own)) for one in together]
     left = float(np.sqrt(np.mean(np.square(same))))
-    sharper = OF_FINDINGS.sensor_scale_std / OF_FINDINGS.node_scale_std  # one factor for all is a sharp prediction
+    sharper = FINDINGS.sensor_scale_std / FINDINGS.node_scale_std  # one factor for all is a sharp prediction
     return sharper * len(together) / len(others) * density * float(np.exp(-0.5 * left**2)) / after, left
 
 
 def _together(first: TrendStep, second: TrendStep) -> bool:
     return (
-        first.before_ns - OF_FINDINGS.simultaneous_ns <= second.after_ns
-        and second.before_ns <= first.after_ns + OF_FINDINGS.simultaneous_ns
+        first.before_ns - FINDINGS.simultaneous_ns <= second.after_ns
+        and second.before_ns <= first.after_ns + FINDINGS.simultaneous_ns
     )
 
 
 def _log_scale(step: TrendStep) -> float:
-    after = max(step.level_before + (step.size.value or 0.0), OF_FINDINGS.own_std)
-    return float(np.log(after / max(step.level_before, OF_FINDINGS.own_std)))
+    after = max(step.level_before + (step.size.value or 0.0), FINDINGS.own_std)
+    return float(np.log(after / max(step.level_before, FINDINGS.own_std)))
 
 
 def _log_std(step: TrendStep) -> float:
-    return (step.size.std or 1.0) / max(step.level_before + (step.size.value or 0.0), OF_FINDINGS.own_std)
+    return (step.size.std or 1.0) / max(step.level_before + (step.size.value or 0.0), FINDINGS.own_std)
 
 
 def _normal(apart: float, std: float) -> tuple[float, float]:

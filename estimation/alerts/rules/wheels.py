@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 import numpy as np
 from scipy.special import ndtr
 
-from estimation.alerts.parameters import OF_FINDINGS
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rules.rule import (
     AlertRule,
     Probability,
@@ -98,13 +98,13 @@ class WheelFlatRule(WindowShareRule):
 def strikes(window: WindowRecord, turn_m: float) -> bool:
     """Return whether a wheel that runs ``turn_m`` in a turn strikes for most of a window."""
     blows = window.quality.blows
-    return blows.sustained and abs(blows.turn_m / turn_m - 1.0) <= OF_FINDINGS.turn_tolerance
+    return blows.sustained and abs(blows.turn_m / turn_m - 1.0) <= FINDINGS.turn_tolerance
 
 
 def _wheel(found: Sequence[WindowRecord], *, mounted_reversed: bool) -> Literal["left", "right"] | None:
     """Return which of the wheelset's own wheels strikes, ``left`` or ``right``; None where the windows do not say."""
     sides = [window.quality.blows.side for window in found if window.quality.blows.side]
-    if not sides or abs(sum(sides)) < OF_FINDINGS.same_side_share * len(sides) or 2 * len(sides) < len(found):
+    if not sides or abs(sum(sides)) < FINDINGS.same_side_share * len(sides) or 2 * len(sides) < len(found):
         return None
     on_left = sum(sides) > 0
     return "left" if on_left != mounted_reversed else "right"
@@ -203,9 +203,9 @@ def _shape(geometry: WheelsetGeometry) -> Estimate:
     distance = centre[(centre > 0.0) & (centre <= reach)]
     even = 0.5 * (np.interp(distance, at, value) + np.interp(-distance, at, value))
     even_std = 0.5 * np.hypot(np.interp(distance, at, std), np.interp(-distance, at, std))
-    inner = _mean(even, even_std, distance <= OF_FINDINGS.inner_amplitude)
+    inner = _mean(even, even_std, distance <= FINDINGS.inner_amplitude)
     outer = _mean(
-        even, even_std, (distance >= OF_FINDINGS.outer_amplitudes[0]) & (distance <= OF_FINDINGS.outer_amplitudes[1])
+        even, even_std, (distance >= FINDINGS.outer_amplitudes[0]) & (distance <= FINDINGS.outer_amplitudes[1])
     )
     if inner is None or outer is None:
         return Estimate.unknown(

@@ -10,7 +10,7 @@ from itertools import takewhile
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import TreadwatchError
 from estimation.jobs.job import JobContext
-from estimation.jobs.parameters import OF_STAGES
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.storage import UnitOfWork
@@ -265,7 +265,7 @@ class EpochSearch:
         assert old is not None
         ages_ns = [context.clock.now_ns() - record.recorded_ns for record, _ in group.entries]
         coming = any(0 <= age_ns < context.quiet_s * SECOND_NS for age_ns in ages_ns)
-        grows = old.windows < len(group.entries) < OF_STAGES.growth_factor * old.windows
+        grows = old.windows < len(group.entries) < JOBS.growth_factor * old.windows
         return coming and grows and group.horizon_ns == LATEST_NS and old.before == due.before.key(due.basis)
 
 

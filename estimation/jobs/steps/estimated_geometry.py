@@ -10,7 +10,7 @@ from estimation.errors import DamagedError, NotFoundError
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import check_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.jobs.parameters import OF_STAGES
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.assumptions import Assumed, Membership
 from estimation.jobs.steps.load_window import load_window
@@ -96,9 +96,9 @@ def contradiction(
         refused: Windows of the same wheelset that were refused by one of ``CONTRADICTIONS``, oldest first.
         first_ns, last_ns: Start of the first and of the last of them.
     """
-    first, last = first_ns - OF_STAGES.contradiction_span_ns, last_ns + OF_STAGES.contradiction_span_ns
+    first, last = first_ns - JOBS.contradiction_span_ns, last_ns + JOBS.contradiction_span_ns
     against = [one.reason for one in refused if one.vehicle in vehicles and first <= one.start_ns <= last]
-    return against[-1] if len(against) > OF_STAGES.most_refused_share * (len(against) + windows) else None
+    return against[-1] if len(against) > JOBS.most_refused_share * (len(against) + windows) else None
 
 
 @dataclass(frozen=True, slots=True)

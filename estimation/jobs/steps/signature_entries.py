@@ -12,7 +12,7 @@ import numpy as np
 from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelPair, wheel_contact
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
-from estimation.jobs.parameters import OF_STAGES
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.steps.assumptions import Baseline, ClassLookup, baselines, suspected
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
@@ -34,7 +34,7 @@ class _Label:
 
     def at(self, mileage_km: float) -> tuple[float, float]:
         """Return conicity and std at another mileage, whose wear is not known."""
-        return self.conicity, float(np.hypot(self.std, OF_STAGES.conicity_wear_per_km * (mileage_km - self.mileage_km)))
+        return self.conicity, float(np.hypot(self.std, JOBS.conicity_wear_per_km * (mileage_km - self.mileage_km)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.jobs.job import JobContext
-from estimation.jobs.parameters import OF_STAGES
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.jobs.steps.epoch_inputs import Due, given
 from estimation.jobs.steps.epoch_passes import Solved, place_windows
@@ -18,14 +18,7 @@ from estimation.track.settings import AlignmentSettings, changed_vehicles, requi
 from estimation.track.update import AlignmentUpdate
 from estimation.values.fields import JsonValue
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
-from estimation.values.track import (
-    Correction,
-    FoldState,
-    FoundOfVehicles,
-    TrackAlignment,
-    TrackEpoch,
-    TrackReport,
-)
+from estimation.values.track import Correction, FoldState, FoundOfVehicles, TrackAlignment, TrackEpoch, TrackReport
 from estimation.values.trend import SuspensionFinding
 from estimation.values.windows import WindowKey, WindowRecord
 from estimation.vehicle.vehicle_class import ClassOnFile
@@ -107,7 +100,7 @@ def _store_suspensions(unit: UnitOfWork, epoch: TrackEpoch, computed: Computed, 
         return
     for code, ratio in sorted(iterated.ratios.items()):
         own = [record for record in records if record.vehicle == code]
-        if not own or code not in computed.classes or not 0.0 < ratio.std <= OF_STAGES.learnt_std_share * PRIOR_STD:
+        if not own or code not in computed.classes or not 0.0 < ratio.std <= JOBS.learnt_std_share * PRIOR_STD:
             continue
         vehicle = computed.classes[code].vehicle_class.parameters
         finding = SuspensionFinding(

@@ -11,13 +11,13 @@ import numpy as np
 
 from estimation.accuracy.wheel_contact import RailShare
 from estimation.alerts.identity import IDENTITY_EVENT, IdentityEvent
-from estimation.alerts.parameters import OF_FINDINGS
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.rule import WheelsetFacts, reach_km, within_reach
 from estimation.alerts.rules.running_gear import HuntingRule
 from estimation.alerts.rules.sensor_data import DataQualityRule, SensorFaultRule
 from estimation.alerts.rules.wheels import WheelFlatRule
-from estimation.jobs.parameters import OF_STAGES
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.assumptions import identity_changes
 from estimation.rails.cell import conicity_on_rails, designed_wheel
@@ -238,7 +238,7 @@ def _history(read: _Read, wheelset: WheelsetRecord) -> Sequence[IntervalConiciti
 def _looked_at(conicities: Sequence[IntervalConicities], book: RuleBook) -> Sequence[IntervalConicities]:
     """Return the newest intervals, as many as any rule looks at."""
     far_km = max(reach_km(rule.delays) for rule in book.rules)
-    return conicities[-within_reach([one.mileage_km for one in conicities], OF_FINDINGS.look_back_intervals, far_km) :]
+    return conicities[-within_reach([one.mileage_km for one in conicities], FINDINGS.look_back_intervals, far_km) :]
 
 
 def _span(intervals: Sequence[IntervalConicities]) -> tuple[int, int]:
@@ -261,7 +261,7 @@ def windows_wanted(book: RuleBook) -> tuple[int, float]:
     rules = (book.rule(SensorFaultRule), book.rule(HuntingRule), book.rule(DataQualityRule))
     flats = book.rule(WheelFlatRule)
     wanted = max(flats.latest_windows, *(rule.latest_windows for rule in rules))
-    return OF_FINDINGS.look_back_factor * wanted, max(reach_km(rule.delays) for rule in (*rules, flats))
+    return FINDINGS.look_back_factor * wanted, max(reach_km(rule.delays) for rule in (*rules, flats))
 
 
 def _latest_windows(
@@ -322,14 +322,12 @@ def _designed(wheelset: WheelsetRecord, rails: Collection[RailShare]) -> Mapping
     if len(rails) != 1:
         return None  # on several kinds of rails no one conicity is that of the design
     found = _conicities(wheelset.wheel_profile, wheelset.nominal_radius_m, next(iter(rails)))
-    return {
-        at: value for at, value in zip(OF_STAGES.design_amplitudes, found, strict=True) if np.isfinite(value)
-    } or None
+    return {at: value for at, value in zip(JOBS.design_amplitudes, found, strict=True) if np.isfinite(value)} or None
 
 
 @lru_cache(64)
 def _conicities(profile: str, radius: float, rails: RailShare) -> tuple[float, ...]:
     wheel = designed_wheel(profile, radius)
     if wheel is None:
-        return (float("nan"),) * len(OF_STAGES.design_amplitudes)
-    return tuple(conicity_on_rails(wheel, rails, np.array(OF_STAGES.design_amplitudes))[0].tolist())
+        return (float("nan"),) * len(JOBS.design_amplitudes)
+    return tuple(conicity_on_rails(wheel, rails, np.array(JOBS.design_amplitudes))[0].tolist())

@@ -24,7 +24,7 @@ from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile
 from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, as_slice
 from estimation.values.track import GaugeShift
@@ -41,8 +41,8 @@ class MeasuredCurve(FrozenArrays):
 
     def at(self, knots: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the displacement (k,), m, at some rL - rR (k,), m, and 1 where the profiles reach it, else 0 (k,)."""
-        reached = (knots >= self.difference[0] + OF_TRACK.table_margin) & (
-            knots <= self.difference[-1] - OF_TRACK.table_margin
+        reached = (knots >= self.difference[0] + TRACK.table_margin) & (
+            knots <= self.difference[-1] - TRACK.table_margin
         )
         return np.interp(knots, self.difference, self.displacement), reached.astype(np.float64)
 
@@ -70,8 +70,8 @@ def measured_curve(
     """
     rails = rail_profile(rail)
     wheelset = WheelsetOnTrack(left, right, rails, rails, inclination, gauge)
-    x = OF_TRACK.basis_step * np.arange(
-        -round(OF_TRACK.basis_reach / OF_TRACK.basis_step), round(OF_TRACK.basis_reach / OF_TRACK.basis_step) + 1
+    x = TRACK.basis_step * np.arange(
+        -round(TRACK.basis_reach / TRACK.basis_step), round(TRACK.basis_reach / TRACK.basis_step) + 1
     )
     curve = radius_difference_curve(wheelset, x, method=ContactMethod.EN15302 if at_rails else ContactMethod.RIGID)
     x, R = curve.displacement, curve.difference

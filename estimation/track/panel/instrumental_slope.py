@@ -22,7 +22,7 @@ from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.basis import Panel, PanelState, curve_displacement, groups_of, known_shift
 from estimation.track.panel.solution import PanelSolution, curves_of_sum
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.quantities import jackknife_std
@@ -51,7 +51,7 @@ def slope_correction(state: PanelState, solution: PanelSolution) -> SlopeCorrect
         return SlopeCorrection(1.0, float("inf"), 0.0)
     explained = min(along**2 / (own * whole), 1.0)
     excess = 1.0 / explained - 1.0
-    return SlopeCorrection(1.0 + OF_TRACK.flattening_share * excess, OF_TRACK.flattening_std * excess, explained)
+    return SlopeCorrection(1.0 + TRACK.flattening_share * excess, TRACK.flattening_std * excess, explained)
 
 
 def corrected(state: PanelState, solution: PanelSolution, factor: float) -> PanelSolution:
@@ -184,7 +184,7 @@ def _at(values: FloatArray | BoolArray, points: IntArray, panel: Panel) -> np.nd
     return values[np.clip(points, 0, panel.grid.points - 1)]
 
 
-PRIOR_STD = OF_TRACK.ratio_prior_std
+PRIOR_STD = TRACK.ratio_prior_std
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.sparse.linalg import spsolve
 
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Pass, PassOutcome, PassStatus, journeys
 from estimation.track.screening.agreement import (
     FilteredPass,
@@ -77,11 +77,11 @@ def _offsets(links: Sequence[Link], count: int) -> tuple[FloatArray, IntArray]:
     group = np.asarray(csgraph.connected_components(joined)[1], dtype=np.int64)
     weights = ones
     offset = np.zeros(count)
-    for _ in range(OF_TRACK.screening_rounds):
+    for _ in range(TRACK.screening_rounds):
         weighted = sparse.diags(weights) @ design
-        normal = (weighted.T @ design + OF_TRACK.anchor_weight * sparse.identity(count)).tocsc()
+        normal = (weighted.T @ design + TRACK.anchor_weight * sparse.identity(count)).tocsc()
         offset = np.asarray(spsolve(normal, weighted.T @ shift))
-        weights = np.reciprocal(np.maximum(np.abs(shift - design @ offset), OF_TRACK.shift_resolution))
+        weights = np.reciprocal(np.maximum(np.abs(shift - design @ offset), TRACK.shift_resolution))
     return offset, group
 
 
@@ -89,7 +89,7 @@ def _parts(ordered: Sequence[int], offset: FloatArray, middle: FloatArray, toler
     parts: list[list[int]] = []
     for i in ordered:
         for part in reversed(parts):
-            allowed = tolerance + OF_TRACK.odometer_scale * abs(middle[i] - middle[part[-1]])
+            allowed = tolerance + TRACK.odometer_scale * abs(middle[i] - middle[part[-1]])
             if abs(offset[i] - float(np.median(offset[part[-5:]]))) <= allowed:
                 part.append(i)
                 break

@@ -5,14 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation.accuracy.wheel_contact import (
-    AMPLITUDES,
-    RailShare,
-    WheelContact,
-    WheelPair,
-    conicity_of,
-    wheel_contact,
-)
+from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelContact, WheelPair, conicity_of, wheel_contact
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import rail_profile, wheel_profile

@@ -9,7 +9,7 @@ import pytest
 from test_friction import KNOWN, NO_ERRORS, TRUE, a_pass, section_friction
 
 from estimation.adhesion.creep_forces import FileErrors, force_errors, lateral_scale_std
-from estimation.adhesion.parameters import OF_FORCES
+from estimation.adhesion.parameters import FORCES
 from estimation.values.opinions import CellFriction
 from estimation.vehicle.vehicle_class import (
     LOAD_STD,
@@ -31,7 +31,7 @@ WELL_KNOWN = replace(
 
 
 def test_what_no_file_states_is_that_of_passengers_and_of_sensors_that_nobody_calibrated() -> None:
-    assert (LOAD_STD, UNSTATED_SCALE_STD, OF_FORCES.yaw_scale_as_creep, OF_FORCES.lateral_scale_as_creep) == (
+    assert (LOAD_STD, UNSTATED_SCALE_STD, FORCES.yaw_scale_as_creep, FORCES.lateral_scale_as_creep) == (
         0.12,
         0.03,
         0.55,

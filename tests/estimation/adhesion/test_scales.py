@@ -10,7 +10,7 @@ from test_friction import KNOWN, TRUE, a_pass
 
 from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
 from estimation.adhesion.friction import pooled_friction, section_adhesion
-from estimation.adhesion.parameters import OF_FORCES
+from estimation.adhesion.parameters import FORCES
 from estimation.adhesion.pass_sums import SCALES, Agreed, contradicting, pass_sums, scales
 from estimation.values.opinions import WindowAdhesion
 from estimation.values.reasons import ReasonCode
@@ -28,8 +28,8 @@ def test_limits_are_pinned() -> None:
         FrictionParameters().wheelset_scatter,
         FrictionParameters().fewest_with_scale,
         FrictionParameters().most_deviation_stds,
-        OF_FORCES.most_scale_std,
-        OF_FORCES.scale_reach,
+        FORCES.most_scale_std,
+        FORCES.scale_reach,
     ) == (0.1, 3, 3.0, 0.25, 0.5)
     assert (SCALES[0], SCALES[-1], len(SCALES)) == (-1.8, 1.8, 73)
 

@@ -9,15 +9,8 @@ import numpy as np
 import pytest
 from wheelset_life import geometry_of
 
-from estimation.alerts.identity import (
-    Mistake,
-    Observation,
-    Parts,
-    identity_events,
-    newest_mirrored,
-    reversed_between,
-)
-from estimation.alerts.parameters import OF_FINDINGS
+from estimation.alerts.identity import Mistake, Observation, Parts, identity_events, newest_mirrored, reversed_between
+from estimation.alerts.parameters import FINDINGS
 from estimation.trend.change_point import StepModel
 
 AT = np.arange(0.125, 3.5, 0.25)
@@ -60,17 +53,17 @@ def test_wheels_that_hardly_differ_are_not_shown_and_no_other_change_is_taken_fo
 
 @pytest.mark.parametrize(("share", "shown"), [(0.9, True), (1.1, False)])
 def test_the_odd_part_stays_as_it_is(share: float, shown: bool) -> None:  # noqa: FBT001
-    assert OF_FINDINGS.mirrored_odd_share == 0.35
-    found = newest_mirrored(parts(0.1, -0.1, odd=share * OF_FINDINGS.mirrored_odd_share * 0.2), StepModel())
+    assert FINDINGS.mirrored_odd_share == 0.35
+    found = newest_mirrored(parts(0.1, -0.1, odd=share * FINDINGS.mirrored_odd_share * 0.2), StepModel())
     assert (found is not None) is shown
 
 
 @pytest.mark.parametrize(("share", "shown"), [(0.8, True), (1.2, False)])
 def test_the_size_stays_the_same_but_for_what_is_common(share: float, shown: bool) -> None:  # noqa: FBT001
-    assert (OF_FINDINGS.size_tolerance, OF_FINDINGS.common_stds) == (0.25, 2.0)
-    common = 0.005 * np.abs(SHAPE).sum() / len(AT) * OF_FINDINGS.common_stds
+    assert (FINDINGS.size_tolerance, FINDINGS.common_stds) == (0.25, 2.0)
+    common = 0.005 * np.abs(SHAPE).sum() / len(AT) * FINDINGS.common_stds
     step = 0.4
-    unlike = share * (OF_FINDINGS.size_tolerance * step + common)
+    unlike = share * (FINDINGS.size_tolerance * step + common)
     found = newest_mirrored(parts(0.5 * (step + unlike), -0.5 * (step - unlike), common=0.0), StepModel())
     assert (found is not None) is shown
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from estimation.alerts.parameters import OF_FINDINGS
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rules.trend import explanations
 from estimation.values.geometry import KnownConicity
 from estimation.values.quantities import Estimate, Status
@@ -69,8 +69,8 @@ def test_one_factor_for_all_wheelsets_of_a_vehicle_is_its_sensor_only_at_one_tim
     just, late = (
         replace(
             same,
-            before_ns=own.after_ns + OF_FINDINGS.simultaneous_ns + apart,
-            after_ns=own.after_ns + OF_FINDINGS.simultaneous_ns + DAY_NS,
+            before_ns=own.after_ns + FINDINGS.simultaneous_ns + apart,
+            after_ns=own.after_ns + FINDINGS.simultaneous_ns + DAY_NS,
         )
         for apart in (0, 1)
     )

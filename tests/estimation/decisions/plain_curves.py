@@ -6,12 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.geometry.conicity import (
-    CurveEstimates,
-    CurveParameters,
-    CurveReplicates,
-    curve_estimates,
-)
+from estimation.geometry.conicity import CurveEstimates, CurveParameters, CurveReplicates, curve_estimates
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate

@@ -11,15 +11,7 @@ from test_agreement_limits import pair, smooth
 
 from estimation.track.passes import Pass, PassStatus, ProfileLife
 from estimation.track.screening.agreement import FilteredPass, ScreeningParameters, agreement
-from estimation.track.screening.screen import (
-    Comparison,
-    Link,
-    _peers,
-    compare_pairs,
-    minority,
-    misplaced,
-    screen,
-)
+from estimation.track.screening.screen import Comparison, Link, _peers, compare_pairs, minority, misplaced, screen
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode

@@ -13,7 +13,7 @@ from smooth_wheelset import SmoothTable, mems_windows, track
 from estimation.geometry.model_fit import EXPECTED_STD, check_radius, rolling_radius
 from estimation.motion.axle_distance import with_frame_yaw
 from estimation.motion.integration import SignalParameters
-from estimation.motion.parameters import OF_MOTION
+from estimation.motion.parameters import MOTION
 from estimation.motion.rolling_sums import TERMS, UNKNOWNS, RollingSums, rolling_sums
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import ReasonCode
@@ -148,14 +148,14 @@ def made(
     found = []
     for _ in range(parts):
         products, of_noise = (
-            np.zeros((OF_MOTION.wavelength_bands, TERMS, TERMS)),
-            np.zeros((OF_MOTION.wavelength_bands, TERMS, TERMS)),
+            np.zeros((MOTION.wavelength_bands, TERMS, TERMS)),
+            np.zeros((MOTION.wavelength_bands, TERMS, TERMS)),
         )
-        for band in range(OF_MOTION.wavelength_bands):
+        for band in range(MOTION.wavelength_bands):
             x = SIZE * rng.standard_normal((n, TERMS - 1))
             y = x @ truth + error * rng.standard_normal(n)
             x[:, 1] += (
-                noise * worse * (vibration if band == OF_MOTION.wavelength_bands - 1 else 1.0) * rng.standard_normal(n)
+                noise * worse * (vibration if band == MOTION.wavelength_bands - 1 else 1.0) * rng.standard_normal(n)
             )
             rows: FloatArray = np.column_stack([y, x])
             products[band] = rows.T @ rows
@@ -192,7 +192,7 @@ def test_what_varies_from_wavelength_to_wavelength_widens_the_interval() -> None
     assert found is not None
     assert before is not None
     moved = abs(found.value - before.value)
-    assert moved == pytest.approx(0.1 * TRUE / OF_MOTION.wavelength_bands, rel=0.1)
+    assert moved == pytest.approx(0.1 * TRUE / MOTION.wavelength_bands, rel=0.1)
     assert found.std == pytest.approx(math.hypot(before.std, moved), rel=0.1)
 
 
@@ -201,7 +201,7 @@ def test_too_little_data_say_nothing() -> None:
     assert rolling_radius(made(7)) is None
     assert check_radius(made(7), 0.3) is None
     nothing = RollingSums(
-        np.zeros((OF_MOTION.wavelength_bands, TERMS, TERMS)), np.zeros((OF_MOTION.wavelength_bands, TERMS, TERMS))
+        np.zeros((MOTION.wavelength_bands, TERMS, TERMS)), np.zeros((MOTION.wavelength_bands, TERMS, TERMS))
     )
     assert check_radius([nothing] * 8, 0.3, measured=True) is None
 
@@ -220,7 +220,7 @@ def test_a_radius_that_neither_motion_nor_measurement_confirms_is_open() -> None
     assert (said.reason.code, said.certain, said.relative) == (ReasonCode.ROLLING_RADIUS_OPEN, False, 0.0)
     assert "450 mm on file" in said.reason.text
     nothing = RollingSums(
-        np.zeros((OF_MOTION.wavelength_bands, TERMS, TERMS)), np.zeros((OF_MOTION.wavelength_bands, TERMS, TERMS))
+        np.zeros((MOTION.wavelength_bands, TERMS, TERMS)), np.zeros((MOTION.wavelength_bands, TERMS, TERMS))
     )
     silent = check_radius([nothing] * 8, 0.3)
     assert silent is not None

@@ -14,7 +14,7 @@ from estimation.signatures.answer import judged
 from estimation.signatures.calibration import NORMAL, SHARES, Calibration, differences, judged_by, unjudged
 from estimation.signatures.library import Library, library, rows_of
 from estimation.signatures.mixed_model import Likelihood, _less, fitted
-from estimation.signatures.parameters import OF_ANSWERS
+from estimation.signatures.parameters import SIGNATURE
 from estimation.signatures.window_signatures import SignatureParameters, sharers
 from estimation.values.arrays import FloatArray
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
@@ -128,7 +128,7 @@ def test_of_one_more_wheelset_of_the_same_kind_one_in_a_hundred_is_novel() -> No
         reach = calibration._reach(list(np.exp(drawn[:14])), 14)
         novel.append(np.exp(drawn[14]) > reach.largest)
     assert np.mean(novel) == pytest.approx(0.01, abs=0.004)
-    assert OF_ANSWERS.novel_quantile == 0.99
+    assert SIGNATURE.novel_quantile == 0.99
 
 
 def test_novelty_is_that_of_all_features_or_that_of_roll() -> None:
@@ -203,14 +203,14 @@ def test_conicities_with_errors_that_do_not_show_do_not_draw_answers_to_the_mean
 def test_the_ends_of_a_library_are_less_certain_than_its_middle(draw: Draw) -> None:
     """Three coefficients are fitted to the wheelsets: at an end they rest on few."""
     model = fitted(rows_of(draw(0, CONICITIES, 2, std=1e-6), np.zeros(21 * 8)))
-    terms = [np.array([1.0, c, c * c]) for c in np.log(np.array([0.16, 0.26]) / OF_ANSWERS.middle_conicity)]
+    terms = [np.array([1.0, c, c * c]) for c in np.log(np.array([0.16, 0.26]) / SIGNATURE.middle_conicity)]
     end, middle = (float(term @ model.leverage @ term) for term in terms)
     assert middle < 0.15
     assert end > 0.25
     hat = [
         float(t @ model.leverage @ t)
         for c in CONICITIES
-        for x in [np.log(c / OF_ANSWERS.middle_conicity)]
+        for x in [np.log(c / SIGNATURE.middle_conicity)]
         for t in [np.array([1, x, x * x])]
     ]
     assert np.sum(hat) == pytest.approx(3.0, rel=0.01), "the trace of the hat matrix is the number of coefficients"
@@ -222,4 +222,4 @@ def test_a_covariance_less_a_part_of_it_is_the_rest_and_never_less_than_a_tenth(
     whole = first + 9 * second
     np.testing.assert_allclose(_less(whole, first), 9 * second, rtol=1e-8)
     np.testing.assert_allclose(_less(first, 3 * first), 0.1 * first, rtol=1e-8)
-    assert OF_ANSWERS.largest_share == 0.9
+    assert SIGNATURE.largest_share == 0.9

@@ -11,18 +11,11 @@ from signature_draws import PARAMETERS, Draw, signature
 from estimation.signatures import calibration
 from estimation.signatures.answer import compared, judged, most_likely, states
 from estimation.signatures.library import Libraries, Library, Subject, current, library
-from estimation.signatures.parameters import OF_ANSWERS
+from estimation.signatures.parameters import SIGNATURE
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.signatures import (
-    AxlePosition,
-    Basis,
-    ConicitySource,
-    LibraryEntry,
-    Place,
-    SignatureAnswer,
-)
+from estimation.values.signatures import AxlePosition, Basis, ConicitySource, LibraryEntry, Place, SignatureAnswer
 
 CONICITIES = np.linspace(0.16, 0.36, 21)
 
@@ -275,7 +268,7 @@ def test_what_decides_retirement_and_novelty_is_where_it_was_measured_to_be() ->
         SignatureParameters().least_passes,
         SignatureParameters().library_rounds,
     ) == (5.5, 3, 2)
-    assert (OF_ANSWERS.novel_quantile, calibration.COVERAGE) == (0.99, 0.95)
+    assert (SIGNATURE.novel_quantile, calibration.COVERAGE) == (0.99, 0.95)
 
 
 def estimate(value: float, half: float) -> Estimate:

@@ -9,7 +9,7 @@ import pytest
 from signature_draws import Draw
 
 from estimation.signatures.calibration import SHARES, Differences, OnFile, judged_by, unjudged
-from estimation.signatures.parameters import OF_ANSWERS
+from estimation.signatures.parameters import SIGNATURE
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.signatures import ConicitySource, LibraryEntry
 
@@ -104,4 +104,4 @@ def test_what_is_shared_adds_up_as_it_is_and_counts_near_by(draw: Draw) -> None:
     near = np.exp(-0.5 * ((of.conicity - 0.16) / 0.03) ** 2)
     assert whole[0] == pytest.approx(near @ of.claimed / near.sum())
     assert whole[0] > 1.5 * whole[1]
-    assert OF_ANSWERS.near_conicity == 0.03
+    assert SIGNATURE.near_conicity == 0.03

@@ -13,7 +13,7 @@ from whole_runs import whole_runs
 from window_passes import window_passes
 
 from estimation.filters import high_pass, local_cubic_kernel
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Pass, ProfileLife
 from estimation.track.section import Residuals, SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters
@@ -73,12 +73,11 @@ def test_what_is_usual_counts_whole_and_what_is_not_counts_less_and_less() -> No
             ProfileLife("E"): float("nan"),
         },
     )
-    usual = OF_TRACK.usual_std_factor * 0.1245e-3
+    usual = TRACK.usual_std_factor * 0.1245e-3
     assert rms_residuals.weights() == {ProfileLife("D"): pytest.approx((usual / 0.3e-3) ** 4)}
     assert (
         Residuals(
-            {},
-            {ProfileLife("A"): 0.01e-3, ProfileLife("B"): 0.01e-3, ProfileLife("C"): 0.99 * OF_TRACK.least_usual_std},
+            {}, {ProfileLife("A"): 0.01e-3, ProfileLife("B"): 0.01e-3, ProfileLife("C"): 0.99 * TRACK.least_usual_std}
         ).weights()
         == {}
     )
@@ -88,7 +87,7 @@ def test_what_is_usual_counts_whole_and_what_is_not_counts_less_and_less() -> No
             {
                 ProfileLife("A"): 0.1e-3,
                 ProfileLife("B"): 0.1e-3,
-                ProfileLife("C"): 1.2 * OF_TRACK.usual_std_factor * 0.1e-3,
+                ProfileLife("C"): 1.2 * TRACK.usual_std_factor * 0.1e-3,
             },
         ).weights()
         == {}

@@ -10,7 +10,7 @@ import pytest
 
 from estimation.filters import high_pass, local_cubic_kernel
 from estimation.track.panel.basis import PanelParameters
-from estimation.track.parameters import OF_TRACK
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Pass, ProfileLife
 from estimation.track.results import position_std, shrunk
 from estimation.track.section import SectionEstimate, estimate_section
@@ -218,14 +218,10 @@ def test_the_shipped_figures() -> None:
     ) == (2.5, 6.0, 100.0, 4.0)
     assert (
         SectionParameters().curve_share_factor,
-        OF_TRACK.neighbour_correlation,
-        OF_TRACK.second_neighbour_correlation,
-    ) == (
-        2.0,
-        0.48,
-        0.06,
-    )
-    assert (OF_TRACK.correlated_length, OF_TRACK.reported_position_std) == (20.0, 1.0)
+        TRACK.neighbour_correlation,
+        TRACK.second_neighbour_correlation,
+    ) == (2.0, 0.48, 0.06)
+    assert (TRACK.correlated_length, TRACK.reported_position_std) == (20.0, 1.0)
     assert (shipped.STATED, SectionParameters().survey_error_length, SectionParameters().most_difference_error) == (
         60.0,
         5.0,

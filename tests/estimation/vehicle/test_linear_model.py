@@ -20,7 +20,7 @@ from estimation.vehicle.linear_model import (
     modes,
     single_wheelset_model,
 )
-from estimation.vehicle.parameters import OF_GEAR
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.plausibility import UNIT_FACTOR, check_plausible, plausible_ranges
 from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, VehicleClass, VehicleParameters
 
@@ -185,7 +185,7 @@ def test_a_vehicle_hunts_just_above_its_critical_speed_and_not_below() -> None:
     for vehicle in (SINGLE, COACH):
         contact = LinearContact(0.3)
         speed = critical_speed(vehicle, contact)
-        assert 10.0 < speed < OF_GEAR.highest_speed
+        assert 10.0 < speed < VEHICLE.highest_speed
         assert modes(linear_model(vehicle, speed + 0.2, contact))[0].growth > 0.0
         assert modes(linear_model(vehicle, speed - 0.2, contact))[0].growth < 0.0
 
