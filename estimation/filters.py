@@ -196,8 +196,7 @@ class FilterParameters:
     regularisation: float = 1e-12  # of the normal equations: what is removed may be nearly a spline itself
     knots_per_cut_off: int = 12  # twice as many change what is left of a wave by less than a hundredth of it
     reach_in_widths: float = 3.5
-    # wavelength that is halved over the width of the weights: (1 + u) exp(-u) = 1/2, u = 1.678
-    cut_off_in_widths: float = 3.43
+    cut_off_in_widths: float = 3.43  # halved over the width of the weights: (1 + u) exp(-u) = 1/2, u = 1.678
 
 
 FILTERS = FilterParameters()

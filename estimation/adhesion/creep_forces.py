@@ -361,8 +361,7 @@ class FrictionParameters:
     fresh: float = 0.05  # share of places whose friction has nothing to do with that of the place before
     least_upper: float = 0.6  # an interval that reaches beyond says no more than a lower bound
     rounds: int = 12
-    # std of the logarithm of a wheelset's scale beside the noise: its curve and its profiles
-    wheelset_scatter: float = 0.1
+    wheelset_scatter: float = 0.1  # std of the logarithm of a wheelset's scale: its curve and its profiles
     fewest_with_scale: int = 3  # of two that contradict each other nobody knows which is wrong
     most_deviation_stds: float = 3.0  # stds
     wrong_place_share: float = 0.05  # of places, whose error is so many times that of the others

@@ -20,8 +20,7 @@ class ForceParameters:
     least_place_s: float = 0.4  # of a place
     shortest_stretch_s: float = 5.0  # of a stretch of samples
     trimmed_end_s: float = 1.0  # at each of its ends
-    # std of an rms force beside springs and load: what the filter makes of it; docs/results/adhesion.md
-    force_std: float = 0.05
+    force_std: float = 0.05  # of an rms force beside springs and load, by the filter; docs/results/adhesion.md
     smoothed_force_std: float = 0.06  # the same where vibration was taken out, and with it what is as fast
     lateral_creep_std: float = 0.10  # of the lateral creep, whose gravitational part follows from profiles
     saturation_quantile: float = 0.99
@@ -39,12 +38,9 @@ class ForceParameters:
     corner_wavelength: float = 130.0  # m
     # creep forces
     band_hz: float = 12.0  # end of the band that is kept
-    vibration_rms: float = (
-        0.25  # rms of what a lateral acceleration has above the band, m/s2: more than contact jumps make
-    )
+    vibration_rms: float = 0.25  # m/s2, of a lateral acceleration above the band: more than contact jumps make
     low_pass_half_s: float = 0.12  # of the low-pass, on each side
-    # mean square of a channel's innovations over what the filter expects; see docs/adhesion.md
-    most_innovation: float = 10.0
+    most_innovation: float = 10.0  # mean square of innovations over what the filter expects; docs/adhesion.md
     # creep coefficient, yaw spring and load on file scale 1/mu; the scale of a sensor looks like creep that grows with
     # the force, at every friction alike: in parts of b, as measured with sensors that are 5 % off (`bench adhesion`)
     yaw_scale_as_creep: float = 0.55  # b that a scale of the yaw sensors leaves, over its error

@@ -10,8 +10,7 @@ class FindingParameters:
     """Numbers of findings beside those of the rules."""
 
     # wheels
-    # relative, of the turn from that of the wheel: worn wheels, and speeds by wheels of another radius
-    turn_tolerance: float = 0.1
+    turn_tolerance: float = 0.1  # relative, from the wheel's: worn wheels, and speeds by wheels of another radius
     same_side_share: float = 0.8  # of the windows that show a side
     inner_amplitude: float = 1.0e-3  # m: the reference
     outer_amplitudes: tuple[float, float] = (2.0e-3, 3.5e-3)  # m: what is compared with it
@@ -32,9 +31,7 @@ class FindingParameters:
     # identity
     size_tolerance: float = 0.25  # of the step, by which the size may differ but for its sign
     common_stds: float = 2.0  # published standard deviations besides, of what all intervals have in common
-    mirrored_odd_share: float = (
-        0.35  # of the change of the even part, that the odd part may change by: it is its own mirror image
-    )
+    mirrored_odd_share: float = 0.35  # of the even part's change, that the odd part may change by: it mirrors itself
     fewest_mirrored_bins: int = 4
     # rule
     look_back_factor: int = 5  # times the windows that a rule looks at: what was earlier raises nothing any more

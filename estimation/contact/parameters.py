@@ -31,8 +31,7 @@ class ProfileParameters:
     averaging_lengths: tuple[float, float, float] = (2.0, 6.0, 20.0)  # mm of arc, over which distances are averaged
     design_wheel_range: tuple[float, float] = (-43.0, 50.0)  # mm from the tread datum: flange face to the outer tread
     design_rail_depth: float = 13.0  # mm below the top
-    # mm, beyond which a distance counts little, in the rounds of the search
-    search_reaches: tuple[float, float, float] = (3.0, 1.0, 0.3)
+    search_reaches: tuple[float, float, float] = (3.0, 1.0, 0.3)  # mm, beyond which a distance counts little
     search_rounds: int = 5  # with each reach
     fewest_design_points: int = 100  # points
     placing_points: int = 300  # that place a design
@@ -52,12 +51,9 @@ class ProfileParameters:
     wall_slope: float = math.tan(math.radians(70.0))  # a gauge face at least this steep may be continued straight down
     # wear
     deepest_hollow: float = 6e-3  # largest depth that the form is meant for, m
-    # largest flange wear for which the moved flange still is one height per lateral position, m
-    most_flange_wear: float = 4e-3
-    # m, the flange moves fully at the first, the tread not at all from the second on
-    root_range: tuple[float, float] = (-0.040, -0.032)
-    # m, the tip stays up to the first, the face moves fully from the second on
-    tip_range: tuple[float, float] = (-0.058, -0.048)
+    most_flange_wear: float = 4e-3  # m, for which the moved flange still is one height per lateral position
+    root_range: tuple[float, float] = (-0.040, -0.032)  # m, flange moves fully at first, tread not from second
+    tip_range: tuple[float, float] = (-0.058, -0.048)  # m, tip stays up to the first, face moves fully from the second
     face_depth: float = 10e-3  # m, where the flange thickness is measured
     gradient_height: float = 2e-3  # m, upper point of the flange gradient
     tread_begin: float = -0.030  # m, field side of the flange root
@@ -67,11 +63,9 @@ class ProfileParameters:
     # penalised spline
     knot_step: float = 0.5  # mm of arc, unless points are farther apart
     noise_rounds: int = 4
-    # mm of arc, of the differences that show whether neighbours share noise
-    noise_distances: tuple[float, ...] = (0.0, 0.2, 0.4, 0.8)
+    noise_distances: tuple[float, ...] = (0.0, 0.2, 0.4, 0.8)  # mm of arc, of differences that show shared noise
     correlation_lengths: tuple[float, ...] = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # mm
-    # squares of logarithms by which a correlation must explain the differences better
-    significant_correlation: float = 0.15
+    significant_correlation: float = 0.15  # squares of logarithms by which it must explain the differences better
     least_variance_share: float = 1e-3  # of the variance that a difference keeps
     fewest_difference_spans: int = 12  # a difference spans 4 steps
     correlated_reach: float = 2.0  # mm, beyond, noise is independent
@@ -84,9 +78,7 @@ class ProfileParameters:
     penalty_widening: float = 1.3
     first_third_derivative: float = 1e-2  # 1/mm^2, where the search for the local variance begins
     least_third_derivative: float = 1e-5  # 1/mm^2
-    unseen_fourth_derivative: float = (
-        1e-2  # 1/mm^3, of the noise: the third derivative that a difference from a design may have unseen
-    )
+    unseen_third_derivative: float = 1e-2  # 1/mm^3, of the noise, that a difference from a design may have unseen
     least_determined_share: float = 1e-3
     # smoothed profile
     exact_noise: float = 1e-4  # mm: points with less noise are taken as they are

@@ -208,7 +208,7 @@ def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool, pooled
         squares = (third**2).sum(axis=1)
         local = np.maximum(_over_neighbours(squares) / _over_neighbours(determined), least)
         if pooled is not None:
-            unseen = (PROFILES.unseen_fourth_derivative * np.sqrt(noise) * PROFILES.knot_step**ORDER) ** 2
+            unseen = (PROFILES.unseen_third_derivative * np.sqrt(noise) * PROFILES.knot_step**ORDER) ** 2
             local[pooled] = max(float(squares[pooled].sum() / determined[pooled].sum()), unseen)
         noise = fit.noise if known else _noise(rows, fit)
         fit = _posterior(normal, noise, local)

@@ -182,14 +182,11 @@ class DamperParameters:
     largest_share: float = 1.9  # the particles end at 2
     apart_stds: float = 3.0  # standard deviations between two halves of the windows that do not belong together
     changed_share: float = 0.1  # of the share, which halves differ by at least then
-    model_share_std: float = (
-        0.05  # of a share, that cross level, clocks and scales of nodes make; docs/results/dampers.md
-    )
+    model_share_std: float = 0.05  # of a share, by cross level, clocks and scales of nodes; docs/results/dampers.md
     least_share_std: float = 0.01  # of any share, for the same
     newton_rounds: int = 5  # of Gauss and Newton
     farthest_stds: float = 6.0  # standard deviations that they look at
-    # of the other parameters' information with their priors: below it noise makes all of it
-    least_curvature: float = 0.2
+    least_curvature: float = 0.2  # of the other parameters' information with priors: below it noise makes all of it
 
 
 def gear_damper(windows: Sequence[WindowDamper], parameters: DamperParameters) -> GearDamper:

@@ -14,9 +14,7 @@ class DampingParameters:
     model_error: float = 0.02  # of the acceleration above, that stiff bodies do not explain whatever their parameters
     least_excitation: float = 3.0  # what motion shows of the damper over what noise does
     fewest_samples: float = 600.0  # of a window that are counted: 10 s
-    most_unexplained_share: float = (
-        0.05  # mean square of the innovations beside noise, over that of the acceleration above
-    )
+    most_unexplained_share: float = 0.05  # mean square of innovations beside noise, over that of the acceleration above
     window_stride: int = 3  # windows, one of which is looked at: a damper changes over months
     largest_std: float = 0.3  # relative, of parameters beside the damper: beyond it their effect is not proportional
     # damper filters

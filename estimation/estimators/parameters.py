@@ -19,14 +19,10 @@ class RivalParameters:
     offset_std: float = 1e-3  # m
     drawn_rows: int = 64  # of numbers drawn, used in turn
     draw_seed: int = 2003
-    least_slope_variance: float = (
-        1e-9  # of the variance of the slope, relative to the prior's: particles that are all alike
-    )
+    least_slope_variance: float = 1e-9  # relative to the prior's: particles that are all alike
     # filter kernels
     alignment_intensity: float = 1e-6  # m, intensity of d' per speed: slopes of 0.6 mm/m over 3 m
-    yaw_rate_intensity: float = (
-        3e-8  # rad2/s, intensity of what psi' has besides: R is measured to 0.03 mm over some 0.05 s
-    )
+    yaw_rate_intensity: float = 3e-8  # rad2/s, of what psi' has besides: R is measured to 0.03 mm over some 0.05 s
     yaw_std: float = 1e-5  # rad, std of psi
     renewed_stds: tuple[float, float] = (1e-3, 1e-3)  # m, rad, std of y - d and psi behind a gap
     moved_share: float = 0.3  # of the spread of the particles, std by which copies are moved

@@ -45,8 +45,7 @@ class GeometryParameters:
     # like scales; they do not look like roll.
     counted_as_one: tuple[float, float, float] = (10_000.0, 10_000.0, 1_000.0)
     hidden_jump_share: float = 0.5  # of the error of y - d, by which contact jumps are off where it is hidden
-    # of the residual's variance that sensor noise may make up, for the rest to show the error of y - d
-    hidden_share: float = 0.5
+    hidden_share: float = 0.5  # of the residual's variance by sensor noise, for the rest to show the error of y - d
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,23 +47,18 @@ class RollingFitParameters:
     most_displacement_error: float = 0.2  # of the power of y - d: what the interval of a curve allows for
     most_widening: float = 2.0  # std of a conicity over itself by it
     weight_rounds: int = 4  # of weights that follow from what is left
-    outlying_factor: float = (
-        2.0  # times the median of what is left in the bands, over the noise: a band with more is left out
-    )
+    outlying_factor: float = 2.0  # times the median of the bands' rest over the noise: a band with more is left out
     short_bands: int = 2  # those of the shortest wavelengths, in which vibration shows
     model_radius_std: float = 5e-3  # m: without noise right radii are found 1 % too small
     radius_noise_doubt: float = 0.1  # of what taking off the noise changes
     noise_doubt_left: float = 0.6  # the same, per noise that is left in all bands beyond that on file
     noise_doubt_vibrating: float = 0.4  # the same on axle boxes that vibrate
-    # of the radius, per share by which the suspension moves the wheelset more than on dry rails
-    friction_share: float = 0.3
-    # of the radius, per scale of yaw against lateral sensor: more than sensors have is what is missing
-    scale_share: float = 0.5
+    friction_share: float = 0.3  # of the radius, per share by which the suspension moves more than on dry rails
+    scale_share: float = 0.5  # of the radius, per scale of yaw against lateral sensor that sensors do not have
     most_unexplained_share: float = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
     fewest_parts: int = 8
     doubted_stds: float = 2.0  # stds beyond which the radius on file is in doubt: right ones have 0.6 rms, at most 2.5
-    # of the radius on file: what the motion has to exclude, as wheels worn out on file as new ones
-    radius_mistake: float = 0.10
+    radius_mistake: float = 0.10  # of the radius on file, that the motion excludes: worn wheels on file as new ones
     certain_stds: float = 4.0  # beyond which it is another: hundreds of wheelsets are looked at every 15 minutes
     expected_unknowns: tuple[float, ...] = (1.0, 0.0, 1.0, 1.0, 1.0, 0.0)  # of the unknowns; nothing of the radius
     # gravity and curve stand for dL - dR, 100 times as large

@@ -18,8 +18,7 @@ class PriorParameters:
     jump_place_share: float = 0.3  # of the blur, the same
     projection_scale_std: float = 0.003  # of a displacement that was integrated and projected
     scatter_stds: float = 2.5  # std over which samples scatter across a jump, in std of the error
-    # m, std of the origin of band-limited motion: it is the mean of the observed displacements
-    origin_std: float = 0.005e-3
+    origin_std: float = 0.005e-3  # m, of the origin of band-limited motion: the mean of observed displacements
     origin_std_share: float = 0.25  # share of ``jump_position_std`` that is added to it
     most_error_share: float = 0.2  # of the variance of the displacement that its error may make up
     # conicity

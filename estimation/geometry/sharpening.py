@@ -61,20 +61,16 @@ class SharpeningParameters:
     patient_exchanges: int = 3  # exchanges of all without fewer on the wrong side, before it is one at a time
     bin_cells: int = 8  # in a bin
     least_node_std: float = 5e-6  # m of a node: blurs are not quite normal
-    # std that a change of the slope by 1 from cell to cell counts for; a contact jump has 2 to 10
-    least_roughness: float = 0.25
+    least_roughness: float = 0.25  # std that slopes differ by from cell to cell; a contact jump has 2 to 10
     blur_roughness: float = 2.5e3  # 1/m, the same per blur: the longer it is, the less of the slopes is known
     most_misfit_rms: float = 1.0  # rms, in std of the nodes
-    # of the longest that is to be expected
-    blur_shares: tuple[float, ...] = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)
+    blur_shares: tuple[float, ...] = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)  # of the longest
     bin_samples: int = 8  # in a bin, for its quadratic
     reach_blurs: float = 3.0  # std of the blur that the cells go beyond the bins
     search_steps: int = 200  # of the search for slopes; most end after ten
     steep_factor: float = 2.0  # times the median slope: what is steeper is part of a jump
-    # m, of left minus right wheel of an axle: EN 15313 allows 0.3 to 0.5 mm when turned, later 1 mm
-    diameter_std: float = 0.3e-3
-    # lambda, twice the conicity, at which the share is kept
-    held_slopes: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+    diameter_std: float = 0.3e-3  # m, left minus right wheel: EN 15313 allows 0.3 to 0.5 mm when turned, later 1 mm
+    held_slopes: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)  # lambda, twice the conicity
     roll_per_displacement: float = 0.03  # rad/m, of phi_c, of any wheel
     roll_per_radius: float = 0.3  # rad/m, of phi_c per R without its rises
     crown_depth: float = 0.16  # m, below the rail head: about where a wheel turns that passes its crown

@@ -56,25 +56,17 @@ class ParameterUncertainty:
     contact_roll: ContactRoll | None = None  # in y - d; None where y - d needs nothing more
     usual_cutoff: float = 40.0  # m, of the high-pass of the motion
     jump_share_uncorrected: float = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
-    # the same where what the gauge does to the wheelset is taken off: it is known so well
-    jump_share_corrected: float = 0.22
+    jump_share_corrected: float = 0.22  # the same where the effect of the gauge is taken off
     jump_share_gauge_estimated: float = 0.32  # the same where the gauge had to be found too
     jump_mean_share: float = 0.25  # of a gauge that is not on file: by how much contact jumps are off on average
-    # 1/m2, of y - d per variance of the gauge: far out a wheelset runs in wide gauge
-    scale_per_gauge_square: float = 0.015e6
-    # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm, by contact tables
-    scale_per_mean_gauge: float = 0.15e3
+    scale_per_gauge_square: float = 0.015e6  # 1/m2, of y - d per variance of the gauge: far out it is wide
+    scale_per_mean_gauge: float = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm
     sensor_scale: float = 0.02  # std of the spring error by the scales of the sensors
-    # the same in a bogie: scales, angles and clocks of three sensors, and creep near saturation
-    sensors_in_bogie: float = 0.06
-    # of an error of stiffness or creep that shows as spring error; the curve takes up the rest
-    share_in_bogie: float = 0.5
-    # of an error of the conicity by a class that is wrong: the curve takes up more the larger it is
-    seen_in_bogie: float = 0.4
-    # of the power of noise over that of a yaw that no curve explains: std of the spring error by it
-    unseen_share: float = 0.06
-    # of the spring error, beyond which the class is in doubt: right ones have 0.5 rms, at most 1.6
-    doubted_stds: float = 1.8
+    sensors_in_bogie: float = 0.06  # the same: scales, angles, clocks of three sensors, and creep near saturation
+    share_in_bogie: float = 0.5  # of an error of stiffness or creep, as spring error; the curve takes up the rest
+    seen_in_bogie: float = 0.4  # of an error of the conicity by a wrong class: the curve takes up more
+    unseen_share: float = 0.06  # of noise over the power of a yaw that no curve explains: std of the spring error
+    doubted_stds: float = 1.8  # of the spring error, a doubtful class: right ones have 0.5 rms, at most 1.6
     certain_stds: float = 2.2  # beyond which it is another: four times the rms of right ones
     doubted_misfit: float = 0.55  # right classes on measured wheels and on gauge that varies unknown have up to 0.51
     certain_misfit: float = 0.65

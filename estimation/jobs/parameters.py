@@ -11,10 +11,7 @@ class StageParameters:
 
     # compare identities
     intervals_before_change: int = 8  # intervals before the first that has changed: with these it is compared
-    intervals_read: tuple[int, int] = (
-        16,
-        64,
-    )  # intervals read before it, at first and where too few of them are usable
+    intervals_read: tuple[int, int] = (16, 64)  # before it, at first and where too few of them are usable
     # refresh adhesion
     most_pooled_spans: int = 8  # of a section that are pooled in one look: the next run goes on
     most_gear_windows: int = 600  # of a running gear that count and are kept: 10 hours of running
@@ -26,21 +23,16 @@ class StageParameters:
     # refresh signatures
     judged_windows: int = 12  # windows that a wheelset is judged by
     # epoch inputs
-    # Times as many windows as it was computed with: from there on an open epoch is computed although more still come.
-    growth_factor: float = 4.0
+    growth_factor: float = 4.0  # times the windows as computed with: an open epoch is computed though more still come
     # estimated geometry
     contradiction_span_ns: int = 24 * 3600 * 10**9  # of the time that is looked at
-    most_refused_share: float = (
-        0.3  # of all windows that may be refused so: of right vehicles hardly one in a thousand is
-    )
+    most_refused_share: float = 0.3  # of all windows: of right vehicles hardly one in a thousand is refused so
     # signature entries
-    # std of what wear changes a conicity by, between a signature and what is known of the wheelset
-    conicity_wear_per_km: float = 1e-6
+    conicity_wear_per_km: float = 1e-6  # std of what wear changes a conicity by, since a signature
     # store alignment
     learnt_std_share: float = 0.7  # of the std beforehand: with more, the passes say nothing of the ratio
     # wheelset facts
-    # m, at which a profile behind a step is compared with its design
-    design_amplitudes: tuple[float, ...] = (1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)
+    design_amplitudes: tuple[float, ...] = (1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)  # m, behind a step against its design
 
 
 JOBS = StageParameters()

@@ -37,18 +37,13 @@ class AxleDistanceParameters:
     least_distance: float = 300.0  # m
     least_valid_share: float = 0.5  # of the samples of a window that both nodes must have
     significant_stds: float = 5.0  # times the std of the correlation of two nodes that have nothing in common
-    # wheelsets that run on their own waves, and not on the track, agree by up to 0.64 further on
-    least_correlation: float = 0.65
+    least_correlation: float = 0.65  # wheelsets on their own waves, not the track's, agree by up to 0.64 further on
     least_exchanged: float = 0.5  # the same at one distance that is known beforehand: that of nodes that are exchanged
     distance_tolerance: float = 0.4  # m; what is found is within 0.25 m of the truth
     next_wave_distance: float = 1.0  # m: further away the maximum may be that of another wave
-    stand_out_ratio: float = (
-        1.03  # times the next maximum; those of a wheelset's own waves are alike, on rough track 0.87
-    )
-    # times what the distance found leaves unexplained, that the expected one leaves: right ones reach 1.8
-    clear_ratio: float = 1.9
-    # the same where the other distance is that of nodes that are exchanged; right ones are below 1
-    exchanged_ratio: float = 1.25
+    stand_out_ratio: float = 1.03  # times the next maximum: a wheelset's own waves are alike, on rough track 0.87
+    clear_ratio: float = 1.9  # times what the distance found leaves open, that the expected one leaves: right ones 1.8
+    exchanged_ratio: float = 1.25  # the same where the other distance is that of exchanged nodes; right ones below 1
     least_frame_share: float = 0.2  # of what the frame moves above the other axle: right nodes have a half and more
 
 

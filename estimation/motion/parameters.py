@@ -10,8 +10,7 @@ class MotionParameters:
     """Numbers of the motion beside those of its settings."""
 
     # window motion
-    # times the wavelength that is looked at: an alignment that reaches further holds it unchanged
-    full_band_factor: float = 2.0
+    full_band_factor: float = 2.0  # times the wavelength looked at: an alignment of longer ones holds it unchanged
     # m, of an alignment at a place from which on it is left out, where most of it is far better:
     uncertain_std: float = 0.25e-3
     uncertain_factor: float = 3.0  # times the median
@@ -26,26 +25,18 @@ class MotionParameters:
     most_km_day: float = 3000.0  # that a vehicle runs on every day
     journey_pause_ns: int = 1_800_000_000_000  # between windows that begins a new journey
     # integration
-    # m: of longer waves the roll is drift, which two more integrals would make grow beyond all filters
-    roll_cutoff_wavelength: float = 120.0
-    # rho phi_c over y - d + r0 phi, median of 157 pairs: 0.001 for cones at 1:40, 0.02 where worn
-    hidden_roll_share: float = 0.009
+    roll_cutoff_wavelength: float = 120.0  # m: longer roll is drift, which two integrals make grow beyond filters
+    hidden_roll_share: float = 0.009  # rho phi_c over y - d + r0 phi, of 157 pairs: cones 0.001, worn wheels 0.02
     # checks
     layout_step: float = 1.0  # m, to which a layout is refined before it is looked at
-    most_rest_acceleration: float = (
-        1.4  # m/s2, of a lateral accelerometer on straight track: its offset, and g times its angle
-    )
+    most_rest_acceleration: float = 1.4  # m/s2, lateral on straight track: an offset, and g times the angle
     mean_span_s: float = 5.0  # over which the motion of the wheelset averages out
     least_mean_share: float = 0.5  # of the samples that a mean needs
     comparison_s: float = 1.0  # over which positions are compared with the speed
     position_jump: float = 0.5  # m
     position_jump_share: float = 0.05  # of the distance run
-    backwards_correlation: float = (
-        -0.3
-    )  # correlation of the lateral velocity with speed times yaw, 1 of an axle that rolls forward
-    unrelated_correlation: float = (
-        0.25  # of sensors that are not on these axes: a turned one has up to 0.15, stiff bogies have 0.8
-    )
+    backwards_correlation: float = -0.3  # of lateral velocity and speed times yaw, 1 of an axle that rolls forward
+    unrelated_correlation: float = 0.25  # of sensors off these axes: a turned one has up to 0.15, stiff bogies 0.8
     smoothing_s: float = 0.04  # vibration is faster
     one_way_share: float = 0.98  # share of the samples that must lead one way
     low_friction_margin: float = 25.0  # m kept from a stretch of low friction: half a place

@@ -70,13 +70,8 @@ class FusionParameters:
     # where the two meet
     grid_step: float = 0.25  # m, of the grid
     oversampling: int = 5  # samples per step before short waves are taken out
-    shortest_waves: tuple[float, float] = (
-        0.5,
-        2.0,
-    )  # m, of which half remains: of quiet axle boxes, of those that vibrate
-    vibration_angle: float = (
-        0.08e-3  # rad of (y' + r0 phi')/V in waves shorter than 2 m; quiet axle boxes have half of it
-    )
+    shortest_waves: tuple[float, float] = (0.5, 2.0)  # m, half remains: quiet axle boxes, vibrating ones
+    vibration_angle: float = 0.08e-3  # rad of (y' + r0 phi')/V in waves shorter than 2 m; quiet axle boxes have half
     crossover_wavelength: float = 15.0  # m: longer wavelengths come from the lateral motion
     compared_waves: tuple[float, float] = (8.0, 40.0)  # m, in which g is estimated
     end_margin: float = 45.0  # m at each end that is not compared

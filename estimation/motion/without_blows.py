@@ -40,9 +40,7 @@ class BlowParameters:
     motion_mean_s: float = 0.05  # running mean over this is motion
     motion_median_s: float = 0.1  # running median over this is motion even where a blow rings
     scale_s: float = 2.0  # over which vibration is judged
-    least_blow_acceleration: float = (
-        8.0  # m/s2 and rad/s2; right wheelsets on smooth track stay below 3, flange contact below 6
-    )
+    least_blow_acceleration: float = 8.0  # m/s2 and rad/s2; smooth track stays below 3, flange contact below 6
     least_blow_stds: float = 6.0  # of the vibration
     ringing_share: float = 0.12  # of the largest nearby: what still rings
     ringing_stds: float = 3.0
@@ -54,9 +52,7 @@ class BlowParameters:
     least_event_acceleration: float = 4.0  # m/s2 and rad/s2
     event_stds: float = 4.0  # of the vibration
     apart_s: float = 0.02  # what is nearer is one blow
-    shortest_turn: float = (
-        1.9  # m, turns of wheels of 0.30 to 0.57 m; less than twice apart, so no turn is half another
-    )
+    shortest_turn: float = 1.9  # m, wheels of 0.30 to 0.57 m; less than twice apart, so no turn is half another
     longest_turn: float = 3.6
     turn_places: int = 12  # of a wheel; blows of one flat are in two that are neighbours
     least_turn_share: float = 0.6  # share of the turns that have their blow

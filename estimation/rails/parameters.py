@@ -36,9 +36,7 @@ class RailsParameters:
     slope_reach: float = 0.25e-3  # m of amplitude
     same_amplitude: float = 1e-9  # m
     pair_size: int = 2
-    tried_wheelsets: int = (
-        3  # wheelsets, furthest from the others, besides all sections: without which the rest agree best
-    )
+    tried_wheelsets: int = 3  # furthest from the others, besides all sections: without which the rest agree best
     largest_conicity_variance: float = 1.0  # of a conicity of which nothing is known
     most_uneven_share: float = 0.5  # share of the rails
 

@@ -22,8 +22,7 @@ class AnswerParameters:
     largest_share: float = 0.9  # of the variance along the response that may be taken out
     covariance_shrinkage: float = 0.05  # of covariances towards their diagonals
     ridge_variance: float = 1e-4  # variance of a log feature that nothing is better known than
-    # of the logarithm of a power, by which a track may always be rougher or smoother than known ones
-    level_margin: float = 0.2
+    level_margin: float = 0.2  # of the logarithm of a power: a track may be rougher or smoother than known ones
     # window signatures
     validation_folds: int = 6
     least_step: float = 1e-9  # m from sample to sample at least

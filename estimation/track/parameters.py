@@ -19,10 +19,8 @@ class TrackParameters:
     reported_position_std: float = 1.0  # m, of a position as it was reported
     # survey posterior
     band_edges: tuple[float, ...] = (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)  # m, longest wavelength of each band
-    neighbour_correlation: float = (
-        0.48  # correlation of one error in two bands next to each other, with one band between
-    )
-    second_neighbour_correlation: float = 0.06
+    neighbour_correlation: float = 0.48  # of one error in two bands next to each other
+    second_neighbour_correlation: float = 0.06  # with one band between
     # survey check
     correlation_length: float = 60.0  # m: correlation length of a high-passed alignment
     worthwhile_share: float = 0.5  # of what is wrong with a survey that a fleet's alignment may be off by to replace it
@@ -40,15 +38,11 @@ class TrackParameters:
     basis_step: float = 0.05e-3  # m
     table_margin: float = 0.2e-3  # m beyond the contact table within which a measured profile has no weight
     # update
-    sharper_std_share: float = (
-        0.8  # of the std of a file, below which the mean of it and its first passes is used in its place
-    )
+    sharper_std_share: float = 0.8  # of the std of a file, below which its mean with the first passes replaces it
     # settings
     same_gauge_correlation: float = 0.8  # correlation of two estimates of one gauge
     # passes
-    most_pass_windows: int = (
-        4  # windows; the pass of a longer run is cut, so that a window that comes late changes little
-    )
+    most_pass_windows: int = 4  # the pass of a longer run is cut: a window that comes late changes little
     # search
     fewest_place_passes: int = 6  # at a place, to separate two functions of it
     most_cg_steps: int = 14

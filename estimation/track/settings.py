@@ -40,8 +40,7 @@ class SectionParameters:
     filed_samples: float = 6.0  # independent ones that the std on file counts as, against those of the passes
     local_length: float = 100.0  # m over which both are compared for local differences
     local_stds: float = 4.0  # of a local mean square, beyond which it is more than chance
-    # of the rms of h(R) times the share that curves leave of y, by which they are flattened for all
-    curve_share_factor: float = 2.0
+    curve_share_factor: float = 2.0  # of the rms of h(R) times the share that curves leave of y, by which they are flat
     survey_error_length: float = 5.0  # m along the track, of errors of a survey
 
 

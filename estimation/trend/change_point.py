@@ -64,8 +64,7 @@ class StepModel:
     alike_log_odds: float = 1.0  # of the log odds: places that differ by less
     mixed_share: float = 0.5  # of a step, in an interval in which it happened: mean and standard deviation
     mixed_share_std: float = 0.25
-    # of a step, by which an outlier differs from the level on the other side, so that it is not of it
-    outlier_share: float = 0.25
+    outlier_share: float = 0.25  # of a step, between an outlier and the level on the other side
     least_change_ratio: float = 1.0  # of a median change over the least size, below which no hypothesis is computed
 
 

@@ -12,10 +12,8 @@ class CurveParameters:
     # extrapolation
     limit_amplitude: float = 3e-3  # m, of every conicity limit (EN 15302, TSI)
     same_amplitude: float = 1e-6  # m
-    # m, from which anything is extrapolated; from less, intervals of known pairs do not cover
-    least_amplitude: float = 1.5e-3
-    # m, from the largest amplitude covered to those that show how it rises
-    shape_distances: tuple[float, float, float] = (0.25e-3, 0.5e-3, 1.0e-3)
+    least_amplitude: float = 1.5e-3  # m, that is extrapolated; from less, intervals of known pairs do not cover
+    shape_distances: tuple[float, float, float] = (0.25e-3, 0.5e-3, 1.0e-3)  # m, below the largest amplitude covered
     alike_share: float = 0.06  # relative difference of conicities that are alike
     least_alike_difference: float = 0.012  # and the least difference that counts
     slope_alike_share: float = 0.7  # of that, for the difference between two amplitudes
@@ -27,14 +25,11 @@ class CurveParameters:
     negligible_weight: float = 1e-6  # of a member that does not count, which most are
     uncovered_step: float = 0.25e-3  # m, to the amplitude that is not covered
     flat_conicity: float = 0.02  # conicity below which nothing holds a wheelset
-    # least and most weight by where the motion ends, of a conicity that stays as it is
-    stop_weights: tuple[float, float] = (0.3, 2.0)
+    stop_weights: tuple[float, float] = (0.3, 2.0)  # by where the motion ends, of a conicity that stays
     largest_conicity_std: float = 0.15  # of an extrapolated conicity
     smoothing_share: float = 0.2  # std about each of them, in that of all
     covering_share: float = 0.75  # of the latest intervals that must cover an amplitude
-    covering_intervals: int = (
-        8  # intervals: an amplitude that a little worn wheelset did not reach long ago may be covered now
-    )
+    covering_intervals: int = 8  # an amplitude that a little worn wheelset did not reach long ago may be covered
     stored_unit: float = 1e-4  # of a stored conicity
     # wear curve
     most_knots: int = 8
@@ -45,14 +40,10 @@ class CurveParameters:
     scatter_nodes: int = 12
     scatter_scale: float = 1.0  # half-Cauchy scale of tau, in median standard deviations
     wandering_share: float = 0.3  # of the bend's standard deviation
-    least_std_share: float = (
-        1e-3  # in median standard deviations: a better point cannot make the others count for nothing
-    )
+    least_std_share: float = 1e-3  # of the median std: a better point cannot make the others count for nothing
     diagonal_jitter: float = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
     fit_rounds: int = 25
-    probability_margin: float = (
-        1e-9  # of a probability, far more than rounding: what comes as near is computed again by itself
-    )
+    probability_margin: float = 1e-9  # far more than rounding: what comes as near is computed again by itself
     share_tolerance: float = 1e-7  # far below what a result shows
 
 

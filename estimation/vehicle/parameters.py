@@ -15,8 +15,7 @@ class GearParameters:
     damping_std: float = 0.10
     mass_std: float = 0.025
     length_std: float = 0.002
-    # an axle carries 11 t empty and 17 t full, with the passengers that no file has: anything between
-    load_std: float = 0.12
+    load_std: float = 0.12  # 11 t an axle empty, 17 t full, with passengers that no file has: anything between
     unstated_scale_std: float = 0.03  # of a sensor whose scale has no std on file
     most_difference_noise: float = 0.3e-3  # m, std of rL - rR at the usual speed
     cutoff_step: float = 5.0  # m

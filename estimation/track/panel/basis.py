@@ -110,11 +110,9 @@ class PanelParameters:
     ridge: float = 1e-4  # of its coefficients, relative to the data
     least_correlation: float = 0.3  # of h(z) and h(R) between the passes of a place: below, the instrument is weak
     systematic_share: float = 0.15  # of 1 / r2 - 1: std of the factor that blocks of data cannot show
-    # of the ratio, relative: a model of small terms is left, blocks of data cannot show it
-    ratio_systematic_std: float = 0.02
+    ratio_systematic_std: float = 0.02  # relative, of a model of small terms: blocks of data cannot show it
     least_explained: float = 0.67  # a smaller share says that something else is wrong
-    # of a step: position and ratio are refined at once, and each would make up for the other's error
-    damping: float = 0.6
+    damping: float = 0.6  # of a step: position and ratio would each make up for the other's error
 
     @property
     def knots(self) -> FloatArray:
