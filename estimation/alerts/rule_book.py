@@ -77,16 +77,13 @@ class AlarmFloodRule:
 
 @dataclass(frozen=True, slots=True)
 class RuleBook:
-    """One rule of every type; ``RuleBook()`` holds the shipped defaults.
-
-    Attributes:
-        scoped: The books of fleets and classes, by (fleet, class) with None for any other: of every pair of a fleet and
-            a class that are named, so that one look-up decides. They have no scopes themselves.
-    """
+    """One rule of every type; ``RuleBook()`` holds the shipped defaults."""
 
     rules: tuple[AlertRule, ...] = field(default_factory=lambda: tuple(rule() for rule in ALERT_RULES))
     alarm_flood: AlarmFloodRule = field(default_factory=AlarmFloodRule)
     name: str = ""
+    # the books of fleets and classes, by (fleet, class) with None for any other: of every pair of a fleet and a class
+    # that are named, so that one look-up decides. They have no scopes themselves
     scoped: Mapping[tuple[str | None, str | None], RuleBook] = field(default_factory=dict)
 
     @property

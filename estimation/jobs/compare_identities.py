@@ -45,19 +45,13 @@ CALM, SINCE = "calm", "since"
 
 @dataclass(frozen=True, slots=True)
 class JumpInputs:
-    """The geometries of a wheelset in which a jump is looked for.
+    """The geometries of a wheelset in which a jump is looked for."""
 
-    Attributes:
-        observations: From the first that has changed since it was calm; all of them where they jump.
-        calm: Number of the newest geometry when it did not jump last; None before that.
-        newest: Number of the newest geometry.
-        since: Digest of what the comparison begins with: profile, identity, parameters.
-    """
-
+    # from the first that has changed since it was calm; all of them where they jump
     observations: tuple[Observation, ...]
-    calm: int | None
-    newest: int | None
-    since: str
+    calm: int | None  # number of the newest geometry when it did not jump last; None before that
+    newest: int | None  # number of the newest geometry
+    since: str  # digest of what the comparison begins with: profile, identity, parameters
     parameters: IdentityParameters
 
 
@@ -203,15 +197,11 @@ IDENTITIES = Stage(
 
 @dataclass(frozen=True, slots=True)
 class SuspensionInputs:
-    """The newest findings of all vehicles, and by vehicle the rule of its fleet and class.
-
-    Attributes:
-        parameters: What counts as now and what friction may do, the same for all.
-    """
+    """The newest findings of all vehicles, and by vehicle the rule of its fleet and class."""
 
     findings: tuple[SuspensionFinding, ...]
     rules: Mapping[str, SuspensionChangeRule]
-    parameters: SuspensionParameters
+    parameters: SuspensionParameters  # what counts as now and what friction may do, the same for all
 
 
 def load(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Mapping[str, SuspensionInputs]:

@@ -73,18 +73,12 @@ def refusals_text(counts: Mapping[str, int]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """What the windows of a wheelset are judged by.
-
-    Attributes:
-        judged: New readings where nothing speaks against them; else all.
-        mounted: Empty where nothing speaks against the readings.
-        seen: Windows that are due, with the versions in which they were.
-    """
+    """What the windows of a wheelset are judged by."""
 
     wheelset: str
-    judged: tuple[MileageReading, ...]
-    mounted: tuple[Mounted, ...]
-    seen: Mapping[WindowKey, int]
+    judged: tuple[MileageReading, ...]  # new readings where nothing speaks against them; else all
+    mounted: tuple[Mounted, ...]  # empty where nothing speaks against the readings
+    seen: Mapping[WindowKey, int]  # windows that are due, with the versions in which they were
 
 
 Verdicts = Mapping[WindowKey, Reason | None]
@@ -185,17 +179,12 @@ JUDGE = Stage(
 
 @dataclass(frozen=True, slots=True)
 class Outdated:
-    """Windows on a section, or on none, for which something has come.
+    """Windows on a section, or on none, for which something has come."""
 
-    Attributes:
-        changed: Estimated on another version of the alignment, or with other parameters, than they are to be.
-        aligned: Refused without an alignment, of which there is one.
-        classed: Refused without a class of their vehicle, of which there is one.
-    """
-
+    # estimated on another version of the alignment, or with other parameters, than they are to be
     changed: Sequence[WindowKey]
-    aligned: Sequence[WindowKey]
-    classed: Sequence[WindowKey]
+    aligned: Sequence[WindowKey]  # refused without an alignment, of which there is one
+    classed: Sequence[WindowKey]  # refused without a class of their vehicle, of which there is one
 
 
 def load_outdated(unit: UnitOfWork, sections: Sequence[str], context: JobContext) -> Mapping[str, Outdated]:

@@ -118,18 +118,12 @@ BESIDE = {CHANGED, AT_REST, "looked_at"}  # counts of stages that are no counts 
 
 @dataclass(frozen=True, slots=True)
 class AlertInputs:
-    """What the alerts of a wheelset are made from.
-
-    Attributes:
-        book: Rules of its fleet and class.
-        version: Of the rules of all fleets and classes.
-        now_ns: Our time; the stage looks again when it may say something else.
-    """
+    """What the alerts of a wheelset are made from."""
 
     facts: WheelsetFacts
-    book: RuleBook = field(metadata={"made_from": False})
-    version: str = field(metadata={"made_from": False})
-    now_ns: int = field(metadata={"made_from": False})
+    book: RuleBook = field(metadata={"made_from": False})  # rules of its fleet and class
+    version: str = field(metadata={"made_from": False})  # of the rules of all fleets and classes
+    now_ns: int = field(metadata={"made_from": False})  # our time; the stage looks again when it may say something else
 
 
 @dataclass(frozen=True, slots=True)

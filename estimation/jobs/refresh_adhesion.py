@@ -132,34 +132,23 @@ def forget_windows(
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Passes of a section that are pooled.
-
-    Attributes:
-        fleets: That passed it.
-    """
+    """Passes of a section that are pooled."""
 
     passes: tuple[WindowAdhesion, ...]
     parameters: FrictionParameters
-    fleets: tuple[str, ...]
+    fleets: tuple[str, ...]  # that passed it
 
 
 @dataclass(frozen=True, slots=True)
 class FrictionInputs:
-    """What the friction of a section is found from.
-
-    Attributes:
-        spans: Oldest first.
-        made_with: Digest of the limits.
-        seen: Windows that are pooled, with the versions in which they were due.
-        older_ns: Passes before that are to be pooled by the next run; None for none.
-    """
+    """What the friction of a section is found from."""
 
     section: str
     length_m: float
-    spans: tuple[Span, ...]
-    made_with: str
-    seen: Mapping[WindowKey, int]
-    older_ns: int | None
+    spans: tuple[Span, ...]  # oldest first
+    made_with: str  # digest of the limits
+    seen: Mapping[WindowKey, int]  # windows that are pooled, with the versions in which they were due
+    older_ns: int | None  # passes before that are to be pooled by the next run; None for none
 
 
 def load_friction(unit: UnitOfWork, sections: Sequence[str], context: JobContext) -> Mapping[str, FrictionInputs]:

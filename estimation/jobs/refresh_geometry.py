@@ -63,18 +63,14 @@ _BEING_MADE = RollUpState("", {})  # of roll-ups that are made again, until all 
 
 @dataclass(slots=True)
 class RolledGeometries:
-    """Geometries of one wheelset, as one transaction sees its roll-ups.
-
-    Attributes:
-        radius: What was found of the radius on file on the way.
-        earlier: Digest and sum of the intervals before the newest one, where it had to be made.
-    """
+    """Geometries of one wheelset, as one transaction sees its roll-ups."""
 
     unit: UnitOfWork
     rules: Membership
     rolled: Rolled
     context: JobContext
-    radius: RadiusOnFile = field(init=False)
+    radius: RadiusOnFile = field(init=False)  # what was found of the radius on file on the way
+    # digest and sum of the intervals before the newest one, where it had to be made
     earlier: tuple[str, BinTable] | None = None
     _passed_over: PassedOverWindows = field(init=False)
     _refused: Sequence[WindowRecord] | None = None
@@ -296,18 +292,13 @@ class GeometryInputs:
     """What the geometries of a wheelset are made from, and what became of it while it was read.
 
     The sums of bin tables are megabytes: each is made a geometry where it is read, and only these are kept.
-
-    Attributes:
-        contents: Of the roll-ups, as they are to be.
-        looked_at: Windows that are due, with the versions that were read.
-        made_from: Digests of the geometries that are others by now.
-        whole: Whether these are all roll-ups that are to be made again; else the rest, and the geometries, come next.
     """
 
     rules: str
-    contents: tuple[tuple[str, str], ...]
-    looked_at: Mapping[int, int]
-    made_from: tuple[str, ...]
+    contents: tuple[tuple[str, str], ...]  # of the roll-ups, as they are to be
+    looked_at: Mapping[int, int]  # windows that are due, with the versions that were read
+    made_from: tuple[str, ...]  # digests of the geometries that are others by now
+    # whether these are all roll-ups that are to be made again; else the rest, and the geometries, come next
     whole: bool
     records: tuple[GeometryRecord, ...] = field(metadata={"made_from": False})
     parts: tuple[RolledPart, ...] = field(metadata={"made_from": False})

@@ -247,14 +247,11 @@ class RailsInputs:
 
 @dataclass(frozen=True, slots=True)
 class RailsFindings:
-    """What was found of all sections, and of all wheelsets in their newest interval.
-
-    Attributes:
-        refused: Why sections that are named as known, by code, and wheelsets that are measured hold no level.
-    """
+    """What was found of all sections, and of all wheelsets in their newest interval."""
 
     sections: Mapping[str, RailsFinding]
     wheelsets: Mapping[str, WheelsFinding]
+    # why sections that are named as known, by code, and wheelsets that are measured hold no level
     refused: Mapping[str, str]
     refused_wheels: Mapping[str, str]
 

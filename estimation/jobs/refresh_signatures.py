@@ -221,23 +221,19 @@ def _geometry(unit: UnitOfWork, serial: str, baseline: int) -> Estimate | Damage
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """What all answers are made from.
-
-    Attributes:
-        geometries: Conicities at 3 mm of those that are judged; None without one of the present profile.
-        answered: What the answers in force are made from, and by which numerics.
-        failed: What cannot be read, by kind and key.
-        damaged: Windows whose signatures cannot be read.
-    """
+    """What all answers are made from."""
 
     shelf: _Shelf
     subjects: Mapping[str, _Subject]
+    # conicities at 3 mm of those that are judged; None without one of the present profile
     geometries: Mapping[str, Estimate | None]
     parameters: SignatureParameters
     numerics: str
+    # what the answers in force are made from, and by which numerics
     answered: Mapping[str, tuple[str, str]] = field(metadata={"made_from": False})
+    # what cannot be read, by kind and key
     failed: Mapping[tuple[SubjectKind, str], Exception] = field(metadata={"made_from": False})
-    damaged: Sequence[WindowKey] = field(metadata={"made_from": False})
+    damaged: Sequence[WindowKey] = field(metadata={"made_from": False})  # windows whose signatures cannot be read
 
 
 def _finding(library: Library, subject: _Subject, geometry: Estimate | None) -> SignatureFinding:

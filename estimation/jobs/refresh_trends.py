@@ -26,16 +26,12 @@ METHOD = made_from(CURVES)[:16]
 
 @dataclass(frozen=True, slots=True)
 class TrendInputs:
-    """What the trend of a wheelset is made from.
-
-    Attributes:
-        conicities: Of the intervals with windows since the last reprofiling and the last change of identity.
-        limit: Of the conicity at 3 mm, in the vehicle it runs in or ran in last; None where there is none.
-    """
+    """What the trend of a wheelset is made from."""
 
     baseline: int
+    # of the intervals with windows since the last reprofiling and the last change of identity
     conicities: tuple[IntervalConicities, ...]
-    limit: float | None
+    limit: float | None  # of the conicity at 3 mm, in the vehicle it runs in or ran in last; None where there is none
     parameters: TrendParameters
 
 

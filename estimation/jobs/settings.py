@@ -42,16 +42,12 @@ class KnownSection:
 
 @dataclass(frozen=True, slots=True)
 class RailsSettings:
-    """Settings of ``refresh_rails``.
+    """Settings of ``refresh_rails``."""
 
-    Attributes:
-        known_sections: Sections whose rails are as on file, each with the day for which that is known; all others are
-            compared with them. A section may have several days.
-        model: Parameters of the mixed model.
-    """
-
+    # sections whose rails are as on file, each with the day for which that is known; all others are compared with them.
+    # A section may have several days
     known_sections: frozenset[KnownSection] = frozenset()
-    model: RailsParameters = field(default_factory=RailsParameters)
+    model: RailsParameters = field(default_factory=RailsParameters)  # parameters of the mixed model
 
 
 # numbers that no deployment sets, and that stand beside what they steer or in ``parameters.py`` of its folder
@@ -90,24 +86,16 @@ class EstimationSettings:
 
 @dataclass(frozen=True, slots=True)
 class JobSettings:
-    """Settings of every job of a deployment.
+    """Settings of every job of a deployment."""
 
-    Attributes:
-        alignment: Of ``refresh_alignment``.
-        estimation: Of ``estimate_windows`` and ``refresh_geometry``, and of the motion that ``refresh_alignment`` looks
-            at.
-        trend: Of ``refresh_trends``.
-        rails: Of ``refresh_rails``.
-        rules: Of ``evaluate_alerts``; the conicity limit is that of the trends, too.
-        signatures: Of ``refresh_signatures``.
-    """
-
-    alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
+    alignment: AlignmentSettings = field(default_factory=AlignmentSettings)  # of ``refresh_alignment``
+    # of ``estimate_windows`` and ``refresh_geometry``, and of the motion that ``refresh_alignment`` looks at
     estimation: EstimationSettings = field(default_factory=EstimationSettings)
-    trend: TrendParameters = field(default_factory=TrendParameters)
-    rails: RailsSettings = field(default_factory=RailsSettings)
+    trend: TrendParameters = field(default_factory=TrendParameters)  # of ``refresh_trends``
+    rails: RailsSettings = field(default_factory=RailsSettings)  # of ``refresh_rails``
+    # of ``evaluate_alerts``; the conicity limit is that of the trends, too
     rules: RuleBook = field(default_factory=RuleBook)
-    signatures: SignatureParameters = field(default_factory=SignatureParameters)
+    signatures: SignatureParameters = field(default_factory=SignatureParameters)  # of ``refresh_signatures``
 
     def alignment_parameters(self) -> dict[str, JsonValue]:
         """Return every setting that shapes an alignment: those of its job and those of the motion that it fits."""

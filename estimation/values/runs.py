@@ -279,20 +279,14 @@ class Due:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What is to be done of some stages of a job, by their names.
+    """What is to be done of some stages of a job, by their names."""
 
-    Attributes:
-        due: Subjects in their order of those of which something is due, or whose settings are others; none of a stage
-            that works window by window.
-        seen: How many subjects stages have seen.
-        listed: Those that work window by window and have listed all with these settings.
-        held: Whether anything of the job is in quarantine.
-    """
-
+    # subjects in their order of those of which something is due, or whose settings are others; none of a stage that
+    # works window by window
     due: Mapping[str, Mapping[str, Due]]
-    seen: Mapping[str, int]
-    listed: frozenset[str]
-    held: bool
+    seen: Mapping[str, int]  # how many subjects stages have seen
+    listed: frozenset[str]  # those that work window by window and have listed all with these settings
+    held: bool  # whether anything of the job is in quarantine
 
 
 @dataclass(frozen=True, slots=True)

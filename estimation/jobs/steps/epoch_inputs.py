@@ -169,18 +169,12 @@ class Kept:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What a look at the epochs of a section has found.
+    """What a look at the epochs of a section has found."""
 
-    Attributes:
-        stored: All epochs, as they were read.
-        kept: Epochs before the one that is due, or left for later.
-        due: The first to be computed; None where all others are as they should be.
-        later: Whether the last epoch stays as it is for now: a later run looks at it although nothing has changed.
-    """
-
-    stored: Sequence[TrackEpoch]
-    kept: Sequence[Kept] = ()
-    due: Due | None = None
+    stored: Sequence[TrackEpoch]  # all epochs, as they were read
+    kept: Sequence[Kept] = ()  # epochs before the one that is due, or left for later
+    due: Due | None = None  # the first to be computed; None where all others are as they should be
+    # whether the last epoch stays as it is for now: a later run looks at it although nothing has changed
     later: bool = False
 
     @property
@@ -192,19 +186,14 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class EpochSearch:
-    """The epochs of a section as one transaction sees them.
-
-    Attributes:
-        stored: All epochs, in order.
-        changed_ns: Start of the first window that they do not hold as it is now; None where there is none.
-    """
+    """The epochs of a section as one transaction sees them."""
 
     unit: UnitOfWork
     context: JobContext
     section: TrackSectionRecord
     lookup: FileLookup
-    stored: Sequence[TrackEpoch]
-    changed_ns: int | None
+    stored: Sequence[TrackEpoch]  # all epochs, in order
+    changed_ns: int | None  # start of the first window that they do not hold as it is now; None where there is none
 
     def found(self) -> Found:
         """Return what is due."""

@@ -84,19 +84,12 @@ def epoch_passes(context: JobContext, chosen: Sequence[Entry], on_file: RunsOnFi
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """The windows of a run with their samples.
+    """The windows of a run with their samples."""
 
-    Attributes:
-        windows: As they are examined.
-        refused: Of the others, why there is none.
-        assumed: What they are looked at with; why they are not.
-        turned: Whether the wheelset is mounted the other way round.
-    """
-
-    windows: Sequence[Window]
-    refused: Sequence[_Found]
-    assumed: Assumed | Reason
-    turned: bool
+    windows: Sequence[Window]  # as they are examined
+    refused: Sequence[_Found]  # of the others, why there is none
+    assumed: Assumed | Reason  # what they are looked at with; why they are not
+    turned: bool  # whether the wheelset is mounted the other way round
 
 
 def _together(groups: Iterable[Sequence[Entry]]) -> Iterator[list[Sequence[Entry]]]:

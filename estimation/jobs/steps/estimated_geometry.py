@@ -106,14 +106,11 @@ class RadiusOnFile:
     """Looks at the windows of one wheelset that stand for many.
 
     What most of them say was computed when they were estimated; of the others the samples are read, once in their life.
-
-    Attributes:
-        fresh: What was computed on the way.
     """
 
     unit: UnitOfWork
     wheelset: str
-    fresh: dict[tuple[int, str], WindowRollingSums] = field(default_factory=dict)
+    fresh: dict[tuple[int, str], WindowRollingSums] = field(default_factory=dict)  # what was computed on the way
     _known: dict[tuple[int, str, str], tuple[RollingSums, ...]] = field(default_factory=dict)
     _checked: dict[tuple[str, ...], Contradiction | None] = field(default_factory=dict)
 

@@ -100,15 +100,11 @@ ContactSearch = Callable[[WheelPair, Sequence[RailShare]], WheelContact | Reason
 
 @dataclass(frozen=True, slots=True)
 class ComparisonReader:
-    """Reads comparisons in one transaction.
-
-    Attributes:
-        interval_km: Mileage interval of the estimates.
-    """
+    """Reads comparisons in one transaction."""
 
     unit: UnitOfWork
     contact: ContactSearch
-    interval_km: float
+    interval_km: float  # mileage interval of the estimates
 
     def of_wheelset(self, wheelset: WheelsetRecord, measurements: Sequence[MeasuredProfiles]) -> list[Comparison]:
         """Return each of the measurements of a wheelset beside the estimate that belongs to it."""

@@ -73,20 +73,14 @@ def by_interval(parts: Iterable[Part]) -> dict[Place, Part]:
 
 @dataclass(frozen=True, slots=True)
 class Rolled:
-    """The roll-ups of a wheelset as they should be, in the order of their keys, beside what is stored.
-
-    Attributes:
-        mileages: By start, of the windows that have another one than is stored of them.
-        looked_at: Start and version of the due windows.
-        dropped: Numbers of roll-ups without windows.
-        again: Whether some were made again, for there is more than windows behind all that were there before.
-    """
+    """The roll-ups of a wheelset as they should be, in the order of their keys, beside what is stored."""
 
     state: RollUpState
     parts: tuple[Part, ...]
-    mileages: Mapping[int, float]
-    looked_at: Mapping[int, int]
-    dropped: tuple[int, ...] = ()
+    mileages: Mapping[int, float]  # by start, of the windows that have another one than is stored of them
+    looked_at: Mapping[int, int]  # start and version of the due windows
+    dropped: tuple[int, ...] = ()  # numbers of roll-ups without windows
+    # whether some were made again, for there is more than windows behind all that were there before
     again: bool = False
 
     @property

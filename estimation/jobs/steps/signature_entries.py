@@ -51,15 +51,11 @@ class Entries:
 
 @dataclass(frozen=True, slots=True)
 class EntryReader:
-    """Finds what the fleet knows of wheelsets, as one transaction sees it.
-
-    Attributes:
-        parameters: How old and how uncertain a conicity may be.
-    """
+    """Finds what the fleet knows of wheelsets, as one transaction sees it."""
 
     unit: UnitOfWork
     classes: ClassLookup
-    parameters: SignatureParameters
+    parameters: SignatureParameters  # how old and how uncertain a conicity may be
     _sections: dict[str, TrackSectionRecord] = field(default_factory=dict)
     _baselines: dict[str, Sequence[Baseline]] = field(default_factory=dict)
     _labels: dict[tuple[str, int], Sequence[_Label]] = field(default_factory=dict)

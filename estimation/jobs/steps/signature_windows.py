@@ -80,24 +80,16 @@ class _Expected:
 
 @dataclass(frozen=True, slots=True)
 class WindowInputs:
-    """What the signatures of a window are made from.
-
-    Attributes:
-        digest: Of the samples.
-        assumed: Digest of class, parameters and layouts.
-        again: Whether there are signatures that were made with other assumptions.
-        without: Name under which a window is counted of which none can be made now; empty for the others.
-        window: None where it cannot.
-    """
+    """What the signatures of a window are made from."""
 
     wheelset: str
     start_ns: int
     vehicle: str
-    digest: str
-    assumed: str
-    again: bool
-    without: str
-    window: Window | Reason | None = field(metadata={"made_from": False})
+    digest: str  # of the samples
+    assumed: str  # digest of class, parameters and layouts
+    again: bool  # whether there are signatures that were made with other assumptions
+    without: str  # name under which a window is counted of which none can be made now; empty for the others
+    window: Window | Reason | None = field(metadata={"made_from": False})  # None where it cannot
     made_with: WindowParameters | None = field(metadata={"made_from": False})
     layout: TrackLayout | None = field(metadata={"made_from": False})
     parameters: SignatureParameters = field(metadata={"made_from": False})

@@ -64,24 +64,18 @@ def facts_of(unit: UnitOfWork, serials: Sequence[str], settings: JobSettings) ->
 
 @dataclass(frozen=True, slots=True)
 class _Read:
-    """What was read of some wheelsets and their vehicles together.
-
-    Attributes:
-        books: Of the fleet and class of each wheelset: they say how far back their rules look.
-        mounted: Serials of the wheelsets of each vehicle, by axle.
-        steps: Steps of the trends beside each wheelset whose own trend has one.
-    """
+    """What was read of some wheelsets and their vehicles together."""
 
     settings: JobSettings
     wheelsets: Sequence[WheelsetRecord]
     vehicles: Mapping[str, VehicleRecord]
-    books: Mapping[str, RuleBook]
-    mounted: Mapping[str, Sequence[str]]
+    books: Mapping[str, RuleBook]  # of the fleet and class of each wheelset: they say how far back their rules look
+    mounted: Mapping[str, Sequence[str]]  # serials of the wheelsets of each vehicle, by axle
     alerts: Mapping[str, Sequence[Alert]]
     geometries: Mapping[str, GeometryRecord]
     conicities: Mapping[str, Sequence[IntervalConicities]]
     trends: Mapping[str, TrendRecord]
-    steps: Mapping[str, Sequence[TrendStep | None]]
+    steps: Mapping[str, Sequence[TrendStep | None]]  # steps of the trends beside each wheelset whose own trend has one
     rails: frozenset[RailShare]
     changes: Mapping[str, IdentityChange]
     identities: Mapping[str, IdentityEvent]

@@ -24,16 +24,11 @@ from estimation.values.windows import Window, WindowKey, WindowRecord
 
 @dataclass(slots=True)
 class Gear:
-    """A running gear at a time; its forces are found once for all of its wheelsets, where one is first asked for.
+    """A running gear at a time; its forces are found once for all of its wheelsets, where one is first asked for."""
 
-    Attributes:
-        windows: The axle first that meets the track first.
-        content_digest: Of the samples of its first axle; None where it says nothing of the damper.
-    """
-
-    windows: tuple[Window, ...]
+    windows: tuple[Window, ...]  # the axle first that meets the track first
     assumed: Assumed
-    content_digest: str | None
+    content_digest: str | None  # of the samples of its first axle; None where it says nothing of the damper
     _forces: tuple[ContactForces, ...] | Reason | None = None
     damper: WindowDamper | None = None
 
@@ -51,11 +46,7 @@ class Gear:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A window on the track that it ran on.
-
-    Attributes:
-        place: Of the window in its gear.
-    """
+    """A window on the track that it ran on."""
 
     window: Window
     track: TrackAlignment | None
@@ -64,19 +55,15 @@ class Run:
     assumed: Assumed
     own: AdhesionInputs
     gear: Gear | Reason
-    place: int
+    place: int  # of the window in its gear
 
 
 @dataclass(frozen=True, slots=True)
 class CreepInputs:
-    """What the creep of a window is found from.
-
-    Attributes:
-        refused: What is said of it where it is not used.
-    """
+    """What the creep of a window is found from."""
 
     record: WindowRecord
-    refused: Reason | None
+    refused: Reason | None  # what is said of it where it is not used
     run: Run | None = field(default=None, metadata={"made_from": False})
 
 
