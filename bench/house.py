@@ -13,7 +13,7 @@ arrows against the layers
 long functions, complex functions
     Functions of the four packages of more than 50 lines without their docstring; functions anywhere in the repository
     of cyclomatic complexity over 10 by ruff, suppressed or not. Migrations are history and not counted.
-loose numeric constants, sizes, versions and limits
+loose numeric constants
     As ``bench/loose_constants.py`` defines them.
 long files
     Python files of more than 400 lines, tests and benches included, migrations not.
@@ -154,11 +154,8 @@ def static_counts(root: Path) -> Iterator[Count]:
     yield Count(f"functions over {SCREEN} lines", "0", str(len(long)), "0", long)
     found = tuple(complex_functions(root))
     yield Count(f"functions of complexity over {COMPLEXITY}", "0", str(len(found)), "0", found)
-    loose_numbers = list(loose_constants(root))
-    steering = tuple(str(item) for item in loose_numbers if not item.apart)
-    yield Count("loose numeric constants of estimation", "902", str(len(steering)), "<= 100", steering)
-    apart = tuple(str(item) for item in loose_numbers if item.apart)
-    yield Count("sizes, versions and limits of estimation", "", str(len(apart)), "", apart)
+    loose_numbers = tuple(map(str, loose_constants(root)))
+    yield Count("loose numeric constants of estimation", "902", str(len(loose_numbers)), "<= 100", loose_numbers)
     files = tuple(long_files(root))
     yield Count(f"files over {LONG_FILE} lines", "2", str(len(files)), "0", files)
     words = loose_words(root)

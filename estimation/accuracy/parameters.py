@@ -17,6 +17,7 @@ class AccuracyParameters:
     # wheel contact
     displacement_reach: float = 12e-3  # m: an amplitude of 8 mm about a centre that is 4 mm off
     displacement_step: float = 0.1e-3  # m
+    amplitudes: tuple[float, ...] = (1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3, 7e-3, 8e-3)  # m
 
 
 ACCURACY = AccuracyParameters()

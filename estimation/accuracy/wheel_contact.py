@@ -26,7 +26,7 @@ from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.units import IN_MM, NORMAL_95
 
-AMPLITUDES: FloatArray = np.arange(1, 9, dtype=np.float64) * 1e-3  # m
+AMPLITUDES: FloatArray = np.array(ACCURACY.amplitudes)
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,6 +48,14 @@ class ForceParameters:
     # pass sums
     most_scale_std: float = 0.25  # of the logarithm of a scale that is compared
     scale_reach: float = 0.5  # of the logarithm: over which that std is measured
+    state_rounding: float = 1e-13  # of the scaled states, which keeps the covariance positive
+    excess_steps: int = 4096  # of the table of excesses
+    inverse_points: int = 160  # of 1/mu
+    curve_step: float = 0.05e-3  # m, between points of the curves of worn wheels
+    curve_points: int = 140  # to either side
+    wear_depths: tuple[float, ...] = (0.0, 0.25e-3, 0.5e-3, 0.75e-3, 1e-3, 1.25e-3, 1.5e-3, 1.75e-3, 2e-3)  # m
+    widest_scale: float = 1.8  # logarithm, of the scales that are tried
+    scale_points: int = 73
 
 
 FORCES = ForceParameters()

@@ -107,7 +107,9 @@ def pass_sums(passes: Sequence[WindowAdhesion]) -> PassSums | None:
     )
 
 
-SCALES = frozen_array(np.linspace(-1.8, 1.8, 73), (73,), name="SCALES")
+SCALES = frozen_array(
+    np.linspace(-FORCES.widest_scale, FORCES.widest_scale, FORCES.scale_points), (FORCES.scale_points,), name="SCALES"
+)
 """(s,) logarithms of scales that are tried: a sixth to six times."""
 
 
@@ -215,8 +217,7 @@ def _left_out(vehicle: str, wheelset: str | None, factor: float, others: str) ->
     return LeftOut(vehicle, wheelset, Reason(ReasonCode.FRICTION_DIFFERS, text))
 
 
-POINTS = 160
-GRID = frozen_array(np.geomspace(1.0, INVERSE[-1], POINTS), (POINTS,), name="GRID")
+GRID = frozen_array(np.geomspace(1.0, INVERSE[-1], FORCES.inverse_points), (FORCES.inverse_points,), name="GRID")
 """(g,) 1/mu, each a constant part above the one before: steps in the logarithm are alike."""
 
 

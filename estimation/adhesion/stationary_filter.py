@@ -37,6 +37,7 @@ import scipy.linalg
 
 from estimation.adhesion.parameters import FORCES
 from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.memory import MEMORY
 from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass, VehicleParameters
 
 AXLE = 4  # states of a wheelset: y, y', psi, psi'
@@ -120,10 +121,6 @@ def _carried(bogie: BogieParameters, rates: FloatArray, force: FloatArray, momen
     rates[above + 3] = -(moment + turned) / bogie.frame_yaw_inertia
 
 
-ROUNDING = 1e-13  # of the scaled states, which keeps the covariance positive
-KEPT = 32  # filters
-
-
 @dataclass(frozen=True, slots=True)
 class StationaryFilter(FrozenArrays):
     """Matrices of n scaled states, k accelerations and m measurements, those first; ``scale`` makes states SI."""
@@ -150,7 +147,7 @@ def stationary_filter(vehicle_class: VehicleClass, sample_interval_s: float, spe
     return _filter(*gear, sample_interval_s, rounded)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=MEMORY.adhesion_filters)
 def _filter(
     vehicle: VehicleParameters, bogie: BogieParameters | None, sensors: SensorLayout, dt: float, speed: float
 ) -> StationaryFilter:
@@ -159,7 +156,7 @@ def _filter(
     n = len(rates)
     rates, noise = rates * scale / scale[:, None], noise / np.outer(scale, scale)
     transition, process = over_a_sample(rates, noise, dt)
-    process += ROUNDING * np.eye(n)
+    process += FORCES.state_rounding * np.eye(n)
     rows = _measured(gear, n, speed) * scale
     wheelbase = None if bogie is None else bogie.wheelbase
     variance = _variances(gear, sensors, wheelbase, dt, 2.0 * math.pi * speed / FORCES.corner_wavelength)

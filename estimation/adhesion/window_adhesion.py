@@ -32,6 +32,7 @@ from estimation.filters import remove_wander
 from estimation.motion.integration import WindowParameters
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array, runs
 from estimation.values.geometry import WheelsetGeometry
+from estimation.values.memory import MEMORY
 from estimation.values.opinions import CELL_LENGTH, INVERSE, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
@@ -39,15 +40,9 @@ from estimation.values.track import Correction, TrackSectionRecord
 from estimation.values.windows import Motion, Window
 from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
 
-DISPLACEMENT = np.arange(-140, 141) * 0.05e-3  # m
-DEPTHS = np.arange(9) * 0.25e-3  # m, of wear
-
-
+DISPLACEMENT = np.arange(-FORCES.curve_points, FORCES.curve_points + 1) * FORCES.curve_step
 SHARE_ROUNDS = FORCES.share_rounds
 MOST_UTILISATION = FORCES.most_utilisation
-
-
-KEPT = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +91,7 @@ def contact_angles(
     return ContactAngles(curves[best][order], differences[best][order], sums[best][order], float(misfit[best]))
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=MEMORY.profile_curves)
 def _family(
     wheel: str, rail: str, inclination: float, gauge: float, radius: float
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
@@ -105,7 +100,7 @@ def _family(
     found = []
     try:
         on = rail_profile(rail)
-        for depth in DEPTHS:
+        for depth in FORCES.wear_depths:
             worn_wheel = worn(wheel_profile(wheel), TreadWear(float(depth), centre, half_width, float(depth)))
             pair = WheelsetOnTrack.symmetric(worn_wheel, on, inclination, gauge, radius=radius)
             table = contact_table(pair, DISPLACEMENT, method=ContactMethod.EN15302, outside="hold")
@@ -117,22 +112,19 @@ def _family(
     return curves, differences, sums
 
 
-STEPS = 4096  # of the table of excesses
-
-
 @cache
 def excess_table() -> FloatArray:
     """Return linear over true creep force of a wheel less 1 at T/(mu N) from 0 to 0.98 in equal steps, (4097,)."""
     # It is 0 without slip. Between the points it is taken as linear, which misses it by less than 1e-5.
-    t = np.maximum(np.linspace(0.0, MOST_UTILISATION, STEPS + 1), FORCES.least_utilisation)
-    return frozen_array(3.0 * (1.0 - np.cbrt(1.0 - t)) / t - 1.0, (STEPS + 1,), name="excess")
+    t = np.maximum(np.linspace(0.0, MOST_UTILISATION, FORCES.excess_steps + 1), FORCES.least_utilisation)
+    return frozen_array(3.0 * (1.0 - np.cbrt(1.0 - t)) / t - 1.0, (FORCES.excess_steps + 1,), name="excess")
 
 
 @compiled(nogil=True)
 def excess_at(table: FloatArray, utilisation: float) -> float:
     """Return linear over true creep force of a wheel less 1 at T/(mu N), beyond 0.98 that at 0.98."""
-    at = min(utilisation / MOST_UTILISATION, 1.0) * STEPS
-    below = min(int(at), STEPS - 1)
+    at = min(utilisation / MOST_UTILISATION, 1.0) * FORCES.excess_steps
+    below = min(int(at), FORCES.excess_steps - 1)
     return float(table[below] + (at - below) * (table[below + 1] - table[below]))
 
 

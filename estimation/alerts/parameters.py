@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from estimation.values.units import DAY_NS
+
 
 @dataclass(frozen=True, slots=True)
 class FindingParameters:
@@ -24,7 +26,7 @@ class FindingParameters:
     damage_rise: float = 0.15  # mean of a rise by damage
     sensor_scale_std: float = 0.3  # of the logarithm of a sensor's scale
     node_scale_std: float = 0.05  # of it between wheelsets of one node
-    simultaneous_ns: int = 3 * 86_400 * 10**9  # between steps of one node
+    simultaneous_ns: int = 3 * DAY_NS  # between steps of one node
     lone_sensor_share: float = 0.3  # chance that a sensor's fault is one of a single wheelset's
     least_likelihood: float = 1e-6
     amplitude_tolerance: float = 0.125e-3  # m: amplitudes nearer to each other are the same

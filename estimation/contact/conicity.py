@@ -23,11 +23,8 @@ from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ContactError, ParameterError
 from estimation.values.arrays import FloatArray
 
-_ANGLES = 240  # midpoints of the substitution y = middle + amplitude sin(angle)
-_PLACES = [math.pi * ((j + 0.5) / _ANGLES - 0.5) for j in range(_ANGLES)]
+_PLACES = [math.pi * ((j + 0.5) / PROFILES.conicity_angles - 0.5) for j in range(PROFILES.conicity_angles)]
 _SINES, _COSINES = np.array([math.sin(x) for x in _PLACES]), np.array([math.cos(x) for x in _PLACES])
-_HALVINGS = 60
-_REST = 1e-9  # share by which S is below its running maximum where a wheelset has come to rest before
 
 
 def equivalent_conicity(
@@ -180,7 +177,7 @@ def _turn(a, crossing, points, values, potential, highest, k):  # type: ignore[n
     at_high -= _highest_at(high - 2.0 * a, points, values, potential, highest, k)
     if at_low > 0.0 or at_high < 0.0:
         return math.nan
-    for _ in range(_HALVINGS):
+    for _ in range(PROFILES.halvings):
         middle = 0.5 * (low + high)
         right = _highest_at(middle, points, values, potential, highest, k)
         if right < _highest_at(middle - 2.0 * a, points, values, potential, highest, k):
@@ -205,8 +202,8 @@ def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # no
             continue
         energy = _highest_at(turn, points, values, potential, highest, k)
         left_energy = _highest_at(turn - 2.0 * a, points, values, potential, highest, k)
-        rests = _potential_at(turn, points, values, potential) < energy * (1.0 - _REST)
-        rests |= _potential_at(turn - 2.0 * a, points, values, potential) < left_energy * (1.0 - _REST)
+        rests = _potential_at(turn, points, values, potential) < energy * (1.0 - PROFILES.rest_share)
+        rests |= _potential_at(turn - 2.0 * a, points, values, potential) < left_energy * (1.0 - PROFILES.rest_share)
         energy = min(energy, left_energy)
         result[m] = 0.0 if rests else _from_travel(turn - a, a, energy, points, values, potential)
     return result
@@ -215,7 +212,7 @@ def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # no
 @compiled()
 def _from_travel(middle, amplitude, energy, points, values, potential):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     total, i, last = 0.0, 0, len(points) - 2
-    for j in range(_ANGLES):
+    for j in range(PROFILES.conicity_angles):
         x = middle + amplitude * _SINES[j]
         while i < last and points[i + 1] <= x:  # the places come in their order
             i += 1
@@ -227,7 +224,7 @@ def _from_travel(middle, amplitude, energy, points, values, potential):  # type:
         if left <= 0.0:
             return 0.0
         total += amplitude * _COSINES[j] / math.sqrt(left)
-    return (_ANGLES / total) ** 2
+    return (PROFILES.conicity_angles / total) ** 2
 
 
 DRAWS = PROFILES.conicity_draws

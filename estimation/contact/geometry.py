@@ -70,8 +70,6 @@ class ContactTable(FrozenArrays):
         return self.contact_angle_left + self.contact_angle_right
 
 
-FLANGE_BACK_DISTANCE = 1.360  # usual distance between the flange backs of a wheelset for 1435 mm, m
-
 _REASONS = {
     kernels.NO_OVERLAP: "a wheel is not above its rail",
     kernels.FLANGE_TIP: "a wheel has climbed onto the tip of its flange",
@@ -96,9 +94,9 @@ class WheelsetOnTrack:
     right_rail: Profile
     inclination: float  # tangent; 0 for rails given in track axes
     gauge: float  # m, nominal, measured within 14 mm below the top of the rails
-    left_radius: float = 0.45  # m, at the tread datum
-    right_radius: float = 0.45
-    flange_back_distance: float = FLANGE_BACK_DISTANCE  # m
+    left_radius: float = PROFILES.usual_radius  # m, at the tread datum
+    right_radius: float = PROFILES.usual_radius
+    flange_back_distance: float = PROFILES.flange_back_distance  # m
 
     def __post_init__(self) -> None:
         for field in ("left_wheel", "right_wheel", "left_rail", "right_rail"):
@@ -114,7 +112,7 @@ class WheelsetOnTrack:
 
     @staticmethod
     def symmetric(
-        wheel: Profile, rail: Profile, inclination: float, gauge: float, *, radius: float = 0.45
+        wheel: Profile, rail: Profile, inclination: float, gauge: float, *, radius: float = PROFILES.usual_radius
     ) -> WheelsetOnTrack:
         """Return the wheelset with the same wheel, rail and radius on both sides."""
         return WheelsetOnTrack(wheel, wheel, rail, rail, inclination, gauge, radius, radius)
@@ -237,7 +235,7 @@ def _held(values: FloatArray, exists: BoolArray) -> FloatArray:
     return held
 
 
-_HOLD = 1.5 * kernels.CURVE_INTERVAL  # m, neighbours on both sides of a jump are no farther apart
+_HOLD = PROFILES.jump_neighbours * kernels.CURVE_INTERVAL  # m, neighbours on both sides of a jump are no farther apart
 
 
 @dataclass(frozen=True, slots=True)

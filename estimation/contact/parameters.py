@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 
 @dataclass(frozen=True, slots=True)
 class ProfileParameters:
@@ -91,6 +93,20 @@ class ProfileParameters:
     outlier_neighbours: int = 3  # points to either side, of which only the farthest is left out at a time
     noise_neighbours: int = 40  # points to either side that show the local noise
     middle_neighbours: int = 15  # points to either side, whose noise is that of the point between them
+    conicity_angles: int = 240  # midpoints of the substitution y = middle + amplitude sin(angle)
+    halvings: int = 60  # of the search for where a wheelset turns
+    rest_share: float = 1e-9  # share by which S is below its running maximum where a wheelset has come to rest before
+    variance_neighbours: int = 4  # to either side, over which the local variance is averaged
+    tiny_variance: float = 1e-20  # mm2; in place of zero
+    flange_back_distance: float = 1.360  # m, usual for 1435 mm
+    fewest_gridded: int = 2  # points of a surface
+    fewest_points: int = 4  # of a profile
+    levels: tuple[float, ...] = tuple(
+        float(10.0**exponent) for exponent in np.arange(-2.0, 2.01, 0.25)
+    )  # of the variance
+    jump_neighbours: float = 1.5  # times the interval of a curve, that they are apart at most
+    usual_radius: float = 0.45  # m, at the tread datum
+    most_points: int = 4000  # of a measured profile
 
 
 PROFILES = ProfileParameters()

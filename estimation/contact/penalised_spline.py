@@ -26,14 +26,12 @@ DEGREE = 5
 ORDER = 3  # of the penalised derivative
 
 
-NEIGHBOURS = 4  # to either side, over which the local variance is averaged
 BAND = DEGREE + 5  # of the normal equations; noise that is alike links points up to 2 mm apart
 _PRODUCTS = tuple(2.0 * product / 4.375 for product in (-3.5, 1.75, -0.5, 0.0625))
 """Of the coefficients 1/4, -1, 3/2, -1, 1/4 of the differences with themselves, 1 to 4 steps on."""
 
 
-LEVELS = tuple(float(10.0**exponent) for exponent in np.arange(-2.0, 2.01, 0.25))
-_TINY = 1e-20
+_TINY = PROFILES.tiny_variance
 _MIDDLE = 0.5  # of a chord between two neighbours
 
 
@@ -216,8 +214,10 @@ def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool, pooled
 
 
 def _over_neighbours(values: FloatArray) -> FloatArray:
-    kernel = np.bartlett(2 * NEIGHBOURS + 3)[1:-1]
-    return np.asarray(np.convolve(np.pad(values, NEIGHBOURS, mode="edge"), kernel / kernel.sum(), "valid"))
+    kernel = np.bartlett(2 * PROFILES.variance_neighbours + 3)[1:-1]
+    return np.asarray(
+        np.convolve(np.pad(values, PROFILES.variance_neighbours, mode="edge"), kernel / kernel.sum(), "valid")
+    )
 
 
 def _levelled(rows: _Rows, fit: _Fit, *, known: bool) -> _Fit:
@@ -225,7 +225,7 @@ def _levelled(rows: _Rows, fit: _Fit, *, known: bool) -> _Fit:
     n = float(len(design))
     normal = design.T @ design, design.T @ target
     best, lowest = fit, np.inf
-    for level in LEVELS:
+    for level in PROFILES.levels:
         tried = _posterior(normal, fit.noise, fit.local * level)
         squares = float(((target - design @ tried.coefficients) ** 2).sum())
         score = squares / n + 2.0 * fit.noise * tried.freedom / n if known else n * squares / (n - tried.freedom) ** 2

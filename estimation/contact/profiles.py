@@ -180,9 +180,6 @@ class MeasuredProfiles:
 ProfileKind = Literal["wheel", "rail"]
 
 
-_FEWEST_POINTS = 4
-
-
 @dataclass(frozen=True, slots=True)
 class Profile:
     """A wheel or rail profile as a smooth height over its lateral axis; metres, z down, y to the field side.
@@ -204,8 +201,10 @@ class Profile:
             bad = np.flatnonzero(~np.isfinite(values))
             if len(bad):
                 raise ProfileError(f"profile {self.name!r}: point {bad[0] + 1} is not a finite number", field=field)
-        if n < _FEWEST_POINTS:
-            raise ProfileError(f"profile {self.name!r}: {n} points, at least {_FEWEST_POINTS} are needed", field="y")
+        if n < PROFILES.fewest_points:
+            raise ProfileError(
+                f"profile {self.name!r}: {n} points, at least {PROFILES.fewest_points} are needed", field="y"
+            )
         backwards = np.flatnonzero(np.diff(self.y) <= 0)
         if len(backwards):
             raise ProfileError(f"profile {self.name!r}: y does not increase at point {backwards[0] + 2}", field="y")

@@ -22,22 +22,19 @@ def profile_from_points(kind: ProfileKind, name: str, y: FloatArray, z: FloatArr
     return Profile(kind, name, checked.y, checked.z, CubicSpline(checked.y, checked.z)(checked.y, nu=1))
 
 
-MOST_POINTS = 4000  # one in 0.05 mm of a wheel's arc: the spacing at which smoothed profiles are given
-
-
 def thinned(points: FloatArray) -> IntArray:
-    """Return the indices of at most `MOST_POINTS` of points (n, 2), mm, evenly spaced along the arc."""
+    """Return the indices of at most `PROFILES.most_points` of points (n, 2), mm, evenly spaced along the arc."""
     # Points are chosen, not averaged: each keeps the noise of the instrument, its place in the file, and whether it is
     # an outlier. The arc is that of the running mean of the points, which noise lengthens little.
     n = len(points)
-    if n <= MOST_POINTS:
+    if n <= PROFILES.most_points:
         return np.arange(n)
-    width = 2 * (n // MOST_POINTS) + 1
+    width = 2 * (n // PROFILES.most_points) + 1
     total = np.cumsum(np.pad(points, ((width, width - 1), (0, 0)), mode="edge"), axis=0)
     mean = (total[width:] - total[:-width]) / width
     arc = np.cumsum(np.hypot(*np.diff(mean, axis=0, prepend=mean[:1]).T))[-n:]
     share = (arc - arc[0]) / max(float(arc[-1] - arc[0]), np.finfo(np.float64).tiny)
-    cell = np.minimum((share * MOST_POINTS).astype(np.int64), MOST_POINTS - 1)
+    cell = np.minimum((share * PROFILES.most_points).astype(np.int64), PROFILES.most_points - 1)
     return np.unique(cell, return_index=True)[1].astype(np.int64)
 
 
@@ -75,8 +72,8 @@ def smoothed_profile(
     """Return the smooth profile through measured points; the penalty is chosen from the points or by known noise.
 
     Points that are farther from the curve than 5 times the local noise are left out, one after another where they
-    are alone. Points without noise (less than 0.1 um) are taken as they are. Of more than `MOST_POINTS` so many are
-    smoothed, evenly spaced along the arc.
+    are alone. Points without noise (less than 0.1 um) are taken as they are. Of more than ``PROFILES.most_points`` so
+    many are smoothed, evenly spaced along the arc.
 
     Args:
         points: (n, 2) mm, y to the field side and z down, along the profile with y increasing on the whole.

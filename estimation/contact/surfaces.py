@@ -14,8 +14,6 @@ from estimation.contact.profiles import GAUGE_DEPTH, Profile
 from estimation.errors import ContactError
 from estimation.values.arrays import FloatArray, FrozenArrays, runs
 
-_FEWEST_GRIDDED = 2
-
 
 @dataclass(frozen=True, slots=True)
 class Surface(FrozenArrays):
@@ -40,7 +38,7 @@ def wheel_surface(wheel: Profile) -> Surface:
     start = int(np.flatnonzero(wheel.z >= wheel.z.max() - margin)[-1])
     face = int(np.searchsorted(wheel.y, PROFILES.flange_face_end))  # a worn flange face may be as steep as it likes
     keep = slice(start, _run(wheel.slope, wheel.z, min(max(start, face), len(wheel.y) - 1), 1) + 1)
-    if keep.stop - keep.start < _FEWEST_GRIDDED:
+    if keep.stop - keep.start < PROFILES.fewest_gridded:
         raise ContactError(f"wheel {wheel.name!r} ends in its flange: it has no tread that can touch", field="wheel")
     return _gridded(wheel.y[keep], wheel.z[keep], wheel.slope[keep])
 

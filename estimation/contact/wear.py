@@ -54,7 +54,7 @@ def wear_course(family: WearFamily, depth: float) -> TreadWear:
     # The hollow is where the pair's contact patches are; the flange loses as much as the tread. On the pair's new rail
     # at 1435 mm equivalent conicity at 3 mm (EN 15302) grows steadily with depth: P8 on 56E1 from 0.195 to 0.44 at 2.2
     # mm, S1002 on 60E1 from 0.174 to 0.42 at 1.3 mm; beyond, P8 grows on and S1002 levels off near 0.46.
-    centre, half_width = {WearFamily.P8_ON_56E1: (3e-3, 44e-3), WearFamily.S1002_ON_60E1: (4e-3, 33e-3)}[family]
+    centre, half_width = HOLLOWS["P8" if family is WearFamily.P8_ON_56E1 else "S1002"]
     return TreadWear(depth, centre, half_width, depth)
 
 

@@ -27,6 +27,7 @@ from estimation.dampers.suspension_equations import (
     uncertain_parameters,
 )
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
+from estimation.values.memory import MEMORY
 from estimation.values.opinions import SHARES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass
 
@@ -127,7 +128,6 @@ def add_outer(innovations: FloatArray, signals: FloatArray, products: FloatArray
                 products[particle, a, b] += signals[a] * signals[b]
 
 
-KEPT = 8  # classes
 GAIN = "gain"  # of the sensors above over those of the wheelsets
 SOURCES = ("mean", "apart_below", "apart_above", "late")
 """Accelerations that filters take: means of both axles; of sensors with scales apart; of nodes with clocks apart."""
@@ -165,7 +165,7 @@ class _Kept:
         return hash((self.vehicle_class.parameters, self.vehicle_class.bogie, self.vehicle_class.sensors))
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=MEMORY.damper_filters)
 def _filters(kept: _Kept, sample_interval_s: float) -> DamperFilters:
     vehicle_class, step_s = kept.vehicle_class, stride_of(sample_interval_s) * sample_interval_s
     physical = uncertain_parameters(vehicle_class)

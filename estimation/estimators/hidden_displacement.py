@@ -66,6 +66,9 @@ class HiddenParameters:
     most_rise_spread: float = 0.08e-3  # m, std of the rise over y - d
     jump_reach: float = 4.0e-3  # m of y - d: beyond are the flanges
     jump_side_distance: float = 1e-8  # m, from a jump to the points on both of its sides
+    grid_step: float = 0.02e-3  # m
+    grid_points: int = 15  # to either side
+    expectation_rounds: int = 6
 
 
 HIDDEN = HiddenParameters()
@@ -177,7 +180,7 @@ def add_expected(
 
 FINE = round(2 * REACH / CELL)
 MIDDLES = frozen_array((np.arange(FINE) + 0.5) * CELL - REACH, (FINE,), name="middles")  # m
-GRID = frozen_array(0.02e-3 * np.arange(-15.0, 16.0), (31,), name="grid")  # m, values of the hidden displacement
+GRID = HIDDEN.grid_step * np.arange(-HIDDEN.grid_points, HIDDEN.grid_points + 1.0)  # m, of the hidden displacement
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +215,7 @@ class HiddenState(FrozenArrays):
 class HiddenDisplacement:
     """Expectation maximisation of the curve, ``rounds`` times; none where y - d has lost nothing."""
 
-    rounds: int = 6
+    rounds: int = HIDDEN.expectation_rounds
     name: str = "hidden"
     title: str = "hidden slow displacement"
 

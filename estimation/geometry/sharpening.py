@@ -48,6 +48,7 @@ from scipy.special import ndtr
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.motion.parameters import MOTION
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.memory import MEMORY
 from estimation.values.units import NORMAL_95
 from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleClass
@@ -135,9 +136,6 @@ def _wrong(value: FloatArray, gradient: FloatArray, free: BoolArray) -> BoolArra
     return wrong
 
 
-_KEPT = 64  # operators: the bins and blurs of wheelsets are much alike
-
-
 @dataclass(frozen=True, slots=True)
 class Sharpening:
     """How nodes of a curve become a sharp one; linear in the nodes: slopes that were at their bound stay there."""
@@ -216,7 +214,7 @@ def _sharpen(
     )
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=MEMORY.sharpening_operators)
 def _changes(cells: int) -> FloatArray:
     """Return the normal matrix (cells, cells) of changes of the slope from cell to cell."""
     matrix = 2.0 * np.eye(cells) - np.eye(cells, k=1) - np.eye(cells, k=-1)
@@ -229,7 +227,7 @@ def _beyond(width: float, blur: float) -> int:
     return max(SHARPENING.bin_cells, int(np.ceil(SHARPENING.reach_blurs * blur * SHARPENING.bin_cells / width)))
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=MEMORY.sharpening_operators)
 def _response(bins: int, width: float, blur: float) -> FloatArray:
     beyond = _beyond(width, blur)
     edges = width / SHARPENING.bin_cells * (np.arange(SHARPENING.bin_cells * bins + 2 * beyond + 1) - beyond)

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 from estimation.errors import NotFoundError, PassingFaultError
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.parameters import WORK
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.assumptions import Assumed, ClassLookup
@@ -48,7 +49,6 @@ from estimation.values.windows import (
 JOB_NAME = "estimate_windows"
 REFUSED = "refused_"
 """Begin of the names under which a run counts refused windows by reason code."""
-APART_NS = 86_400_000_000_000  # starts of new windows, of which those between are not read
 Mounted = tuple[Mounting, float]
 """A mounting and the greatest speed of its vehicle, m/s."""
 BESIDE = {"looks", "wheelsets", "windows", "results"}  # counts of stages that are no counts of the job
@@ -156,7 +156,7 @@ def _spans(windows: Iterable[WindowKey]) -> Mapping[str, list[ReadingSpan]]:
     spans: defaultdict[str, list[ReadingSpan]] = defaultdict(list)
     for serial, start_ns in windows:
         own = spans[serial]
-        if own and start_ns - own[-1][2] <= APART_NS:
+        if own and start_ns - own[-1][2] <= WORK.windows_apart_ns:
             own[-1] = (serial, own[-1][1], start_ns)
         else:
             own.append((serial, start_ns, start_ns))

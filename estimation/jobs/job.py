@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from estimation.errors import ConflictError, LeaseLostError, StoppedError, TreadwatchError
+from estimation.jobs.parameters import WORK
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Clock, Storage
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 
-LEASE_S = 60.0
-"""How long a claim lasts by default, s."""
 UNFIT = "unfit_workers"
 Result = TypeVar("Result")
 
@@ -39,7 +38,7 @@ class JobContext:
     stopping: Callable[[], bool] | None = None  # returns whether a stop of the process was requested
     executor: WorkExecutor | None = None  # None does units of work here, one after the other
     holder: str = "worker"  # name of this process in the claims that it makes
-    lease_s: float = LEASE_S  # of a claim, once its process is gone or stands still
+    lease_s: float = WORK.lease_s  # of a claim, once its process is gone or stands still
     quiet_s: float = 0.0  # what had data within so many seconds, and is about to change again, is left to a later run
 
     def checkpoint(self, done: int, total: int) -> None:

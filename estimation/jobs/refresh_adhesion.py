@@ -20,7 +20,7 @@ from estimation.dampers.damper import DamperParameters, gear_damper
 from estimation.dampers.parameters import DAMPING
 from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.parameters import JOBS
+from estimation.jobs.parameters import JOBS, WORK
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.load_window import certain_stretches
@@ -47,13 +47,10 @@ from estimation.values.opinions import (
     part_of_gear,
 )
 from estimation.values.runs import Facet, SubjectKind
-from estimation.values.units import HOUR_NS
 from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of_text, text_of_key
 
 JOB_NAME = "refresh_adhesion"
 BESIDE = {"wheelsets", "looks", "results"}  # counts of stages that are no counts of the job
-BATCH = 32  # windows, of a megabyte each, committed together
-KEPT_NS = 31 * 24 * HOUR_NS  # for which the sums of windows are kept, beyond the longest span that is pooled
 
 
 def list_waiting(
@@ -230,7 +227,7 @@ def _store_span(
     unit.windows.mark_all(marks)
     if last is None or found.to_ns >= last.to_ns:
         _alert(unit, context, rule, found, span.fleets)
-        unit.adhesion.forget_sums(section, found.to_ns - KEPT_NS)
+        unit.adhesion.forget_sums(section, found.to_ns - WORK.sums_kept_ns)
     return {"sections": 1, "low": bool(found.low_stretches), "estimated_again": len(marks)}
 
 
@@ -283,7 +280,7 @@ OF_WINDOWS = Stage(
     compute=lambda inputs: Outcome([Part(creep_of_window(inputs))]),
     counted=Counted(looked="looks", changed="results", more=("windows", "refused")),
     store=store_creep,
-    at_once=BATCH,
+    at_once=WORK.creep_windows,
     frozen=(GEOMETRY.stage,),
 )
 OF_VEHICLES = Stage(

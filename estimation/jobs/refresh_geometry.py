@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.parameters import JOBS
+from estimation.jobs.parameters import JOBS, WORK
 from estimation.jobs.runner import run
 from estimation.jobs.stage import Counted, Outcome, Stage, part_of_result
 from estimation.jobs.steps.assumptions import (
@@ -57,7 +57,6 @@ from estimation.values.runs import Facet
 from estimation.values.trend import TREND
 from estimation.values.windows import DueStage, WindowRecord
 
-SUMS_IN_MEMORY = 4  # roll-ups of a wheelset, 1.5 MB each
 _BEING_MADE = RollUpState("", {})  # of roll-ups that are made again, until all of them are
 
 
@@ -84,7 +83,7 @@ class RolledGeometries:
         """Return the sums of a roll-up; of those that have changed some are kept in memory."""
         found = self.kept_sums.get(part.roll_up.key) or sums(self.unit, self.rules.wheelset, part)
         if part.added:
-            if len(self.kept_sums) >= SUMS_IN_MEMORY:
+            if len(self.kept_sums) >= WORK.roll_ups_in_memory:
                 self.kept_sums.pop(next(iter(self.kept_sums)))
             self.kept_sums[part.roll_up.key] = found
         return found
@@ -319,9 +318,9 @@ def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mappi
 def _inputs(geometries: RolledGeometries) -> GeometryInputs:
     as_now = geometries.rolled
     changed = [part for part in as_now.parts if part.changed] if as_now.due else []
-    whole = len(changed) <= SUMS_IN_MEMORY
+    whole = len(changed) <= WORK.roll_ups_in_memory
     records = geometries.records() if whole else []
-    some = changed if whole else changed[:SUMS_IN_MEMORY]
+    some = changed if whole else changed[: WORK.roll_ups_in_memory]
     parts = [RolledPart(part.roll_up, part.before, *geometries.sums(part), part.added) for part in some]
     geometries.kept_sums.clear()
     return GeometryInputs(

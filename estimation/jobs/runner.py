@@ -15,13 +15,12 @@ from itertools import dropwhile, islice
 
 from estimation.errors import ConflictError, StoppedError, TreadwatchError
 from estimation.jobs.job import JobContext, Work
+from estimation.jobs.parameters import WORK
 from estimation.jobs.stage import AnyStage, Outcome, Part, check_finite, made_from
 from estimation.jobs.work import Isolation, fails_alone, hand_out, unit_size
 from estimation.storage import UnitOfWork
 from estimation.values.runs import AnyResult, Due, Look, Mark, Result, StageInputs, SubjectKind
 
-CLAIMED_TOGETHER = 4
-"""Batches of subjects that are claimed together."""
 CHANGED = "changed_meanwhile"
 """Counts subjects that have changed between the reading of their inputs and the storing, of stages that name it."""
 
@@ -127,7 +126,7 @@ def _handed_out(
     stage: AnyStage, context: JobContext, ready: Sequence[str], total: int, isolation: Isolation
 ) -> Counter[str]:
     # of a large batch by itself: a stop is looked for between units
-    batches = 1 if stage.at_once is None else CLAIMED_TOGETHER
+    batches = 1 if stage.at_once is None else WORK.claimed_batches
     size = unit_size(context, len(ready), batches * stage.batch(context))
     done = total - len(ready)
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from estimation.errors import NotFiniteError
 from estimation.jobs.job import JobContext
+from estimation.jobs.parameters import WORK
 from estimation.jobs.settings import JobSettings
 from estimation.storage import UnitOfWork
 from estimation.values.fields import JsonValue
@@ -172,7 +173,7 @@ class Stage(Generic[I, V]):
     # prepares subjects that failed before and are tried again
     again: Callable[[UnitOfWork, Sequence[Quarantined]], None] | None = None
     # subjects that are loaded and stored in one transaction; None is as many as the settings say
-    at_once: int | None = 16
+    at_once: int | None = WORK.at_once
     # whether it looks at all subjects together, of whatever kind a facet is; its one subject is ``EVERYTHING``
     together: bool = False
     frozen: tuple[str, ...] = ()  # facets that it reads and that do not make it due

@@ -50,6 +50,8 @@ class MotionParameters:
     usual_lateral_noise: float = 1e-3  # m/s2 and rad/s2 per root hertz: MEMS sensors, where nothing is on file
     usual_angular_noise: float = 2e-3
     usual_rate_noise: float = 1e-4  # rad/s per root hertz, of a gyroscope
+    spline_margin: int = 20  # points beyond a piece, so that the ends of its spline do not matter
+    fewest_spline_points: int = 4  # of a spline
 
 
 MOTION = MotionParameters()

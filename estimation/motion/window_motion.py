@@ -39,16 +39,13 @@ from estimation.motion.integration import (
 from estimation.motion.parameters import MOTION
 from estimation.motion.rolling_radius_difference import FUSED, fuse, motion_signals
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array, runs
+from estimation.values.memory import MEMORY
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.units import SECOND_NS
 from estimation.values.windows import OF_FRAME, Motion, Window, fast_enough
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleParameters, displacement_noise
-
-FEWEST_POINTS = 4  # of a spline
-POINTS = 512  # of the alignment in a piece
-SPLINE_MARGIN = 20  # points beyond a piece, so that the ends of its spline do not matter
-PIECES = 256  # that are kept, 16 kB each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,26 +64,26 @@ def at_places(curve: SampledCurve, places: FloatArray) -> FloatArray:
         return found
     low, high = inside.min(), inside.max()
     last_point = len(curve.s) - 1
-    first = min(max(int(np.searchsorted(curve.s, low)) - 1, 0), last_point - 1) // POINTS
-    last = max(min(int(np.searchsorted(curve.s, high)), last_point) - 1, 0) // POINTS
+    first = min(max(int(np.searchsorted(curve.s, low)) - 1, 0), last_point - 1) // MEMORY.spline_points
+    last = max(min(int(np.searchsorted(curve.s, high)), last_point) - 1, 0) // MEMORY.spline_points
     pieces = [_piece(curve, number) for number in range(first, last + 1)]
     coefficients = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
-    s = curve.s[first * POINTS : first * POINTS + len(coefficients) + 1]
+    s = curve.s[first * MEMORY.spline_points : first * MEMORY.spline_points + len(coefficients) + 1]
     if len(coefficients):
         places, coefficients = (frozen_array(one, one.shape, name="places") for one in (places, coefficients))
         evaluate(places, s, coefficients, found)
     return found
 
 
-@lru_cache(maxsize=PIECES)
+@lru_cache(maxsize=MEMORY.alignment_splines)
 def _piece(curve: SampledCurve, number: int) -> FloatArray:
     """Return the coefficients (m, 4) of the spline in a piece, highest power first; NaN beside unknown points."""
-    begin, end = number * POINTS, min((number + 1) * POINTS, len(curve.s) - 1)
-    first = max(begin - SPLINE_MARGIN, 0)
-    values = curve.values[first : end + 1 + SPLINE_MARGIN]
+    begin, end = number * MEMORY.spline_points, min((number + 1) * MEMORY.spline_points, len(curve.s) - 1)
+    first = max(begin - MOTION.spline_margin, 0)
+    values = curve.values[first : end + 1 + MOTION.spline_margin]
     known = first + np.flatnonzero(np.isfinite(values))
     coefficients = np.full((max(end - begin, 0), 4), np.nan)
-    if len(known) >= FEWEST_POINTS:
+    if len(known) >= MOTION.fewest_spline_points:
         spline = CubicSpline(curve.s[known], curve.values[known])
         beside = np.flatnonzero((np.diff(known) == 1) & (known[:-1] >= begin) & (known[:-1] < end))
         coefficients[known[beside] - begin] = spline.c[:, beside].T
@@ -113,16 +110,13 @@ def evaluate(places: FloatArray, s: FloatArray, coefficients: FloatArray, found:
             found[i] = ((a * t + b) * t + c) * t + d
 
 
-TRACKS = 16  # sections whose deconvolved alignment is kept: every window of a section needs it
-
-
 def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength: float) -> FloatArray:
     """Return d (n,), m, by a cubic spline through the stored alignment; NaN off the section and where not known."""
     as_it_is = track.cutoff_wavelength >= MOTION.full_band_factor * cutoff_wavelength
     return at_places(_curve(track, as_it_is=as_it_is), distance)
 
 
-@lru_cache(maxsize=2 * TRACKS)
+@lru_cache(maxsize=2 * MEMORY.deconvolved_tracks)
 def _curve(track: TrackAlignment, *, as_it_is: bool) -> SampledCurve:
     return SampledCurve(track.s, _certain(track) if as_it_is else deconvolved(track))
 
@@ -136,7 +130,7 @@ def _certain(track: TrackAlignment) -> FloatArray:
     return frozen_array(certain, (len(certain),), name="alignment")
 
 
-@lru_cache(maxsize=TRACKS)
+@lru_cache(maxsize=MEMORY.deconvolved_tracks)
 def deconvolved(track: TrackAlignment) -> FloatArray:
     """Return the alignment (n,), m, with F undone; as it is where the track has no cut-off.
 
@@ -207,7 +201,7 @@ def motion(
     layout: TrackLayout | None = None,
     gauge_shift: FloatArray | None = None,
     earlier: IntegratedWindow | None = None,
-    radius: float = 0.45,
+    radius: float = VEHICLE.usual_radius,
 ) -> Motion | Reason:
     """Return the band-limited motion of ``window`` relative to ``track``, or why it cannot be had.
 
@@ -379,6 +373,6 @@ def to_wheelset_axes(
     return mirrored(integrated) if mounted_reversed else integrated, track
 
 
-@lru_cache(maxsize=TRACKS)
+@lru_cache(maxsize=MEMORY.deconvolved_tracks)
 def _turned(track: TrackAlignment) -> TrackAlignment:
     return replace(track, alignment=-track.alignment)

@@ -26,8 +26,7 @@ from scipy.sparse import csr_array
 
 from estimation.rails.parameters import OF_RAILS, RailsParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-
-ROWS_AT_ONCE = 5_000
+from estimation.values.memory import MEMORY
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,7 +296,7 @@ def _inverse(matrix: FloatArray) -> FloatArray:
 def _quadratic(rows: csr_array, covariance: FloatArray) -> FloatArray:
     """Return the variance (n,) of linear combinations, the rows (n, k), of what has a covariance (k, k)."""
     found = np.empty(rows.shape[0])
-    for first in range(0, len(found), ROWS_AT_ONCE):
-        some = rows[first : first + ROWS_AT_ONCE]
-        found[first : first + ROWS_AT_ONCE] = some.multiply(some @ covariance).sum(axis=1)
+    for first in range(0, len(found), MEMORY.covariance_rows):
+        some = rows[first : first + MEMORY.covariance_rows]
+        found[first : first + MEMORY.covariance_rows] = some.multiply(some @ covariance).sum(axis=1)
     return found

@@ -37,12 +37,8 @@ from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArr
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
 
-SHARES: FloatArray = np.asarray(np.linspace(0.0, 1.0, 21))  # of the variances of geometries, that are tried
-
-
+SHARES: FloatArray = np.asarray(np.linspace(0.0, 1.0, SIGNATURE.share_points))  # of the variances of geometries
 COVERAGE = SIGNATURE.interval_coverage
-
-
 _NONE = np.eye(len(SHARES))[0]  # no share of anything
 
 
@@ -117,7 +113,7 @@ def _posterior(seen: Differences, parameters: SignatureParameters) -> FloatArray
 
 
 NORMAL = float(special.ndtri(0.5 + 0.5 * COVERAGE))
-FACTORS = np.exp(np.linspace(-1.2, 1.2, 97))  # that are tried
+FACTORS = np.exp(np.linspace(-SIGNATURE.widest_factor, SIGNATURE.widest_factor, SIGNATURE.factor_points))
 
 
 @dataclass(frozen=True, slots=True)

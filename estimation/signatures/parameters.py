@@ -26,6 +26,10 @@ class AnswerParameters:
     # window signatures
     validation_folds: int = 6
     least_step: float = 1e-9  # m from sample to sample at least
+    named_entries: int = 10  # of an answer
+    share_points: int = 21  # between 0 and 1, of the variances of geometries
+    widest_factor: float = 1.2  # logarithm, of the factors that are tried
+    factor_points: int = 97
 
 
 SIGNATURE = AnswerParameters()

@@ -28,6 +28,7 @@ from estimation.motion.integration import WindowParameters
 from estimation.motion.window_motion import window_motion
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.geometry import BinTable, FilledCells
+from estimation.values.memory import MEMORY
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.units import STD_PER_MAD
@@ -234,7 +235,6 @@ class TableSum:
 
 
 TABLE_VERSION = 6
-KEYS = 256  # wheelsets whose keys are kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +274,7 @@ class BinParameters:
         return _key(self)
 
 
-@lru_cache(maxsize=KEYS)
+@lru_cache(maxsize=MEMORY.wheelset_keys)
 def _key(parameters: BinParameters) -> str:
     text = json.dumps({"version": TABLE_VERSION, **asdict(parameters)}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

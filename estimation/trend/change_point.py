@@ -20,10 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
+from estimation.trend.parameters import CURVES
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.units import DAY_NS, STD_PER_MAD
 
-NOISE_SHARES = np.geomspace(0.02, 3.0, 9)  # of the stated standard deviations
+NOISE_SHARES = np.geomspace(*CURVES.noise_shares, CURVES.noise_points)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,7 @@ import numpy as np
 from estimation.trend.parameters import CURVES
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.geometry import IntervalConicities, KnownConicity, WheelsetGeometry, known_conicities
+from estimation.values.memory import MEMORY
 from estimation.values.mixture import NormalMixture
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, combined
@@ -32,10 +33,6 @@ from estimation.values.trend import TrendPoint
 
 LIMIT_AMPLITUDE = CURVES.limit_amplitude
 SAME_AMPLITUDE = CURVES.same_amplitude
-
-
-SHOWN = 40  # values that show how the changes of members are spread
-KEPT = 20_000  # extrapolations of intervals, which do not change
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +100,7 @@ def extrapolated(known: Sequence[KnownConicity], family: WornFamily | None = Non
     return _of_design_pairs(tuple(known)) if family is None else _extrapolated(tuple(known), family)
 
 
-@lru_cache(KEPT)
+@lru_cache(MEMORY.extrapolations)
 def _of_design_pairs(known: tuple[KnownConicity, ...]) -> Extrapolation | None:
     return _extrapolated(known, worn_family())
 
@@ -200,7 +197,7 @@ def _local_fit(
 def _quantiles(left: FloatArray, weight: FloatArray) -> tuple[float, ...]:
     order = np.argsort(left)
     counted = np.cumsum(weight[order]) - 0.5 * weight[order]
-    shares = (np.arange(SHOWN) + 0.5) / SHOWN
+    shares = (np.arange(CURVES.spread_values) + 0.5) / CURVES.spread_values
     values = np.interp(shares * weight.sum(), counted, left[order])
     return tuple((values - values.mean()).tolist())
 
@@ -293,7 +290,7 @@ def _point(record: IntervalConicities, conicity: KnownConicity | Extrapolation) 
 
 
 TABLE = "worn_family.npy"  # written by ``python -m bench.worn_family``
-AMPLITUDES: FloatArray = np.arange(2, 13, dtype=np.float64) * 0.25e-3  # m
+AMPLITUDES: FloatArray = np.array(CURVES.table_amplitudes)
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,6 +45,14 @@ class CurveParameters:
     fit_rounds: int = 25
     probability_margin: float = 1e-9  # far more than rounding: what comes as near is computed again by itself
     share_tolerance: float = 1e-7  # far below what a result shows
+    horizon_points: int = 240  # at which a limit may have been reached
+    spread_values: int = 40  # that show how the changes of members are spread
+    bend_nodes: tuple[float, ...] = (0.01, 0.15, 0.4, 1.0)  # change of slope over the observed span, in slopes
+    bend_prior: tuple[float, ...] = (0.4, 0.2, 0.2, 0.2)
+    noise_shares: tuple[float, float] = (0.02, 3.0)  # of the stated stds, that are tried
+    noise_points: int = 9
+    # of the table of worn wheels, m
+    table_amplitudes: tuple[float, ...] = tuple(0.25e-3 * step for step in range(2, 13))
 
 
 CURVES = CurveParameters()

@@ -15,6 +15,7 @@ from estimation.trend.wear_curve import POINTS_FOR_OUTLIERS, WearCurve, fit_wear
 from estimation.values.alerts import NO_FORECAST
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.geometry import IntervalConicities, KnownConicity
+from estimation.values.memory import MEMORY
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.trend import TrendPoint, TrendRecord, TrendStep, WearTrend
@@ -296,9 +297,6 @@ def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int, para
     return max(enough, key=lambda key: (sum(key in one for one in covered[-newest:]), key), default=0)
 
 
-KEPT_TRENDS = 10_000  # of earlier intervals, which do not change: a fit costs some 10 ms
-
-
 def trend_up_to(record: TrendRecord, mileage_km: float, shared_std: float, parameters: TrendParameters) -> TrendRecord:
     """Return the trend as it was at a mileage, had all data before been there."""
     now = record.trend
@@ -308,7 +306,7 @@ def trend_up_to(record: TrendRecord, mileage_km: float, shared_std: float, param
     return replace(record, trend=_refitted(points, now.limit, now.quantity, shared_std, parameters))
 
 
-@lru_cache(KEPT_TRENDS)
+@lru_cache(MEMORY.trends)
 def _refitted(
     points: tuple[bytes, ...], limit: float, quantity: str, shared_std: float, parameters: TrendParameters
 ) -> WearTrend:

@@ -29,9 +29,8 @@ from estimation.values.units import STD_PER_MAD
 POINTS_FOR_OUTLIERS = CURVES.points_for_outliers
 
 
-BEND_NODES = np.array([0.01, 0.15, 0.4, 1.0])  # change of slope over the observed span, in slopes
-BEND_PRIOR = np.array([0.4, 0.2, 0.2, 0.2])
-LOOKED_AT = 240  # distances up to the horizon at which a limit may have been reached
+BEND_NODES = np.array(CURVES.bend_nodes)
+BEND_PRIOR = np.array(CURVES.bend_prior)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +80,7 @@ class WearCurve:
 
         if short(0.0) >= 0.0:
             return 0.0
-        distances = horizon * np.linspace(0.0, 1.0, LOOKED_AT + 1) ** 2
+        distances = horizon * np.linspace(0.0, 1.0, CURVES.horizon_points + 1) ** 2
         for i in np.flatnonzero(self._above_after(distances, limit) >= probability - CURVES.probability_margin):
             before, distance = float(distances[i - 1]), float(distances[i])
             if i > 0 and short(distance) >= 0.0:

@@ -51,7 +51,7 @@ ANGLE_SUM = VEHICLE.angle_sum
 class LinearContact:
     """Contact geometry of one conicity."""
 
-    conicity: float = 0.2  # gamma
+    conicity: float = VEHICLE.usual_conicity  # gamma
     angle_per_difference: float = ANGLE_PER_DIFFERENCE  # D/R, rad/m
     angle_sum: float = ANGLE_SUM  # A, rad
 

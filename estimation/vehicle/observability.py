@@ -41,7 +41,6 @@ CAUSES = ("noise", "dilution", "track", "creep", "stiffness", "mass", "lengths",
 
 SCALE_OF = "scale of "  # and the name of a sensor
 _LENGTHS = frozenset({"nominal_radius", "half_contact_distance", "wheelbase"})
-_FREQUENCIES = 400
 _UNITS: Mapping[str, float] = {  # of the columns of theta: one unit of each is about as large as the value
     "conicity": 0.1,
     "radius_sum_deviation": 1e-3,
@@ -65,7 +64,7 @@ class Running:
     def frequencies_hz(self) -> FloatArray:
         """(f,) of the band, Hz."""
         short, long = self.wavelengths
-        return np.geomspace(self.speed / long, self.speed / short, _FREQUENCIES)
+        return np.geomspace(self.speed / long, self.speed / short, VEHICLE.frequencies)
 
     @property
     def alignment_density(self) -> FloatArray:

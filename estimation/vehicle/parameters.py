@@ -45,6 +45,9 @@ class GearParameters:
     least_force: float = 1e-6  # N; in place of zero, with which the data say nothing of D
     # observability
     derivative_step: float = 1e-4  # of numerical derivatives, relative
+    frequencies: int = 400  # at which noise is summed
+    usual_conicity: float = 0.2
+    usual_radius: float = 0.45  # m, of wheels that nothing is on file of
 
 
 VEHICLE = GearParameters()

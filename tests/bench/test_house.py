@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bench.house import entered_files
-from bench.loose_constants import APART, loose_constants
+from bench.loose_constants import loose_constants
 
 ROOT = Path(__file__).resolve().parents[2]
 CONTRACT = """\
@@ -116,6 +116,5 @@ def test_a_number_is_loose_outside_values_of_parameters(tmp_path: Path) -> None:
     assert found == {"MOST", "LEAST", "ALWAYS", "width", "refined(count)", "refined(tolerance)"}
 
 
-def test_what_is_counted_apart_exists() -> None:
-    assert {(item.path, item.name) for item in loose_constants(ROOT)} >= APART
-    assert sum(not item.apart for item in loose_constants(ROOT)) <= 100
+def test_few_numbers_are_loose() -> None:
+    assert len(list(loose_constants(ROOT))) <= 100

@@ -10,7 +10,7 @@ from itertools import takewhile
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import TreadwatchError
 from estimation.jobs.job import JobContext
-from estimation.jobs.parameters import JOBS
+from estimation.jobs.parameters import JOBS, WORK
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.storage import UnitOfWork
@@ -125,9 +125,6 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-_READ = 4  # times the windows of an epoch that are read to find it
-
-
 @dataclass(frozen=True, slots=True)
 class Due:
     """An epoch that has to be looked at, with the epochs as they were read.
@@ -222,7 +219,7 @@ class EpochSearch:
     def _with_windows(self, due: Due, taken: Collection[WindowKey]) -> tuple[Due, Group | None]:
         """Return an epoch with its windows; without any where none are left."""
         settings, code = self.context.settings.alignment, self.section.code
-        limit = _READ * settings.most_windows + len(taken)
+        limit = WORK.epoch_read_factor * settings.most_windows + len(taken)
         left = [one for one in self.unit.epochs.remaining(code, due.number, limit) if one.key not in taken]
         if not left:
             return due, None

@@ -14,6 +14,7 @@ import numpy as np
 
 from estimation.errors import DamagedError, NotFoundError, PurgedError
 from estimation.jobs.job import JobContext
+from estimation.jobs.parameters import WORK
 from estimation.jobs.steps.assumptions import Assumed, ClassLookup
 from estimation.motion.axle_distance import (
     bogie_runs_backwards,
@@ -46,7 +47,6 @@ from estimation.vehicle.vehicle_class import VehicleClass
 FACETS = (Facet.REGISTRY, Facet.PLACES, Facet.WINDOWS, FRICTION)
 """Of wheelsets, vehicles and sections: one is raised with whatever a window is estimated with."""
 Stretches = tuple[tuple[float, float], ...]  # from and to, m
-KEPT = 4  # windows, of a megabyte each: both of a bogie need both
 
 
 def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleClass) -> Window | Reason:
@@ -134,7 +134,7 @@ class WindowLoader:
             record = self.known.get(key)
             window = self.unit.windows.load(*key) if record is None else self.unit.windows.samples(record)
             window = without_blows(window)
-            if len(self._kept) >= KEPT:
+            if len(self._kept) >= WORK.loaded_windows:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[key] = window
         return self._kept[key]

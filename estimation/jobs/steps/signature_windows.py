@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 from estimation.errors import DamagedError, PurgedError, TreadwatchError
 from estimation.jobs.job import JobContext
+from estimation.jobs.parameters import WORK
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.assumptions import Assumed, ClassLookup
 from estimation.jobs.steps.load_window import WindowLoader
@@ -26,7 +27,6 @@ JOB_NAME = "refresh_signatures"
 VERSION = 2
 """Of what signatures are; with another one all are made again."""
 OF_SIGNATURES = ("step", "cell", "block", "wavelengths")
-AT_ONCE = 32  # windows, of a megabyte each
 
 
 def load_assumptions(
@@ -188,7 +188,7 @@ OF_WINDOWS = Stage(
     compute=sign,
     counted=Counted(looked="windows", changed="results", more=("signed", "without_signature", "made_again")),
     store=store_windows,
-    at_once=AT_ONCE,
+    at_once=WORK.signature_windows,
 )
 
 

@@ -17,7 +17,7 @@ from estimation.alerts.rules.rule import WheelsetFacts, reach_km, within_reach
 from estimation.alerts.rules.running_gear import HuntingRule
 from estimation.alerts.rules.sensor_data import DataQualityRule, SensorFaultRule
 from estimation.alerts.rules.wheels import WheelFlatRule
-from estimation.jobs.parameters import JOBS
+from estimation.jobs.parameters import JOBS, WORK
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.assumptions import identity_changes
 from estimation.rails.cell import conicity_on_rails, designed_wheel
@@ -43,7 +43,6 @@ from estimation.values.windows import WindowRecord
 
 T = TypeVar("T")
 RESULTS = (TREND, IDENTITY_EVENT, SUSPENSION, GEAR_DAMPERS)
-MORE = 8  # times as many windows are read where those that were read do not reach back far enough
 
 
 def facts_of(unit: UnitOfWork, serials: Sequence[str], settings: JobSettings) -> Mapping[str, WheelsetFacts]:
@@ -275,7 +274,7 @@ def _latest_windows(
             if as_far or len(windows) < count:
                 latest[serial] = windows[-within_reach(mileages, least, far_km) :] if windows else (), newest
                 del wanted[serial]
-        count *= MORE
+        count *= WORK.windows_factor
     return latest
 
 

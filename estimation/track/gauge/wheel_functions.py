@@ -56,16 +56,23 @@ class WheelFunctionParameters:
     mixture_angles_deg: tuple[float, ...] = (0.0, 45.0, 90.0, 135.0)  # degrees between the two leading vectors
     trial_length: float = 4000.0  # m
     least_gauge_std: float = 0.3e-3  # m, std in the first trial: noise alone makes less, and as little would not matter
+    knots: int = 80  # to either side
+    most_difference: float = 6e-3  # m of R, of a gauge shift
+    difference_points: int = 161
+    gauge_step: float = 0.25e-3  # m
+    gauges: int = 32  # to either side
+    reach_step: float = 25e-6  # m of x in which R is looked for
+    reach_points: int = 440  # to either side
 
 
 WHEELS = WheelFunctionParameters()
 KNOT_STEP = WHEELS.knot_step
 
 
-KNOTS: FloatArray = np.asarray(np.arange(-80, 81) * KNOT_STEP, dtype=np.float64)  # m
-DIFFERENCES = np.linspace(-6e-3, 6e-3, 161)  # m
-GAUGES: FloatArray = np.asarray(np.arange(-32, 33) * 0.25e-3, dtype=np.float64)  # m
-REACH = np.arange(-440, 441) * 25e-6  # m of x in which R is looked for
+KNOTS: FloatArray = np.asarray(WHEELS.knot_step * np.arange(-WHEELS.knots, WHEELS.knots + 1), dtype=np.float64)  # m
+DIFFERENCES = np.linspace(-WHEELS.most_difference, WHEELS.most_difference, WHEELS.difference_points)
+GAUGES: FloatArray = np.asarray(WHEELS.gauge_step * np.arange(-WHEELS.gauges, WHEELS.gauges + 1), dtype=np.float64)  # m
+REACH = WHEELS.reach_step * np.arange(-WHEELS.reach_points, WHEELS.reach_points + 1)
 CURVE_KNOTS = DIFFERENCES[::2]  # m
 
 

@@ -222,7 +222,7 @@ def test_one_more_window_costs_itself(
 
     An interval of 20 km has 17 windows at most.
     """
-    monkeypatch.setattr(rolling, "KEPT_WAITING", 1)
+    monkeypatch.setattr(rolling, "WORK", replace(rolling.WORK, rolled_together=1))
     register(sqlite_storage)
     life = Life(sqlite_storage, tables, random.Random(1))  # noqa: S311
     costs = []

@@ -40,7 +40,7 @@ SAMPLES = Retention(**(NOTHING | {"window_samples": 1.0}))
 
 @pytest.fixture(autouse=True)
 def _rolled_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rolling, "KEPT_WAITING", 1)
+    monkeypatch.setattr(rolling, "WORK", replace(rolling.WORK, rolled_together=1))
 
 
 def purged(storage: SqlStorage, until: int = OLD, retention: Retention = BOTH) -> dict[str, int]:
