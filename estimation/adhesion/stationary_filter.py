@@ -5,9 +5,9 @@ derivative, a standard deviation and a time of change, and is zero on average. O
 
 - accelerations, with the noise density on file;
 - that displacements and angles stay near the track: each is zero but for white noise, whose density puts the corner
-  from which the filter believes the accelerations at ``CORNER_WAVELENGTH``;
+  from which the filter believes the accelerations at ``FORCES.corner_wavelength``;
 - that a wheelset rolls nearly where it points: psi - (y' + r0 phi')/V is the lateral creepage with the sign reversed,
-  an Ornstein-Uhlenbeck process of ``CREEPAGE_STD``. No creep law and no friction is assumed.
+  an Ornstein-Uhlenbeck process of ``FORCES.creepage_std``. No creep law and no friction is assumed.
 
 Speeds differ little within a window; the gains are those of its mean speed. A fixed-interval smoother (Rauch, Tung and
 Striebel 1965) with stationary gains goes back over the window.

@@ -221,7 +221,7 @@ def friction_sums(
     vehicle: VehicleParameters,
     sample_interval_s: float,
 ) -> FrictionSums:
-    """Return the sums of a window by place, over samples that are ``SUMMED_S`` apart or what is next below.
+    """Return the sums of a window by place, over samples some ``FORCES.sum_interval_s`` apart.
 
     The curve has centres of bins of y - d (b,), m, and rL - rR there (b,), m, NaN where it is not known.
     """

@@ -42,7 +42,7 @@ from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass
 
 
 def looked_at(first: Window) -> bool:
-    """Return whether the damper is looked at in a window: in one of ``EVERY``, whatever others there are."""
+    """Return whether the damper is looked at in a window: one of ``window_stride``, whatever others there are."""
     # Its start is mixed first, so that no recorder that runs at regular times is always left out. Both running gears of
     # a vehicle are looked at in the same windows.
     return zlib.crc32(f"{first.vehicle} {first.start_ns // first.length_ns}".encode()) % DAMPING.window_stride == 0

@@ -124,7 +124,7 @@ def beside(x: FloatArray, value: FloatArray, sums: FloatArray, counts: FloatArra
 
 
 def covered_range(counts: FloatArray) -> tuple[float, float] | Reason:
-    """Return from where to where, m, every cell has ``LEAST_SAMPLES``, zero inside; why not without such a run."""
+    """Return from where to where, m, every cell has ``least_samples``, zero inside; why not without such a run."""
     run = run_around_middle(counts >= RIVALS.least_samples)
     if CELLS // 2 in {run.start, run.stop}:
         return Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")

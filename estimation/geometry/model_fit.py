@@ -266,7 +266,7 @@ def check_radius(
 ) -> Contradiction | None:
     """Return that the motion contradicts the nominal radius on file, or leaves it open; None where it confirms it.
 
-    A radius that nobody measured and that the motion does not tell from one off by ``MISTAKE`` stands beside the
+    A radius that nobody measured and that the motion does not tell from one off by ``radius_mistake`` stands beside the
     number as a doubt; one that was ``measured`` stands against another measurement, a doubt too. Few data say nothing.
     """
     if len(parts) < ROLLING.fewest_parts:

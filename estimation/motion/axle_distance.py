@@ -60,7 +60,7 @@ class AxleDistance:
 
     ahead: float  # m, negative where it is behind
     correlation: float  # of the rolls there, its magnitude
-    expected: float  # the highest magnitude within ``TOLERANCE`` of the expected distance
+    expected: float  # the highest magnitude within ``AXLES.distance_tolerance`` of the expected distance
     exchanged: float  # the same of the expected distance with the other sign
     nearest: float = np.inf  # m from the expected distance to the nearest maximum that is no chance
     stands_out: bool = False  # whether that one is the highest, and not by chance: those a wave away are lower
@@ -134,7 +134,7 @@ def axle_distance(window: Window, partner: Window, ahead: float) -> AxleDistance
 
 
 def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatArray:
-    """Return a signal every ``STEP``, zero where it is unknown, of the wavelengths of the band."""
+    """Return a signal every ``AXLES.grid_step``, zero where it is unknown, of the wavelengths of the band."""
     # it is filtered on a grid as fine as its samples: noise of high frequencies would fold into the band, and that of a
     # gyroscope, differentiated, grows with frequency
     from scipy.signal import sosfiltfilt  # noqa: PLC0415 - slow to import, and only windows in bogies need it

@@ -233,7 +233,7 @@ def usable_cutoff(vehicle_class: VehicleClass, longest: float) -> float:
     """Return the longest cut-off wavelength, m, at which the noise of the sensors leaves something of rL - rR.
 
     A stiff yaw spring turns the slow noise of the yaw sensor into rolling radius difference. Where that is large,
-    longer waves hold noise alone. Shorter ones than ``SHORTEST_CUTOFF`` would not hold the displacement of a wheelset.
+    longer waves hold noise alone. Waves shorter than ``shortest_cutoff`` would not hold the displacement.
     """
     cutoff = longest
     while cutoff - VEHICLE.cutoff_step >= VEHICLE.shortest_cutoff:

@@ -257,8 +257,8 @@ class WindowsRule(AlertRule):
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
         """Return the finding of the latest windows of the mounting.
 
-        The newest ``LOOK_BACK`` times ``latest_windows`` show whether an alert stands, with delays in kilometres also
-        all of the last ``reach_km``.
+        The newest ``look_back_factor`` times ``latest_windows`` show whether an alert stands, with delays in kilometres
+        also all of the last ``reach_km``.
         """
         if facts.wheelset.mounting is None:
             return None
@@ -326,7 +326,7 @@ class WindowShareRule(WindowsRule):
 class IntervalsRule(AlertRule):
     """A rule on the profile: an alert stands as if it had been evaluated after each interval of mileage.
 
-    The newest ``LOOK_BACK_INTERVALS`` intervals count, with delays in kilometres also those of the last ``reach_km``.
+    The newest ``look_back_intervals`` count, with delays in kilometres also those of the last ``reach_km``.
     """
 
     counts_km = True
