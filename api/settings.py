@@ -299,8 +299,6 @@ def load_settings(**overrides: object) -> Settings:
 
 FOR_EVER = "for ever"
 Days = Annotated[float, Field(gt=0.0, le=36_500.0)] | Literal["for ever"] | None
-
-
 _DAYS: dict[str, Any] = {kind.value: (Days, None) for kind in Kept}
 DaysTable = create_model("DaysTable", __base__=InputTable, **_DAYS)
 

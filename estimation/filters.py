@@ -200,8 +200,6 @@ class FilterParameters:
 
 
 FILTERS = FilterParameters()
-
-
 LENGTHS = 8  # of segments, whose functions are kept: most windows are whole
 
 

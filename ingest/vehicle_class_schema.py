@@ -81,8 +81,6 @@ def _with_key(value: object) -> object:
 AnyUncertain = Annotated[UncertainNumber, BeforeValidator(_with_key)]
 PositiveUncertain = Annotated[_PositiveNumber, BeforeValidator(_with_key)]
 NotNegativeUncertain = Annotated[_NotNegativeNumber, BeforeValidator(_with_key)]
-
-
 WheelLength = Annotated[_WheelLength, BeforeValidator(_with_key)]
 
 
@@ -271,8 +269,6 @@ _CREEP_FIELDS: Mapping[str, str] = {
     "lateral_spin_creep_coefficient": "lateral_spin",
     "spin_creep_coefficient": "spin",
 }
-
-
 _LOCATIONS: Mapping[str, tuple[str, str]] = {  # table and key of a field of VehicleParameters or BogieParameters
     "wheelset_mass": ("wheelset", "mass_kg"),
     "yaw_inertia": ("wheelset", "yaw_inertia_kg_m2"),

@@ -76,8 +76,6 @@ _REASONS = {
     kernels.OUTER_EDGE: "a wheel rests on its outer edge",
     kernels.NO_ROLL: "no roll brings both wheels onto the rails",
 }
-
-
 _PlainSurface = tuple[float, float, FloatArray, FloatArray]
 _Sides = tuple[_PlainSurface, _PlainSurface]
 Setting = tuple[bool, float, tuple[float, float], _Sides, _Sides]

@@ -30,8 +30,6 @@ JUMP_DISTANCE = PROFILES.jump_distance
 JUMP_INTERVAL = PROFILES.jump_interval
 CURVE_TOLERANCE = PROFILES.curve_tolerance
 CURVE_INTERVAL = PROFILES.curve_interval
-
-
 OUTSIDE = 1.0e3  # m, gap where there is no rail
 _LEVELS = 64  # more than the halvings from any grid step to the interval
 

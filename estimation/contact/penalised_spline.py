@@ -24,8 +24,6 @@ from estimation.values.units import STD_PER_MAD
 
 DEGREE = 5
 ORDER = 3  # of the penalised derivative
-
-
 BAND = DEGREE + 5  # of the normal equations; noise that is alike links points up to 2 mm apart
 _PRODUCTS = tuple(2.0 * product / 4.375 for product in (-3.5, 1.75, -0.5, 0.0625))
 """Of the coefficients 1/4, -1, 3/2, -1, 1/4 of the differences with themselves, 1 to 4 steps on."""

@@ -95,8 +95,6 @@ class Estimator(Protocol[State]):
 
 WIDTH = RIVALS.bin_width
 REACH = RIVALS.bin_reach
-
-
 CELLS = round(2 * REACH / WIDTH)
 
 

@@ -138,8 +138,6 @@ def _recurse_bin(theta: FloatArray, P: FloatArray, X: FloatArray, z: FloatArray,
 
 
 GROUPS = RIVALS.paper_algorithm_groups
-
-
 MIDDLES = frozen_array((np.arange(CELLS) + 0.5) * WIDTH - REACH, (CELLS,), name="middles")  # m
 
 

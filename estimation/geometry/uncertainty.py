@@ -20,8 +20,6 @@ from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindin
 from estimation.vehicle.vehicle_class import VehicleClass
 
 MOUNTING_STD = PRIORS.mounting_std
-
-
 SCALE_STDS = {ContactRoll.SEEN: PRIORS.scale_std_seen, ContactRoll.HIDDEN: PRIORS.scale_std_hidden}
 
 

@@ -50,8 +50,6 @@ LINE = HUNTS.line_band
 STEADY = HUNTS.steady_limits
 FLANGE_TO_FLANGE = HUNTS.flange_limits
 DOUBT = HUNTS.doubt_share
-
-
 QUALITY_REASONS = frozenset(
     {
         ReasonCode.TOO_FEW_SAMPLES,

@@ -200,8 +200,6 @@ def examine(
 
 
 Item = TypeVar("Item")
-
-
 MOST = TRACK.most_pass_windows
 
 

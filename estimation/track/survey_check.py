@@ -39,8 +39,6 @@ UNITS = {
     1 / 0.3048: "feet were taken for metres",
     0.3048: "metres were taken for feet",
 }
-
-
 NOT_ASSESSABLE = Reason(ReasonCode.SURVEY_NOT_ASSESSABLE, "the fleet does not know enough of the section")
 
 

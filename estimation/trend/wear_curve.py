@@ -27,8 +27,6 @@ from estimation.values.mixture import NormalMixture
 from estimation.values.units import STD_PER_MAD
 
 POINTS_FOR_OUTLIERS = CURVES.points_for_outliers
-
-
 BEND_NODES = np.array(CURVES.bend_nodes)
 BEND_PRIOR = np.array(CURVES.bend_prior)
 

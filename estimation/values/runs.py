@@ -237,8 +237,6 @@ class Result(Generic[V]):
 
 
 AnyResult = Result[Any]
-
-
 EVERYTHING = "all"
 """The one subject of a stage that looks at all subjects of its kind together."""
 

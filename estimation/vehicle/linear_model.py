@@ -41,8 +41,6 @@ from estimation.vehicle.regressors import (
 from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass, VehicleParameters
 
 ComplexArray = npt.NDArray[np.complex128]
-
-
 ANGLE_PER_DIFFERENCE = VEHICLE.angle_per_difference
 ANGLE_SUM = VEHICLE.angle_sum
 

@@ -37,8 +37,6 @@ from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
 
 CAUSES = ("noise", "dilution", "track", "creep", "stiffness", "mass", "lengths", "scale")
-
-
 SCALE_OF = "scale of "  # and the name of a sensor
 _LENGTHS = frozenset({"nominal_radius", "half_contact_distance", "wheelbase"})
 _UNITS: Mapping[str, float] = {  # of the columns of theta: one unit of each is about as large as the value

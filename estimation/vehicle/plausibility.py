@@ -19,8 +19,6 @@ from estimation.vehicle.vehicle_class import BogieParameters, VehicleClass, Vehi
 
 UNIT_FACTOR = VEHICLE.unit_factor
 RAIL_CONDITION_STD = VEHICLE.rail_condition_std
-
-
 UNIT_FACTORS = UNIT_FACTOR, UNIT_FACTOR**2  # kN/mm for N/m, MN for N
 
 

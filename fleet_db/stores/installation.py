@@ -18,8 +18,6 @@ from fleet_db.tables.operation import ResultRow, StoredSettingRow
 from fleet_db.tables.recordings import ChunkRow, RawMarkRow
 
 SETTINGS, CHUNKS = table_of(StoredSettingRow), table_of(ChunkRow)
-
-
 LENGTH = "window_length_ns"
 SECOND_NS = 1_000_000_000
 

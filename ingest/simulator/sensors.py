@@ -214,8 +214,6 @@ UG, MG, G = FileUnit("_ug", MICRO_G), FileUnit("_mg", 1e3 * MICRO_G), FileUnit("
 Noise = Annotated[NotNegative, FileUnit("_ug_per_root_hz", MICRO_G)]
 Drift = Annotated[NotNegative, FileUnit("_ug_per_root_s", MICRO_G)]
 RAD_S2 = FileUnit("_rad_s2")
-
-
 _DIVIDES = refusing(lambda rate: FULL_RATE_HZ % rate, f"{{value}} Hz does not divide {FULL_RATE_HZ} Hz")
 
 
