@@ -30,12 +30,11 @@ from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArr
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS, Window
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import (
     AXLES_OF_A_BOGIE,
     CREEP_STD,
-    LOAD_STD,
     STIFFNESS_STD,
-    UNSTATED_SCALE_STD,
     SensorLayout,
     VehicleClass,
     VehicleParameters,
@@ -291,9 +290,9 @@ class FileErrors:
 
     creep: float = CREEP_STD  # coefficient
     spring: float = STIFFNESS_STD  # in yaw
-    load: float = LOAD_STD
-    yaw_scale: float = UNSTATED_SCALE_STD  # of the yaw sensors
-    lateral_scale: float = UNSTATED_SCALE_STD  # of the lateral sensors
+    load: float = VEHICLE.load_std
+    yaw_scale: float = VEHICLE.unstated_scale_std  # of the yaw sensors
+    lateral_scale: float = VEHICLE.unstated_scale_std  # of the lateral sensors
 
     @classmethod
     def of(cls, classes: Collection[VehicleClass]) -> Self:

@@ -227,9 +227,6 @@ def _from_travel(middle, amplitude, energy, points, values, potential):  # type:
     return (PROFILES.conicity_angles / total) ** 2
 
 
-DRAWS = PROFILES.conicity_draws
-
-
 class MeasuredShapes(NamedTuple):
     """The four profiles of a wheelset on a track with their uncertainty; one that is used twice errs alike."""
 
@@ -259,7 +256,7 @@ def conicity_std(
     amplitudes: npt.ArrayLike,
     *,
     method: ContactMethod = ContactMethod.EN15302,
-    draws: int = DRAWS,
+    draws: int = PROFILES.conicity_draws,
 ) -> FloatArray:
     """Return the standard deviation (k,) of tan(gamma_e) that follows from the noise of the profiles.
 

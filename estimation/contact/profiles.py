@@ -32,10 +32,6 @@ from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.fields import Served
 from estimation.values.units import IN_MM, MILLIMETRE
 
-TREAD_DATUM = PROFILES.tread_datum
-GAUGE_DEPTH = PROFILES.gauge_depth
-SAMPLING_STEP_MM = PROFILES.sampling_step_mm
-
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 

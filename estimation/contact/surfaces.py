@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from estimation.contact.parameters import PROFILES
-from estimation.contact.profiles import GAUGE_DEPTH, Profile
+from estimation.contact.profiles import Profile
 from estimation.errors import ContactError
 from estimation.values.arrays import FloatArray, FrozenArrays, runs
 
@@ -80,19 +80,19 @@ def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
 
 
 def _gauge_edge(name: str, y: FloatArray, depth: FloatArray, *, wall: bool) -> float:
-    """Return the smallest y within `GAUGE_DEPTH` below the top; the last point of the arrays is the top."""
+    """Return the smallest y within `PROFILES.gauge_depth` below the top; the last point of the arrays is the top."""
     # `wall`: the rail ends in a face so steep that its last point stands for what is below
-    below = np.flatnonzero(depth > GAUGE_DEPTH)
+    below = np.flatnonzero(depth > PROFILES.gauge_depth)
     if len(below) == 0 and wall:
         return float(y.min())
     if len(below) == 0:
         raise ContactError(
             f"rail {name!r} ends {depth.max() * 1e3:.2f} mm below its top on the gauge side; the gauge is measured "
-            f"{GAUGE_DEPTH * 1e3:.0f} mm below",
+            f"{PROFILES.gauge_depth * 1e3:.0f} mm below",
             field="rail",
         )
     last = int(below[-1])
-    share = (GAUGE_DEPTH - depth[last]) / (depth[last + 1] - depth[last])
+    share = (PROFILES.gauge_depth - depth[last]) / (depth[last + 1] - depth[last])
     crossing = y[last] + share * (y[last + 1] - y[last])
     return float(min(crossing, y[last + 1 :].min()))
 

@@ -28,8 +28,6 @@ from estimation.track.settings import SectionParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackAlignment
 
-EDGES = TRACK.band_edges
-
 
 @dataclass(frozen=True, slots=True)
 class Band:
@@ -85,7 +83,7 @@ class SurveyBands:
 
     def up_to(self, longest: float) -> tuple[Band, ...]:
         """Return the bands of wavelengths up to ``longest`` m."""
-        return tuple(band for band, edge in zip(self.bands, EDGES, strict=True) if edge <= longest)
+        return tuple(band for band, edge in zip(self.bands, TRACK.band_edges, strict=True) if edge <= longest)
 
 
 def survey_bands(
@@ -94,7 +92,7 @@ def survey_bands(
     """Return what a survey and the passes on it say by band; None where they do not meet. ``systematic``: std, m."""
     grid = iterated.panel.grid
     on_grid, std, known = survey_on_grid(survey, grid)
-    kernels = [local_cubic_kernel(edge, grid.step) for edge in EDGES]
+    kernels = [local_cubic_kernel(edge, grid.step) for edge in TRACK.band_edges]
     passes = _passes(iterated.placed, iterated.solution, iterated.panel, kernels)
     inside = np.stack([valid_support(known, kernel) for kernel in kernels])
     compared = inside & (passes.journeys > 0)
@@ -104,7 +102,7 @@ def survey_bands(
     filed = float(np.sqrt(np.mean(std[known] ** 2)))
     unexplained = 1.0 if iterated.slope is None else 1.0 - iterated.slope.explained
     size = np.array([np.sqrt(np.mean(h[where] ** 2)) for h, where in zip(passes.curves, compared, strict=True)])
-    common = np.hypot(systematic / np.sqrt(len(EDGES)), parameters.curve_share_factor * unexplained * size)
+    common = np.hypot(systematic / np.sqrt(len(TRACK.band_edges)), parameters.curve_share_factor * unexplained * size)
     bands = [
         _band(number, d, passes, compared[number], filed, float(common[number]), grid.step, parameters)
         for number, d in enumerate(filtered)
@@ -182,8 +180,8 @@ def _band(
     step: float,
     parameters: SectionParameters,
 ) -> Band:
-    shortest = (*EDGES, parameters.shortest_wavelength)[number + 1]
-    length = 0.5 * np.sqrt(EDGES[number] * shortest)  # m, of an independent sample
+    shortest = (*TRACK.band_edges, parameters.shortest_wavelength)[number + 1]
+    length = 0.5 * np.sqrt(TRACK.band_edges[number] * shortest)  # m, of an independent sample
     independent = max(np.count_nonzero(compared) * step / length, 1.0)
     rest = np.where(compared, survey - passes.mean[number], 0.0)
     fit, coherent, left = _coherent(rest, passes, number, compared, independent)
@@ -193,7 +191,8 @@ def _band(
     noise[compared] = passes.variance[number] / passes.journeys[number, compared]
     # errors on file are white down to the shortest wavelength
     of_file = filed**2 * (
-        (1.0 / shortest - 1.0 / EDGES[number]) / (1.0 / parameters.shortest_wavelength - 1.0 / EDGES[0])
+        (1.0 / shortest - 1.0 / TRACK.band_edges[number])
+        / (1.0 / parameters.shortest_wavelength - 1.0 / TRACK.band_edges[0])
     )
     if not np.isfinite(passes.variance[number]):
         noise[compared] = square + of_file
@@ -267,7 +266,7 @@ def total_variance(variances: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(np.einsum("in,ij,jn->n", stds, correlation, stds))
 
 
-STATED = EDGES[1]  # m, longest wavelength of the published std: longer ones are not in the motion
+STATED = TRACK.band_edges[1]  # m, longest wavelength of the published std: longer ones are not in the motion
 
 
 @dataclass(frozen=True, slots=True)

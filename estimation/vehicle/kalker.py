@@ -12,7 +12,6 @@ from estimation.errors import ParameterError
 from estimation.values.units import STEEL_POISSON_RATIO, STEEL_SHEAR_MODULUS
 from estimation.vehicle.parameters import VEHICLE
 
-FLATTEST = VEHICLE.flattest_ellipse
 RAIL_CONDITION_STD = VEHICLE.rail_condition_std
 _ROWS = np.array(  # semi-axis ratio a/b, C11, C22, C23, C33; Poisson's ratio 1/4
     [
@@ -121,12 +120,12 @@ def _semi_axis_ratio(curvature_ratio: float) -> float:
         first, second = special.ellipk(parameter), special.ellipe(parameter)
         return float((second / g**2 - first) / (first - second)) - curvature_ratio
 
-    if excess(FLATTEST) < 0.0:
+    if excess(VEHICLE.flattest_ellipse) < 0.0:
         raise ParameterError(
             f"the curvatures have the ratio {curvature_ratio:.3g}: the contact ellipse is outside Kalker's table",
             field="ratio",
         )
-    return float(optimize.brentq(excess, FLATTEST, 1.0 - 1e-9))
+    return float(optimize.brentq(excess, VEHICLE.flattest_ellipse, 1.0 - 1e-9))
 
 
 def table_coefficients(ratio: float) -> tuple[float, float, float, float]:

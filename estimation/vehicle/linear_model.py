@@ -41,8 +41,6 @@ from estimation.vehicle.regressors import (
 from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass, VehicleParameters
 
 ComplexArray = npt.NDArray[np.complex128]
-ANGLE_PER_DIFFERENCE = VEHICLE.angle_per_difference
-ANGLE_SUM = VEHICLE.angle_sum
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +48,8 @@ class LinearContact:
     """Contact geometry of one conicity."""
 
     conicity: float = VEHICLE.usual_conicity  # gamma
-    angle_per_difference: float = ANGLE_PER_DIFFERENCE  # D/R, rad/m
-    angle_sum: float = ANGLE_SUM  # A, rad
+    angle_per_difference: float = VEHICLE.angle_per_difference  # D/R, rad/m
+    angle_sum: float = VEHICLE.angle_sum  # A, rad
 
     def __post_init__(self) -> None:
         if not self.conicity > 0.0:

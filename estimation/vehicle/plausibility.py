@@ -17,9 +17,7 @@ from estimation.values.units import GRAVITY
 from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import BogieParameters, VehicleClass, VehicleParameters
 
-UNIT_FACTOR = VEHICLE.unit_factor
-RAIL_CONDITION_STD = VEHICLE.rail_condition_std
-UNIT_FACTORS = UNIT_FACTOR, UNIT_FACTOR**2  # kN/mm for N/m, MN for N
+UNIT_FACTORS = VEHICLE.unit_factor, VEHICLE.unit_factor**2  # kN/mm for N/m, MN for N
 
 
 @dataclass(frozen=True, slots=True)

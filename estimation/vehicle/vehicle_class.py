@@ -60,7 +60,7 @@ class SensorChannel:
     @property
     def usual_scale_std(self) -> float:
         """Relative std of its scale; where none is on file, that of a sensor that nobody calibrated."""
-        return self.scale_std or UNSTATED_SCALE_STD
+        return self.scale_std or VEHICLE.unstated_scale_std
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,8 +138,6 @@ CREEP_STD, STIFFNESS_STD, DAMPING_STD, MASS_STD, LENGTH_STD = (
     VEHICLE.mass_std,
     VEHICLE.length_std,
 )
-LOAD_STD = VEHICLE.load_std
-UNSTATED_SCALE_STD = VEHICLE.unstated_scale_std
 
 
 def default_relative_std(name: str) -> float:
@@ -150,7 +148,7 @@ def default_relative_std(name: str) -> float:
         "_damping": DAMPING_STD,
         "_mass": MASS_STD,
         "_inertia": MASS_STD,
-        "load": LOAD_STD,
+        "load": VEHICLE.load_std,
     }
     return next((std for end, std in ends.items() if name.endswith(end)), LENGTH_STD)
 

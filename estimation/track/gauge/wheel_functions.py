@@ -66,7 +66,6 @@ class WheelFunctionParameters:
 
 
 WHEELS = WheelFunctionParameters()
-KNOT_STEP = WHEELS.knot_step
 KNOTS: FloatArray = np.asarray(WHEELS.knot_step * np.arange(-WHEELS.knots, WHEELS.knots + 1), dtype=np.float64)  # m
 DIFFERENCES = np.linspace(-WHEELS.most_difference, WHEELS.most_difference, WHEELS.difference_points)
 GAUGES: FloatArray = np.asarray(WHEELS.gauge_step * np.arange(-WHEELS.gauges, WHEELS.gauges + 1), dtype=np.float64)  # m

@@ -16,7 +16,6 @@ from estimation.track.results import position_std, shrunk
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters
 from estimation.track.survey_posterior import (
-    EDGES,
     SurveyPosterior,
     _bands_of,
     _learnt,
@@ -80,7 +79,7 @@ def posterior(std: float, stated: float, journeys: int = 6, follows: float = 0.0
 
 
 def error(d: FloatArray) -> float:
-    rest = high_pass(d - TRUE[300:-300], local_cubic_kernel(EDGES[0], 1.0))
+    rest = high_pass(d - TRUE[300:-300], local_cubic_kernel(TRACK.band_edges[0], 1.0))
     return float(np.sqrt(np.mean(rest[SHARED] ** 2)))
 
 
@@ -183,7 +182,7 @@ def test_a_local_difference_counts_from_four_stds_on(factor: float, *, excess: b
 
 
 def test_bands_add_up_and_so_do_their_variances() -> None:
-    kernels = [local_cubic_kernel(edge, 1.0) for edge in EDGES]
+    kernels = [local_cubic_kernel(edge, 1.0) for edge in TRACK.band_edges]
     white = np.random.default_rng(3).standard_normal(40_000)
     bands = _bands_of(white, kernels)
     np.testing.assert_allclose(bands.sum(axis=0), high_pass(white, kernels[0]), atol=1e-12)

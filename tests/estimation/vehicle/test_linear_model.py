@@ -21,7 +21,7 @@ from estimation.vehicle.linear_model import (
     single_wheelset_model,
 )
 from estimation.vehicle.parameters import VEHICLE
-from estimation.vehicle.plausibility import UNIT_FACTOR, check_plausible, plausible_ranges
+from estimation.vehicle.plausibility import check_plausible, plausible_ranges
 from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, VehicleClass, VehicleParameters
 
 FREE = VehicleParameters(
@@ -207,7 +207,9 @@ def test_a_range_is_narrow_enough_to_find_a_factor_of_1000() -> None:
         check_plausible(vehicle)
         for item in plausible_ranges(vehicle):
             width = item.highest / item.lowest
-            assert width <= (math.sqrt(UNIT_FACTOR) if item.unit == "Hz" else 2 * UNIT_FACTOR), item.name
+            assert width <= (math.sqrt(VEHICLE.unit_factor) if item.unit == "Hz" else 2 * VEHICLE.unit_factor), (
+                item.name
+            )
 
 
 RANGES = {  # as docs/vehicle-class-file.md has them
