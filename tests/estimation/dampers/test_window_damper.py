@@ -75,7 +75,7 @@ def test_the_limit_of_innovations_decides(monkeypatch: pytest.MonkeyPatch) -> No
     assert found.innovation is not None
     assert 0.1 < found.innovation < 1.0
     assert DAMPING.most_unexplained_share == 0.05
-    less = replace(damper.DAMPING, most_unexplained=0.05 * 0.5 * found.innovation)
+    less = replace(damper.DAMPING, most_unexplained_share=0.05 * 0.5 * found.innovation)
     monkeypatch.setattr(damper, "DAMPING", less)
     assert judged(windows, SOFT).sums is None
 

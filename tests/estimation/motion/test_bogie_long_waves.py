@@ -84,7 +84,7 @@ def test_what_is_expected_counts_as_much_as_the_weight_beforehand(monkeypatch: p
     expected = 2.0 * terms(small, 20.0, COACH).sum(axis=0)
     found, _ = long_waves_in_bogie(np.zeros(len(expected)), *astuple(small), speed, COACH)
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=0.02 * expected.std())
-    without = replace(rolling_radius_difference.FUSED, gravity_weight=0.0)
+    without = replace(rolling_radius_difference.FUSED, prior_weight=0.0)
     monkeypatch.setattr(rolling_radius_difference, "FUSED", without)
     found, _ = long_waves_in_bogie(np.zeros(len(expected)), *astuple(small), speed, COACH)
     np.testing.assert_allclose(found, 0.0, atol=1e-6 * expected.std())
