@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
 from estimation.alerts.rules.conicity_limit import Believed
 from estimation.trend.now import LimitState, limit_now
 from estimation.values.alerts import NO_FORECAST, LimitNow, MileageNow
@@ -36,3 +40,12 @@ def ahead_of(geometry: WheelsetGeometry, trend: WearTrend, since_km: float | Non
     """Return what is believed so far behind the last point of a trend."""
     mileage = None if since_km is None else MileageNow(float(trend.mileage_km[-1]) + since_km, 2 * 86_400 * 10**9)
     return limit_now(geometry, trend, trend.limit, mileage)
+
+
+def with_ahead(trend: WearTrend) -> WearTrend:
+    """Return a trend made by hand with probabilities at the distances ahead, straight between its quantiles."""
+    over, far = trend.probability_over_limit or 0.0, trend.distance_to_limit_km
+    known = [(0.0, over)]
+    known += [(km, p) for km, p in ((far.p10, 0.1), (far.p50, 0.5), (far.p90, 0.9)) if km is not None and p > over]
+    ahead_km, over_ahead = np.array(known).T
+    return replace(trend, ahead_km=ahead_km, over_ahead=over_ahead)

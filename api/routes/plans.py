@@ -15,6 +15,7 @@ from api.schemas.common import Derived, Links, Representation, finite
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.services import ServicesDep, require_known
 from api.times import Timestamp, to_rfc3339
+from estimation.trend.now import SCALE
 from estimation.values.alerts import OVER, Urgency, WorklistRow, WorklistState
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.units import DAY_NS, MILLIMETRE
@@ -86,7 +87,7 @@ def candidate(row: WorklistRow, *, nominal_radii: bool) -> Candidate | None:
 
 def _unknown(state: WorklistState) -> Reason | None:
     missing = state.forecast_reason
-    if missing is not None and missing.code is not ReasonCode.BEYOND_HORIZON and not state.below_limit:
+    if missing is not None and missing.code is not ReasonCode.BEYOND_HORIZON and not SCALE.far_below(state):
         return missing
     if state.urgency is Urgency.DUE and state.date_of_limit_ns.p10 is None:
         return Reason(ReasonCode.SINGLE_DATE, f"no date is known: {state.reasons[0].text}")

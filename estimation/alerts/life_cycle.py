@@ -21,6 +21,7 @@ from typing import Annotated
 from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
+from estimation.trend.now import SCALE
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
 from estimation.values.fields import JsonValue, Served
 from estimation.values.units import DAY_NS
@@ -209,7 +210,8 @@ def _material(alert: Alert) -> tuple[object, ...]:
     band = None if alert.probability is None else bisect_right(FINDINGS.probability_bands, alert.probability)
     evidence = {key: value for key, value in alert.evidence.items() if key not in EVERY_KILOMETRE}
     limits = (alert.raise_limit, alert.clear_limit)
-    return alert.severity, alert.condition, band, evidence, alert.action, limits, alert.acknowledged_by
+    over = SCALE.over(_number(alert.evidence.get("probability_over_limit"), 0.0))
+    return alert.severity, alert.condition, band, over, evidence, alert.action, limits, alert.acknowledged_by
 
 
 def _is_news(alert: Alert, finding: Finding) -> bool:

@@ -30,8 +30,6 @@ from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.trend import WearTrend
 
 QUANTILES = {"p10": 0.1, "p50": 0.5, "p90": 0.9}
-LAST_POINTS = 2  # of a trend: one alone may be an outlier
-NOT_BELOW = 0.6  # least probability at 3 mm with which a conicity over the limit at a smaller amplitude is over it
 NO_TREND = Reason(ReasonCode.TOO_FEW_POINTS, "there is no trend since the last reprofiling yet")
 NOT_FINITE = Reason(ReasonCode.NOT_FINITE, "the calculation gave no finite number")
 BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
@@ -44,6 +42,10 @@ class UrgencyScale:
     over_probability: float = 0.9  # 1, that it is over the limit: as the shipped rule on the limit raises its alert
     probably_over_probability: float = 0.5  # 1: more likely than not
     due_within_km: float = 30_000.0  # km, p10 of the distance: beyond, the shipped rule on the forecast lets go
+    # of the limit: at a wear of 0.05 in 100,000 km, the rest of it lasts as far as that or more
+    far_below_share: float = 0.8
+    last_points: int = 2  # of a trend: one alone may be an outlier
+    not_below_probability: float = 0.6  # 1, at 3 mm, for a conicity over the limit at a smaller amplitude to be over it
 
     def over(self, probability: float | None) -> Urgency | None:
         """Return whether the limit is exceeded, or probably is; None where it is not, or nothing is known."""
@@ -58,6 +60,12 @@ class UrgencyScale:
     def due(self, distance_km: Forecast) -> bool:
         """Return whether the limit may be reached soon."""
         return distance_km.p10 is not None and distance_km.p10 <= self.due_within_km
+
+    def far_below(self, now: LimitNow) -> bool:
+        """Return whether the whole 95 % interval of the conicity is far below the limit."""
+        high, limit = now.conicity.high, now.limit
+        known = now.conicity.status is Status.ESTIMATED and high is not None and limit is not None
+        return known and high < self.far_below_share * limit  # type: ignore[operator]  # both are known
 
 
 SCALE = UrgencyScale()
@@ -121,7 +129,7 @@ class LimitState:
         if of_trend is None:
             return None
         known = [(self.conicity, of_trend)]
-        if len(self.last) == LAST_POINTS:
+        if len(self.last) == SCALE.last_points:
             points = [(one, self._above(one, limit) or 0.0) for one in self.last]
             known.append(min(points, key=lambda pair: pair[1]))
         conicity, probability = max(known, key=lambda pair: pair[1])
@@ -139,11 +147,11 @@ class LimitState:
         # That is the one at 3 mm; at the amplitude reached where that one is over more probably and the one at 3 mm is
         # unknown or not rather below. One that is below at a smaller amplitude alone decides nothing.
         at_limit, at_reached = self.at_limit(limit), self.at_reached(limit)
-        if at_reached is None or at_reached.probability < NOT_BELOW:
+        if at_reached is None or at_reached.probability < SCALE.not_below_probability:
             return at_limit
         if at_limit is None:
             return at_reached
-        if at_limit.probability < NOT_BELOW:
+        if at_limit.probability < SCALE.not_below_probability:
             return at_limit
         return max(at_limit, at_reached, key=lambda one: one.probability)
 
@@ -171,7 +179,7 @@ def limit_state(geometry: WheelsetGeometry, trend: WearTrend | None) -> LimitSta
     beyond = extrapolated(below_limit(geometry)) if known else None
     last: list[Estimate] = []
     if trend is not None and conicity is fitted:
-        pairs = zip(trend.value[-LAST_POINTS:].tolist(), trend.std[-LAST_POINTS:].tolist(), strict=True)
+        pairs = zip(trend.value[-SCALE.last_points :].tolist(), trend.std[-SCALE.last_points :].tolist(), strict=True)
         last = [with_interval(value, std) for value, std in pairs]
     left_open = any(
         CURVES.least_amplitude - SAME_AMPLITUDE < at < LIMIT_AMPLITUDE + SAME_AMPLITUDE
@@ -230,32 +238,62 @@ def _why_no_forecast(geometry: WheelsetGeometry | None, trend: WearTrend | None,
     return trend.few_behind if trend.status is Status.ESTIMATED else trend.reason or NO_TREND
 
 
+def probability_ahead(trend: WearTrend, distance_km: float) -> float | None:
+    """Return the probability of being over the limit at a distance from the last point; None where not known."""
+    if trend.status is not Status.ESTIMATED or not len(trend.ahead_km):
+        return None
+    return float(np.interp(distance_km, trend.ahead_km, trend.over_ahead))
+
+
 def _ahead(now: LimitNow, trend: WearTrend) -> LimitNow:
     """Return it with what the trend says, which counts from its last point."""
-    since, at_ns = None, -math.inf
+    since = None
     if now.mileage is not None and len(trend.mileage_km):
         since = max(0.0, now.mileage.mileage_km - float(trend.mileage_km[-1]))
-        at_ns = float(now.mileage.at_ns)
-    over = finite(probability_within(trend, since or 0.0))
-    by_data = now.probability_over_limit  # of the last points, or at a smaller amplitude, as the alert on the limit
-    if by_data is not None and (over is None or SCALE.over(by_data) is not None):
+    run = since or 0.0
+    over, by_data = finite(probability_ahead(trend, run)), now.probability_over_limit
+    # the last points, or a smaller amplitude, may be over by themselves, for which the alert on the limit is raised; a
+    # conicity that falls has left them behind
+    falls = over is not None and over < (probability_ahead(trend, 0.0) or 0.0)
+    if by_data is not None and (over is None or (by_data >= SCALE.over_probability and not falls)):
         over = max(by_data, over or 0.0)
-    distance, date = {}, {}
-    for name, probability in QUANTILES.items():
-        far, day = (finite(getattr(one, name)) for one in (trend.distance_to_limit_km, trend.date_of_limit_ns))
-        reached = over is not None and over >= probability
-        distance[name] = 0.0 if reached else None if far is None else max(0.0, far - (since or 0.0))
-        date[name] = None if day is None else max(day, at_ns)
-        if reached and now.mileage is not None:
-            date[name] = at_ns
+    distance = {name: _from_now(trend, name, run, over) for name in QUANTILES}
     return replace(
         now,
         probability_over_limit=over,
         distance_to_limit_km=Forecast(**distance),
-        date_of_limit_ns=Forecast(**date),
+        date_of_limit_ns=Forecast(**{name: _date(trend, name, far, now.mileage) for name, far in distance.items()}),
         since_trend_km=since,
         forecast_reason=BEYOND if None in distance.values() else None,
     )
+
+
+def _from_now(trend: WearTrend, name: str, run_km: float, over: float | None) -> float | None:
+    """Return the distance from now at which the limit is exceeded with the probability of a quantile."""
+    if over is not None and over >= QUANTILES[name]:
+        return 0.0
+    far = finite(getattr(trend.distance_to_limit_km, name))
+    if far is None or far > run_km:
+        return None if far is None else far - run_km
+    # a conicity that has fallen below the limit since may come back to it
+    again = trend.ahead_km[(trend.ahead_km > run_km) & (trend.over_ahead >= QUANTILES[name])]
+    return float(again[0]) - run_km if len(again) else None
+
+
+def _date(trend: WearTrend, name: str, distance_km: float | None, mileage: MileageNow | None) -> float | None:
+    """Return when the limit is reached: the rest of the way takes its share of the time that the whole way takes."""
+    day, far = (finite(getattr(one, name)) for one in (trend.date_of_limit_ns, trend.distance_to_limit_km))
+    if mileage is None:
+        return day
+    last_ns = float(trend.measured_ns.max())
+    at_ns = max(float(mileage.at_ns), last_ns)
+    if distance_km is None:  # beyond the horizon of the distance may be within that of the date
+        return None if day is None or far is not None else max(day, at_ns)
+    if distance_km <= 0.0:
+        return at_ns
+    if day is None or not far:
+        return None
+    return at_ns + max(0.0, day - last_ns) * distance_km / far
 
 
 def finite(value: float | None) -> float | None:

@@ -53,6 +53,7 @@ class CurveParameters:
     noise_points: int = 9
     # of the table of worn wheels, m
     table_amplitudes: tuple[float, ...] = tuple(0.25e-3 * step for step in range(2, 13))
+    points_ahead: int = 61  # distances to the horizon at which the probability is kept
 
 
 CURVES = CurveParameters()

@@ -11,6 +11,7 @@ import numpy as np
 from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, by_amplitude
 from estimation.trend.now import QUANTILES, probability_above
+from estimation.trend.parameters import CURVES
 from estimation.trend.wear_curve import POINTS_FOR_OUTLIERS, WearCurve, fit_wear_curve
 from estimation.values.alerts import NO_FORECAST
 from estimation.values.arrays import FloatArray, IntArray
@@ -142,7 +143,9 @@ def _lacking(points: _Columns, params: TrendParameters) -> Reason | None:
     k = len(points.value)
     wanted = max(2, params.minimum_points)
     if k < wanted:
-        return Reason(ReasonCode.TOO_FEW_POINTS, f"{k} points since the last reprofiling, {wanted} needed")
+        return Reason(
+            ReasonCode.TOO_FEW_POINTS, f"{k} point{'' if k == 1 else 's'} since the last reprofiling, {wanted} needed"
+        )
     span = float(points.mileage_km[-1] - points.mileage_km[0])
     if span < params.minimum_span_km:
         text = f"the points span {span:.3g} km, {params.minimum_span_km:.3g} km needed"
@@ -188,18 +191,29 @@ def _estimated(
         years = _forecast(by_date, limit, params.horizon_years)
         last = int(points.measured_ns.max())
         date = Forecast(*(None if y is None else last + round(y * YEAR_NS) for y in (years.p10, years.p50, years.p90)))
-    level = by_distance.level_now()
+    level, distance = by_distance.level_now(), _forecast(by_distance, limit, params.horizon_km)
+    ahead_km, over_ahead = _ahead(by_distance, limit, distance, params.horizon_km)
     return replace(
         _unestimated(points, limit, quantity, note),
         slope_per_1000_km=by_distance.slope_now().estimate(count).scaled(1000.0),
         slope_per_year=slope_per_year,
         fitted=level.estimate(count),
-        distance_to_limit_km=_forecast(by_distance, limit, params.horizon_km),
+        distance_to_limit_km=distance,
         date_of_limit_ns=date,
         probability_over_limit=level.above(limit),
         status=Status.ESTIMATED,
         converged=by_distance.converged and (by_date is None or by_date.converged),
+        ahead_km=ahead_km,
+        over_ahead=over_ahead,
     )
+
+
+def _ahead(curve: WearCurve, limit: float, distance: Forecast, horizon_km: float) -> tuple[FloatArray, FloatArray]:
+    """Return distances from the last point and the probabilities of being over the limit there."""
+    # the quantiles are among them: in between it is interpolated, and at these it is exact
+    quantiles = [far for far in (distance.p10, distance.p50, distance.p90) if far]
+    ahead_km = np.unique([*(horizon_km * np.linspace(0.0, 1.0, CURVES.points_ahead) ** 2), *quantiles])
+    return ahead_km, curve.above_after(ahead_km, limit)
 
 
 def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:

@@ -79,13 +79,14 @@ class WearCurve:
         if short(0.0) >= 0.0:
             return 0.0
         distances = horizon * np.linspace(0.0, 1.0, CURVES.horizon_points + 1) ** 2
-        for i in np.flatnonzero(self._above_after(distances, limit) >= probability - CURVES.probability_margin):
+        for i in np.flatnonzero(self.above_after(distances, limit) >= probability - CURVES.probability_margin):
             before, distance = float(distances[i - 1]), float(distances[i])
             if i > 0 and short(distance) >= 0.0:
                 return float(brentq(short, before, distance, xtol=1e-6 * horizon))
         return None
 
-    def _above_after(self, distances: FloatArray, limit: float) -> FloatArray:
+    def above_after(self, distances: FloatArray, limit: float) -> FloatArray:
+        """Return the probabilities (n,) that the level is above a limit at distances (n,) after the last point."""
         damped = self.span * _damped(distances / self.span)
         effect = np.column_stack([np.ones(len(distances)), distances, damped])
         mean = effect @ np.stack([self.level, self.slope, self.damped])

@@ -169,12 +169,12 @@ class Urgency(MeaningEnum):
     """How soon somebody has to look at a wheelset, the most urgent first; ``meaning`` is what puts it there."""
 
     OVER_LIMIT = "The conicity limit is exceeded (probability of 0.9 or more), or was when that could be assessed last."
-    PROBABLY_OVER = "The limit is exceeded with a probability of 0.5 or more, or the alert on it is not cleared yet."
+    PROBABLY_OVER = "The limit is exceeded with a probability of 0.5 or more, or was when that could be assessed last."
     CRITICAL_ALERT = "A critical alert of another kind is open, hunting for one."
     DUE = "The limit may be reached within 30,000 km (p10), or the alert on its forecast is open."
-    WATCH = "A warning of another kind is open."
+    WATCH = "A warning of another kind is open, or the alert on the limit is not cleared yet."
     UNKNOWN = "No number of it can be trusted; the reason says why."
-    FINE = "The limit is further away, or the whole interval of its conicity is below it; no warning is open."
+    FINE = "The limit is further away, or the whole interval of its conicity is below 80 % of it; no warning is open."
     NOT_MOUNTED = "It runs under no vehicle."
 
     @property
@@ -238,12 +238,6 @@ class LimitNow:
     date_of_limit_ns: Forecast  # quantiles of the date
     forecast_reason: Reason | None  # why a quantile is missing; None where none is
     mileage: MileageNow | None
-
-    @property
-    def below_limit(self) -> bool:
-        """Whether the whole 95 % interval of the conicity is below the limit."""
-        known = self.conicity.status is Status.ESTIMATED and self.conicity.high is not None and self.limit is not None
-        return known and self.conicity.high < self.limit  # type: ignore[operator]  # both are known
 
 
 OVER = frozenset({Urgency.OVER_LIMIT, Urgency.PROBABLY_OVER})

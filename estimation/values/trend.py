@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Protocol, TypeVar
 
+import numpy as np
+
 from estimation.values.alerts import Alert
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.fields import JsonValue, Served, in_mm
@@ -67,6 +69,8 @@ class WearTrend(FrozenArrays):
         TrendStep | None, Served("The step that the trend begins behind; null where it begins with the profile.")
     ] = None
     few_behind: Reason | None = None  # why nothing is forecast: too few points behind the step; None where enough are
+    ahead_km: Annotated[FloatArray, "a"] = field(default_factory=lambda: np.empty(0))  # from the last point, increasing
+    over_ahead: Annotated[FloatArray, "a"] = field(default_factory=lambda: np.empty(0))  # P over the limit there
 
     @property
     def head(self) -> JsonValue:

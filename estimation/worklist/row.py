@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 from estimation.alerts.rule_book import ALERT_RULES
-from estimation.alerts.rules.conicity_limit import ConicityLimitRule
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule, MeasureRule
 from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.alerts.rules.trend import LimitForecastRule
 from estimation.trend.now import BEYOND, SCALE, limit_now
@@ -26,14 +26,14 @@ from estimation.values.alerts import (
     WorklistState,
 )
 from estimation.values.geometry import GeometryRecord
-from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, utc_text
 from estimation.values.runs import JobOutcome, JobRun, Quarantined
 from estimation.values.track import AlignmentRecord, AlignmentSource
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
 from estimation.worklist.stored import WorklistInputs
 
-TURN = "turn the wheelset, or measure its profiles"
+TURN, MEASURE = "turn the wheelset, or measure its profiles", "measure its profiles"
 ADVICE = {rule.kind: rule.advice for rule in ALERT_RULES if rule.advice}
 HIDING = {rule.kind: rule.hides_wear for rule in ALERT_RULES if rule.hides_wear is not None}
 URGENCY_OF = {Severity.CRITICAL: Urgency.CRITICAL_ALERT, Severity.WARNING: Urgency.WATCH}
@@ -50,8 +50,11 @@ def judged(
     of_limit = {alert.kind: alert for alert in standing if alert.kind in OF_LIMIT}
     exceeded, not_known = of_limit.get(ConicityLimitRule.kind), _why_not_known(now)
     why = _of_limit(now, exceeded, of_limit.get(LimitForecastRule.kind), not_known)
-    why += [_of_alert(alert, last_ns, refused=refused) for alert in standing if alert.kind not in OF_LIMIT]
-    if not_known is not None and (exceeded is None or exceeded.condition is not Condition.ACTIVE):
+    over = SCALE.over(now.probability_over_limit)
+    # that its profiles are to be measured is said with the limit
+    said = OF_LIMIT if over is None else (*OF_LIMIT, MeasureRule.kind)
+    why += [_of_alert(alert, last_ns, refused=refused) for alert in standing if alert.kind not in said]
+    if not_known is not None and over is None and (exceeded is None or exceeded.condition is not Condition.ACTIVE):
         why.append(_of_conicity(now, not_known))
     why.sort(key=lambda pair: pair[0].rank)
     if mounted:
@@ -71,44 +74,61 @@ def _of_limit(
 ) -> list[_Why]:
     """Return how urgent the limit makes a wheelset, by what is believed now and the open alerts on the limit."""
     over, distance = SCALE.over(now.probability_over_limit), now.distance_to_limit_km
-    if over is not None or exceeded is not None:
+    if over is not None or (exceeded is not None and _is_hidden(now, exceeded)):
         return [_exceeded(over, exceeded, now.probability_over_limit)]
-    if forecast is not None or SCALE.due(distance):
-        text = _due(distance) if not_known is None else "the limit was forecast near when it could be assessed last"
+    due = forecast is not None or SCALE.due(distance)
+    if exceeded is not None:
+        text = (
+            f"the alert on the limit is not cleared yet (probability {_percent(now.probability_over_limit)}): {MEASURE}"
+        )
+        return [(Urgency.DUE if due else Urgency.WATCH, Reason(ReasonCode.LIMIT_EXCEEDED, text))]
+    if due:
+        text = _due(now) if not_known is None else "the limit was forecast near when it could be assessed last"
         return [(Urgency.DUE, Reason(ReasonCode.LIMIT_AHEAD, text))]
     if not_known is not None:
         return []
     if distance.p10 is None:
         return [(Urgency.FINE, now.forecast_reason or BEYOND)]
-    return [(Urgency.FINE, Reason(ReasonCode.LIMIT_AHEAD, _due(distance)))]
+    return [(Urgency.FINE, Reason(ReasonCode.LIMIT_AHEAD, _due(now)))]
+
+
+def _is_hidden(now: LimitNow, alert: OpenAlert) -> bool:
+    """Return whether what led to an alert cannot be assessed any more."""
+    return now.probability_over_limit is None or alert.condition is Condition.UNKNOWN
 
 
 def _of_conicity(now: LimitNow, not_known: Reason) -> _Why:
     """Return how urgent a wheelset is by its conicity alone: nothing is forecast of it."""
-    if not now.below_limit:
+    if not SCALE.far_below(now):
         return Urgency.UNKNOWN, not_known
-    text = f"conicity of at most {now.conicity.high:.2f} below the limit of {now.limit:.2f}; {not_known.text}"
+    text = f"conicity of at most {now.conicity.high:.2f}, far below the limit of {now.limit:.2f}; {not_known.text}"
     return Urgency.FINE, Reason(not_known.code, text)
 
 
 def _exceeded(over: Urgency | None, alert: OpenAlert | None, probability: float | None) -> _Why:
-    """Return that the limit is exceeded, or probably, or was; an alert that is open still makes it probable."""
-    hidden = alert is not None and alert.condition is Condition.UNKNOWN
-    if over is not None and not hidden:
-        return over, Reason(ReasonCode.LIMIT_EXCEEDED, f"{EXCEEDED[over]} (probability {probability:.0%}): {TURN}")
-    if probability is None or hidden:
-        critical = alert is not None and alert.severity is Severity.CRITICAL
-        last = over or (Urgency.OVER_LIMIT if critical else Urgency.PROBABLY_OVER)
-        return last, Reason(ReasonCode.LIMIT_EXCEEDED, f"{EXCEEDED[last]} when it could be assessed last: {TURN}")
-    text = f"the alert on the limit is not cleared yet (probability {probability:.0%}): {TURN}"
-    return Urgency.PROBABLY_OVER, Reason(ReasonCode.LIMIT_EXCEEDED, text)
+    """Return that the limit is exceeded, or probably, or was when it could be assessed last."""
+    if over is not None and (alert is None or alert.condition is not Condition.UNKNOWN):
+        return over, Reason(
+            ReasonCode.LIMIT_EXCEEDED, f"{EXCEEDED[over]} (probability {_percent(probability)}): {TURN}"
+        )
+    critical = alert is not None and alert.severity is Severity.CRITICAL
+    last = over or (Urgency.OVER_LIMIT if critical else Urgency.PROBABLY_OVER)
+    return last, Reason(ReasonCode.LIMIT_EXCEEDED, f"{EXCEEDED[last]} when it could be assessed last: {TURN}")
 
 
-def _due(distance: Forecast) -> str:
-    may = "" if distance.p10 is None else f" (p10 {rounded_km(distance.p10)} km)"
-    if distance.p50 is None:
-        return f"due beyond the horizon{may}"
-    return "due now" if distance.p50 <= 0.0 else f"due in {rounded_km(distance.p50)} km{may}"
+def _percent(probability: float | None) -> str:
+    """Return a probability in words; rounded down, so that none reads as what it has not reached."""
+    return f"{min(99, math.floor(100.0 * (probability or 0.0) + 1e-9))}%"
+
+
+def _due(now: LimitNow) -> str:
+    distance = now.distance_to_limit_km
+    after = "beyond the horizon" if distance.p50 is None else f"in {rounded_km(distance.p50)} km"
+    if distance.p10 is None:
+        return f"due {after}"
+    if distance.p10 <= 0.0:
+        return f"due {after}, perhaps already (probability {_percent(now.probability_over_limit)})"
+    return f"due {after} (p10 {rounded_km(distance.p10)} km)"
 
 
 def rounded_km(distance_km: float) -> str:

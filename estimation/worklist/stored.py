@@ -13,7 +13,7 @@ from estimation.values.runs import Facet
 from estimation.values.trend import TREND, TrendRecord
 from estimation.vehicle.vehicle_class import VehicleClass
 
-FORM = 2  # grows with every change of what a row says, so that all rows are made again
+FORM = 3  # grows with every change of what a row says, so that all rows are made again
 STAGE = "worklist"
 FACETS = (Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, GEOMETRY.stage, TREND.stage)
 """What a row is made from: whoever raises one of these makes it again in the same transaction."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from believed_now import with_ahead
 
 from bench.put_values import put_geometry, put_trend
 from estimation.contact.profiles import MeasuredProfiles, Profile
@@ -222,7 +223,7 @@ def trend_record(recorded_ns: int, last: float) -> TrendRecord:
         probability_over_limit=0.0,
         status=Status.ESTIMATED,
     )
-    return TrendRecord(WHEELSETS[0], 2, trend, f"{recorded_ns + 1:064x}", "0.1.0+test", recorded_ns)
+    return TrendRecord(WHEELSETS[0], 2, with_ahead(trend), f"{recorded_ns + 1:064x}", "0.1.0+test", recorded_ns)
 
 
 def alert(serial: str, kind: str = "conicity_limit", fleet: str = "alpha") -> Alert:

@@ -21,7 +21,7 @@ from api.answers import columns_of
 from api.app import committed_document
 from api.routes.worklist import WheelsetRow, WorklistSort
 from estimation.values.alerts import AlertEventKind, Severity, Urgency
-from estimation.worklist.row import TURN
+from estimation.worklist.row import MEASURE
 
 DOCUMENT = json.loads(committed_document())
 OF_FLEET = {"serial": "WS-000", "code": "V-0", "name": "estimate_windows", "alert_id": "1", "section": "S-3"}
@@ -57,8 +57,8 @@ def test_a_row_says_where_it_runs_how_it_is_and_why(client: httpx.Client) -> Non
     place = (row["vehicle"], row["vehicle_class"], row["axle"], row["position"])
     assert place == ("V-0", "regional", 1, {"bogie": 1, "place": "leading"})
     state = row["state"]
-    assert state["urgency"] == "probably_over"
-    text = f"the alert on the limit is not cleared yet (probability 0%): {TURN}"
+    assert state["urgency"] == "due"
+    text = f"the alert on the limit is not cleared yet (probability 0%): {MEASURE}"
     assert state["reasons"][0] == {"code": "limit_exceeded", "text": text}
     assert {alert["kind"] for alert in state["alerts"]} == {"conicity_limit", "no_data"}
     # the last window was read at 9,029 km, before the trend's last point at 11,000.5 km
@@ -87,8 +87,8 @@ def test_what_is_not_known_comes_last_in_both_directions(client: httpx.Client) -
 
 def test_filters_narrow_the_list_and_bind_the_cursor(client: httpx.Client) -> None:
     rows = listed(client, "/v1/wheelsets?urgency=probably_over&vehicle_class=regional&sort=urgency&limit=3")
-    assert {row["serial"] for row in rows} == set(api_fleet.WHEELSETS[:10])
-    assert [row["state"]["urgency"] for row in rows] == ["probably_over"] * 10
+    assert {row["serial"] for row in rows} == set(api_fleet.WHEELSETS[1:10])
+    assert [row["state"]["urgency"] for row in rows] == ["probably_over"] * 9
     assert len(listed(client, "/v1/wheelsets?alert_kind=no_data")) == 1
     cursor = client.get("/v1/wheelsets?sort=urgency&limit=3").json()["next_cursor"]
     for other in ("sort=-urgency", "sort=urgency&status=estimated", "sort=urgency&alert_severity=warning"):
@@ -174,7 +174,7 @@ def test_the_turning_plan_lists_who_is_turned_when_and_why(client: httpx.Client)
     assert {line["wheelset"] for line in plan["items"]} >= {"WS-000", "WS-002", "WS-004", "WS-006", "WS-008"}
     (first,) = [line for line in plan["items"] if line["wheelset"] == "WS-000"]
     assert (first["vehicle"], first["axle"], first["bogie"], first["cause"], first["visit"]) == ("V-0", 1, 1, "due", 1)
-    assert first["turn_by"] == plan["made_at"]  # over its limit by an alert
+    assert first["turn_by"] == plan["made_at"]  # its date has passed
     assert first["reason"].startswith("the alert on the limit is not cleared yet")
     assert first["not_checked"] == ["no measured radius on file: diameters were not checked"]
     assert first["distance_to_limit_km"]["p10"] == 8000.0

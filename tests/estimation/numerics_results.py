@@ -76,7 +76,8 @@ def _trend() -> list[float | None]:
     ]
     found = refresh(points, 0.3)
     ahead = found.distance_to_limit_km
-    return [*_estimate(found.fitted), *_estimate(found.slope_per_1000_km), ahead.p10, ahead.p50, ahead.p90]
+    later = found.over_ahead[::10].tolist()
+    return [*_estimate(found.fitted), *_estimate(found.slope_per_1000_km), ahead.p10, ahead.p50, ahead.p90, *later]
 
 
 def _estimate(estimate: Estimate) -> list[float | None]:

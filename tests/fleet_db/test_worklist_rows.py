@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import sqlalchemy
 import stored_values as make
+from believed_now import with_ahead
 
 from api.factory import SystemClock
 from bench.put_values import put_geometry, put_trend
@@ -109,7 +110,7 @@ class Happening:
             probability_over_limit=float(self.random.random() ** 6),
             status=Status.ESTIMATED if self.random.random() < 0.8 else Status.UNESTIMATED,
         )
-        fields = {"baseline": len(self.record.reprofilings), "trend": found}
+        fields = {"baseline": len(self.record.reprofilings), "trend": with_ahead(found)}
         put_trend(unit, make.trend_record(self.step, self.at_ns, wheelset=self.serial, **fields))
 
     def window(self, unit: SqlUnitOfWork) -> None:

@@ -49,7 +49,7 @@ def test_wheelsets_are_ranked_by_urgency_each_with_its_reason(
 
 
 def test_an_estimate_has_its_interval_and_an_unknown_one_no_number(page: Page, page_service: ServiceProcess) -> None:
-    rows = opened(page, page_service, "?urgency=probably_over")
+    rows = opened(page, page_service)
     known = rows.filter(has=page.get_by_text("WS-002", exact=True)).locator(".c-conicity")
     assert re.search(r"0\.\d{3}.*\n.*0\.\d{3} to 0\.\d{3}", known.inner_text()), known.inner_text()
     expect(known.locator("svg")).to_have_attribute("aria-label", re.compile(r"from 0\.\d+ to 0\.\d+, limit 0\.400"))
@@ -60,7 +60,7 @@ def test_an_estimate_has_its_interval_and_an_unknown_one_no_number(page: Page, p
 
 
 def test_old_data_are_marked_with_their_age(page: Page, page_service: ServiceProcess) -> None:
-    rows = opened(page, page_service, "?urgency=probably_over")
+    rows = opened(page, page_service, "?urgency=due")
     cell = rows.filter(has=page.get_by_text("WS-000", exact=True)).locator(".c-data")
     assert re.fullmatch(r"(\d+ d|[\d.]+ years) ago\s+old", cell.inner_text())
 

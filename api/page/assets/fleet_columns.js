@@ -4,7 +4,6 @@ import { segment } from "./client.js";
 import { date, lastData, number, roundKm, words } from "./format.js";
 import { interval } from "./interval.js";
 
-const OVER = ["over_limit", "probably_over"];
 const TONES = { over_limit: "critical", probably_over: "warning", critical_alert: "critical", due: "warning", watch: "warning", unknown: "info" };
 const NAMES = { over_limit: "over the limit", critical_alert: "critical" };
 
@@ -52,7 +51,7 @@ function why({ state }) {
 
 function conicity(state, most) {
   const found = state.conicity_1;
-  const drawing = interval(found, state.limit_1, most, OVER.includes(state.urgency));
+  const drawing = interval(found, state.limit_1, most, state.urgency === "over_limit");
   if (found.value === null) {
     const text = found.status === "invalid" ? "invalid" : found.status === "unestimated" ? "not estimated" : words(found.status);
     return el("span", { class: "drawn" }, drawing, el("span", { class: "unknown", title: found.reason }, text, second(found.reason)));

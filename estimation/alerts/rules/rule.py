@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from itertools import chain, pairwise
 from typing import Annotated, ClassVar
 
 from annotated_types import Interval
@@ -380,10 +380,12 @@ def _newest_first(facts: WheelsetFacts, intervals: Sequence[GeometryRecord]) -> 
     """Yield the facts as they are, and as they were after each earlier interval, had all earlier data been there."""
     yield replace(facts, not_assessable_reason=None)
     shared_std: float | None = None
-    for record in reversed(intervals[:-1]):
+    for record, following in reversed(list(pairwise(intervals))):
         trend = None
         if facts.current_trend is not None and facts.current_trend.trend.not_comparable is None:
             if shared_std is None:
                 shared_std = conicity_points(facts.all_conicities).spread
             trend = trend_up_to(facts.current_trend, record.mileage_km, shared_std, facts.trend_parameters)
-        yield replace(facts, geometry=record, trend=trend, mileage=None, not_assessable_reason=None)
+        # until the next interval it has run as far as that one
+        mileage = MileageNow(following.mileage_km, following.to_ns)
+        yield replace(facts, geometry=record, trend=trend, mileage=mileage, not_assessable_reason=None)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 
+import numpy as np
 import pytest
 from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, known
 
@@ -19,7 +20,7 @@ from estimation.alerts.rules.trend import LimitForecastRule
 from estimation.alerts.rules.wheels import WheelAsymmetryRule
 from estimation.trend.extrapolation import conicity_points
 from estimation.trend.trend import refresh
-from estimation.values.alerts import Alert, Finding
+from estimation.values.alerts import Alert, Finding, MileageNow
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry, interval_conicities
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
@@ -75,6 +76,25 @@ def test_evaluated_at_each_interval_or_once_the_same_alert_is_open(
         if one is not None and once is not None:
             assert (one.condition, one.severity) == (once.condition, once.severity)
             assert (one.probability, one.action) == (once.probability, once.action)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_forecast_that_the_mileage_raised_between_two_intervals_does_not_close_at_the_next(seed: int) -> None:
+    rng, rule, step_km, alert = np.random.default_rng(seed), LimitForecastRule(), 5_000.0, None
+    open_after: list[bool] = []
+    records: list[GeometryRecord] = []
+    for number in range(30):
+        conicity = 0.2 + 0.007 * number + 0.008 * float(rng.standard_normal())
+        records.append(geometry_record("W", number, number * step_km / 1e3, conicity))
+        if number < 4:
+            continue
+        facts = facts_of(records)
+        for run_km in (0.0, 0.98 * step_km):
+            mileage = MileageNow(records[-1].mileage_km + run_km, records[-1].to_ns + 1)
+            alert = after(alert, replace(facts, mileage=mileage), rule)
+            open_after.append(alert is not None)
+    assert open_after[-1]
+    assert open_after == sorted(open_after)
 
 
 def test_the_three_ways_of_wear_differ() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from believed_now import ahead_of, believed
+from believed_now import ahead_of, believed, with_ahead
 from scipy import stats
 from wheelset_life import geometry_of, known
 
@@ -46,7 +46,7 @@ def geometry_record(geometry: WheelsetGeometry, *, baseline: int = 0, to_ns: int
 
 
 def trend_of(*, fitted: Estimate | None = None, points: int = 3, probability: float | None = 0.0) -> WearTrend:
-    return WearTrend(
+    trend = WearTrend(
         quantity="conicity at 2 mm",
         mileage_km=np.arange(points, dtype=float),
         measured_ns=np.arange(points),
@@ -61,6 +61,7 @@ def trend_of(*, fitted: Estimate | None = None, points: int = 3, probability: fl
         probability_over_limit=probability,
         status=Status.ESTIMATED,
     )
+    return with_ahead(trend)
 
 
 def facts_of(**changes: object) -> WheelsetFacts:
@@ -87,7 +88,7 @@ def forecast(trend: WearTrend) -> Finding:
 
 
 def at_km(p10: float, p50: float, p90: float) -> WearTrend:
-    return replace(trend_of(), distance_to_limit_km=Forecast(p10, p50, p90))
+    return with_ahead(replace(trend_of(), distance_to_limit_km=Forecast(p10, p50, p90)))
 
 
 def asymmetry(offset: Estimate | None = None, shape: Estimate | None = None, windows: int = 3) -> Finding:

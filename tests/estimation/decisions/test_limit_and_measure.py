@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from believed_now import ahead_of, believed
+from believed_now import ahead_of, believed, with_ahead
 from plain_facts import BELOW, above, facts_of, geometry_record, trend_of
 from wheelset_life import geometry_of, known
 
@@ -121,13 +121,13 @@ def test_a_conicity_known_at_3_mm_is_measured_where_it_is_rather_over_or_wide_op
     ("over", "severity"), [(0.89, Severity.WARNING), (0.9, Severity.CRITICAL), (None, Severity.WARNING)]
 )
 def test_a_forecast_of_what_is_over_the_limit_now_is_critical(over: float | None, severity: Severity) -> None:
-    ahead = replace(trend_of(probability=over), distance_to_limit_km=Forecast(1e4, 2e4, 4e4))
+    ahead = with_ahead(replace(trend_of(probability=over), distance_to_limit_km=Forecast(1e4, 2e4, 4e4)))
     assert limit_forecast_finding(LimitForecastRule(), "W", ahead, ahead_of(BELOW, ahead), 5).severity is severity
 
 
 @pytest.mark.parametrize(("since_km", "breached"), [(None, False), (9_999.0, False), (10_001.0, True)])
 def test_a_forecast_counts_from_the_newest_mileage(*, since_km: float | None, breached: bool) -> None:
-    ahead = replace(trend_of(), distance_to_limit_km=Forecast(2e4, 3e4, 4e4))
+    ahead = with_ahead(replace(trend_of(), distance_to_limit_km=Forecast(2e4, 3e4, 4e4)))
     finding = limit_forecast_finding(LimitForecastRule(), "W", ahead, ahead_of(BELOW, ahead, since_km), 5)
     assert finding.breached is breached
     left = [0.0 if since_km is None else since_km] * 3

@@ -62,7 +62,7 @@ def test_too_little_is_its_last_value_with_the_reason_after_the_note() -> None:
     assert (trend.fitted.value, trend.fitted.std) == (only.value, only.std)
     assert trend.probability_over_limit == pytest.approx(stats.norm.sf(0.1, only.value, only.std))
     assert code_of(trend.reason) is ReasonCode.TOO_FEW_POINTS
-    assert str(trend.reason).startswith("at 2 mm; 1 points")
+    assert str(trend.reason).startswith("at 2 mm; 1 point ")
     assert trend.slope_per_1000_km.reason == trend.slope_per_year.reason == trend.reason
     nothing = refresh([], 0.1, note=NOTE)
     assert code_of(nothing.reason) is ReasonCode.OTHER_AMPLITUDE

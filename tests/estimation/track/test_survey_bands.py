@@ -208,7 +208,7 @@ def test_positions_are_shrunk_to_what_was_reported_as_far_as_they_are_not_known(
 def test_the_shipped_figures() -> None:
     from estimation.track import survey_posterior as shipped  # noqa: PLC0415 - its figures
 
-    assert shipped.EDGES == (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)
+    assert TRACK.band_edges == (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)
     assert (
         SectionParameters().shortest_wavelength,
         SectionParameters().filed_samples,

@@ -97,11 +97,11 @@ def test_units_and_origins_do_not_matter(scale: float, shift: float, distance: f
     ("points", "params", "reason"),
     [
         ([], TrendParameters(), "0 points"),
-        (worn(1), TrendParameters(), "1 points"),
+        (worn(1), TrendParameters(), "1 point "),
         (worn(4), TrendParameters(minimum_points=5), "4 points"),
         ([TrendPoint(5.0, 1, 0.2, 0.01), TrendPoint(5.2, 2, 0.2, 0.01)], TrendParameters(), "span"),
-        ([TrendPoint(5.0, 1, 0.2, 0.01), TrendPoint(900.0, 2, float("nan"), 0.01)], TrendParameters(), "1 points"),
-        ([TrendPoint(5.0, 1, 0.2, 0.01), TrendPoint(900.0, 2, 0.2, 0.0)], TrendParameters(), "1 points"),
+        ([TrendPoint(5.0, 1, 0.2, 0.01), TrendPoint(900.0, 2, float("nan"), 0.01)], TrendParameters(), "1 point "),
+        ([TrendPoint(5.0, 1, 0.2, 0.01), TrendPoint(900.0, 2, 0.2, 0.0)], TrendParameters(), "1 point "),
     ],
 )
 def test_too_little_is_unestimated_and_says_why(points: list[TrendPoint], params: TrendParameters, reason: str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from believed_now import limit_of
 
@@ -9,9 +11,11 @@ from estimation.trend.now import SCALE
 from estimation.values.alerts import Condition, LimitNow, OpenAlert, Severity, Urgency
 from estimation.values.quantities import Estimate, Forecast, with_interval
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.worklist.row import TURN, judged, rounded_km
+from estimation.worklist.row import MEASURE, TURN, judged, rounded_km
 
 CONICITY = with_interval(0.3, 0.01)
+# either side of 0.8 of the limit of 0.4
+FAR_BELOW, NOT_FAR_BELOW = (replace(CONICITY, high=high) for high in (0.3199, 0.3201))
 OPEN = Reason(ReasonCode.CONICITY_OPEN, "the data leave it open")
 FEW = Reason(ReasonCode.TOO_FEW_POINTS, "2 points")
 LAST_NS = 1_767_398_400_000_000_000  # 2026-01-03
@@ -47,21 +51,29 @@ def verdict(
         (
             ahead(0.0, 900.0, 0.3),
             [alert("conicity_limit", Severity.CRITICAL)],
-            Urgency.PROBABLY_OVER,
-            [f"the alert on the limit is not cleared yet (probability 30%): {TURN}"],
+            Urgency.DUE,
+            [f"the alert on the limit is not cleared yet (probability 30%): {MEASURE}"],
+        ),
+        (
+            ahead(2e5, 3e5, 0.02),
+            [alert("conicity_limit", Severity.CRITICAL)],
+            Urgency.WATCH,
+            [f"the alert on the limit is not cleared yet (probability 2%): {MEASURE}"],
         ),
         (
             limit_of(1e-9, CONICITY, reason=FEW),
             [],
             Urgency.FINE,
-            ["conicity of at most 0.32 below the limit of 0.40; 2 points"],
+            ["conicity of at most 0.32, far below the limit of 0.40; 2 points"],
         ),
+        (limit_of(1e-9, FAR_BELOW, reason=FEW), [], Urgency.FINE, None),
+        (limit_of(1e-9, NOT_FAR_BELOW, reason=FEW), [], Urgency.UNKNOWN, ["2 points"]),
         (limit_of(0.3, CONICITY, reason=FEW, limit=0.31), [], Urgency.UNKNOWN, ["2 points"]),
         (
             limit_of(0.6, CONICITY, reason=FEW, limit=0.29),
             [],
             Urgency.PROBABLY_OVER,
-            [f"limit probably exceeded (probability 60%): {TURN}", "2 points"],
+            [f"limit probably exceeded (probability 60%): {TURN}"],
         ),
         (ahead(500.0, 900.0, 0.49), [], Urgency.DUE, ["due in 900 km (p10 500 km)"]),
         (ahead(8_049.0, 12_351.0), [], Urgency.DUE, ["due in 12,400 km (p10 8,050 km)"]),
@@ -83,7 +95,10 @@ def verdict(
             Urgency.PROBABLY_OVER,
             [f"limit probably exceeded when it could be assessed last: {TURN}"],
         ),
-        (ahead(0.0, 0.0), [], Urgency.DUE, ["due now"]),
+        (ahead(0.0, 900.0, 0.2), [], Urgency.DUE, ["due in 900 km, perhaps already (probability 20%)"]),
+        (ahead(0.0, 0.0, 0.999), [], Urgency.OVER_LIMIT, [f"limit exceeded (probability 99%): {TURN}"]),
+        (ahead(0.0, 0.0, 0.8999), [], Urgency.PROBABLY_OVER, [f"limit probably exceeded (probability 89%): {TURN}"]),
+        (ahead(0.0, 0.0, 0.7), [alert("measure")], Urgency.PROBABLY_OVER, None),
         (BEYOND, [alert("conicity_limit", condition=Condition.PENDING)], Urgency.FINE, ["beyond"]),
         (BEYOND, [alert("hunting", condition=Condition.CLEARED)], Urgency.FINE, ["beyond"]),
         (
