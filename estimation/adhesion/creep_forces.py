@@ -83,8 +83,7 @@ def gear_segments(
     segments = []
     for parts in zip(*found, strict=True):
         rolls = tuple(
-            remove_wander(one.displacements[[ROLL]], one.run, one.known, MOTION.roll_cutoff_wavelength)[0]
-            for one in parts
+            remove_wander(one.displacements[[ROLL]], one.run, one.known, MOTION.longest_roll_wave)[0] for one in parts
         )
         segments.append(GearSegment(parts, rolls, _accelerations(windows, parts, rolls)))
     return GearSegments(tuple(segments), usable, windows[0].sample_interval_s, axles)
@@ -227,9 +226,7 @@ def _smoothed(gear: GearSegments, segment: GearSegment, vehicle_class: VehicleCl
     first = parts[0]
     speed = float(first.speed.mean())
     made = stationary_filter(vehicle_class, gear.sample_interval_s, speed)
-    roll_rates = [
-        remove_wander(one.rates[[ROLL]], one.run, one.known, MOTION.roll_cutoff_wavelength)[0] for one in parts
-    ]
+    roll_rates = [remove_wander(one.rates[[ROLL]], one.run, one.known, MOTION.longest_roll_wave)[0] for one in parts]
     measurements = np.zeros((len(first.speed), len(made.measured)))
     lateral = slice(0, 2 * made.axles, 2)
     steady, vibrating = without_vibration(segment.accelerations, first.known, gear.sample_interval_s, lateral)
@@ -315,9 +312,7 @@ class FileErrors:
     @property
     def creep_std(self) -> float:
         """Std of what the scales of the sensors leave, as a b of all vehicles."""
-        return math.hypot(
-            FORCES.yaw_scale_as_creep * self.yaw_scale, FORCES.lateral_scale_as_creep * self.lateral_scale
-        )
+        return math.hypot(FORCES.yaw_scale_creep * self.yaw_scale, FORCES.lateral_scale_creep * self.lateral_scale)
 
 
 def lateral_scale_std(sensors: SensorLayout) -> float:

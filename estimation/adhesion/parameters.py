@@ -43,8 +43,8 @@ class ForceParameters:
     most_innovation: float = 10.0  # mean square of innovations over what the filter expects; docs/adhesion.md
     # creep coefficient, yaw spring and load on file scale 1/mu; the scale of a sensor looks like creep that grows with
     # the force, at every friction alike: in parts of b, as measured with sensors that are 5 % off (`bench adhesion`)
-    yaw_scale_as_creep: float = 0.55  # b that a scale of the yaw sensors leaves, over its error
-    lateral_scale_as_creep: float = 0.35  # the same of the lateral sensors
+    yaw_scale_creep: float = 0.55  # b that a scale of the yaw sensors leaves, over its error
+    lateral_scale_creep: float = 0.35  # the same of the lateral sensors
     # pass sums
     most_scale_std: float = 0.25  # of the logarithm of a scale that is compared
     scale_reach: float = 0.5  # of the logarithm: over which that std is measured

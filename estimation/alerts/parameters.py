@@ -15,7 +15,7 @@ class FindingParameters:
     turn_tolerance: float = 0.1  # relative, from the wheel's: worn wheels, and speeds by wheels of another radius
     same_side_share: float = 0.8  # of the windows that show a side
     inner_amplitude: float = 1.0e-3  # m: the reference
-    outer_amplitudes: tuple[float, float] = (2.0e-3, 3.5e-3)  # m: what is compared with it
+    outer_range: tuple[float, float] = (2.0e-3, 3.5e-3)  # m: what is compared with it
     # life cycle
     probability_bands: tuple[float, ...] = (0.05, 0.5, 0.8, 0.95, 0.99)
     # trend

@@ -27,7 +27,7 @@ from estimation.jobs.steps.assumptions import last_change
 from estimation.jobs.steps.rail_cells import CELL_VERSION, WheelsetCells, wheelset_cells
 from estimation.rails.apart import exceeds, rails_apart, reported
 from estimation.rails.cell import Anchors, ReferenceWheel, conicity_on_rails, designed_wheel, with_refused
-from estimation.rails.parameters import OF_RAILS, RailsParameters
+from estimation.rails.parameters import RailsParameters
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import GEOMETRY
@@ -351,7 +351,7 @@ OF_ALL = Stage(
     job=OF_WHEELSETS.job,
     kind=SubjectKind.WHEELSET,
     facets=(Facet.REGISTRY, Facet.RESTARTS, Facet.ALIGNMENT, TREND.head_facet, CELLS),
-    settings=lambda settings: (settings.rails, settings.estimation, OF_RAILS),
+    settings=lambda settings: (settings.rails, settings.estimation),
     load=load_rails,
     compute=part_rails,
     counted=Counted(looked="looks", changed="sections", more=("known_refused",)),

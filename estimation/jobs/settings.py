@@ -22,7 +22,6 @@ from estimation.motion.rolling_radius_difference import FUSED
 from estimation.motion.without_blows import BLOWS
 from estimation.rails.parameters import RailsParameters
 from estimation.signatures.window_signatures import SignatureParameters
-from estimation.tables.bin_table import FAST_NOISE
 from estimation.track.gauge.wheel_functions import WHEELS
 from estimation.track.parameters import TRACK
 from estimation.track.settings import AlignmentSettings
@@ -52,7 +51,7 @@ class RailsSettings:
 
 # numbers that no deployment sets, and that stand beside what they steer or in ``parameters.py`` of its folder
 METHOD_NUMBERS = (
-    *(MOTION, BLOWS, AXLES, HUNTS, FUSED, FILTERS, FAST_NOISE, PRIORS, SHARPENING, ROLLING),
+    *(MOTION, BLOWS, AXLES, HUNTS, FUSED, FILTERS, PRIORS, SHARPENING, ROLLING),
     *(PROFILES, VEHICLE, TRACK, WHEELS, JOBS),
 )
 METHOD = hashlib.sha256(repr(METHOD_NUMBERS).encode()).hexdigest()[:16]

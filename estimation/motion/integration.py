@@ -265,7 +265,7 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
     run = np.empty_like(speed)
     integrate_once(speed, dt, run)
     if window.measures_gravity:
-        (roll,) = remove_wander(displacements[[_ROLL]], run, known, MOTION.roll_cutoff_wavelength)
+        (roll,) = remove_wander(displacements[[_ROLL]], run, known, MOTION.longest_roll_wave)
         lateral = accelerations[_LATERAL] - GRAVITY * roll
         lateral_rates, lateral_displacements = np.empty_like(lateral), np.empty_like(lateral)
         integrate_twice(lateral, dt, lateral_rates, lateral_displacements)

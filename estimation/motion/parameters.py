@@ -15,7 +15,7 @@ class MotionParameters:
     uncertain_std: float = 0.25e-3
     uncertain_factor: float = 3.0  # times the median
     inverse_floor: float = 0.03  # e: where F leaves less than about this, less is undone
-    radius_cutoff_wavelength: float = 120.0  # m, wavelength of rL - rR; what is longer is small: -2 l r0 d''
+    longest_radius_wave: float = 120.0  # m, wavelength of rL - rR; what is longer is small: -2 l r0 d''
     # mileage
     most_mileage_km: float = 1e8  # of a wheelset; the registry takes no more either
     slack_km: float = 50.0  # of readings and times that people enter
@@ -25,7 +25,7 @@ class MotionParameters:
     most_km_day: float = 3000.0  # that a vehicle runs on every day
     journey_pause_ns: int = 1_800_000_000_000  # between windows that begins a new journey
     # integration
-    roll_cutoff_wavelength: float = 120.0  # m: longer roll is drift, which two integrals make grow beyond filters
+    longest_roll_wave: float = 120.0  # m: longer roll is drift, which two integrals make grow beyond filters
     hidden_roll_share: float = 0.009  # rho phi_c over y - d + r0 phi, of 157 pairs: cones 0.001, worn wheels 0.02
     # checks
     layout_step: float = 1.0  # m, to which a layout is refined before it is looked at
@@ -52,6 +52,9 @@ class MotionParameters:
     usual_rate_noise: float = 1e-4  # rad/s per root hertz, of a gyroscope
     spline_margin: int = 20  # points beyond a piece, so that the ends of its spline do not matter
     fewest_spline_points: int = 4  # of a spline
+    # bin tables
+    smallest_eigenvalue: float = 1e-10  # of the scaled normal matrix; below it a direction is not in the data
+    fast_mean_samples: int = 17  # at 250 Hz: faster than some 10 Hz
 
 
 MOTION = MotionParameters()

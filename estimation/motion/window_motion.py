@@ -187,7 +187,7 @@ def gauge_shift(
             continue
         whole = (grid.difference + more * grid.stiffness_term)[None, :]
         (fast,) = remove_wander(
-            np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, MOTION.radius_cutoff_wavelength
+            np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, MOTION.longest_radius_wave
         )
         known = segment.known & (run >= grid.run[0] + ends) & (run <= grid.run[-1] - ends)
         shift[part][known] = table.at(np.interp(run[known], grid.run, fast), e[part][known])

@@ -48,7 +48,7 @@ class BlowParameters:
     guard_s: float = 0.004  # on both sides of what rings
     block_s: float = 10.0
     least_speed: float = 5.0  # m/s
-    least_known_share: float = 0.5  # share of a block's samples
+    known_share: float = 0.5  # share of a block's samples
     least_event_acceleration: float = 4.0  # m/s2 and rad/s2
     event_stds: float = 4.0  # of the vibration
     apart_s: float = 0.02  # what is nearer is one blow
@@ -62,7 +62,7 @@ class BlowParameters:
     turn_tolerance: float = 0.02  # relative, by which blocks of one window may differ
     one_sided_share: float = 0.8  # of the blows have the signs of one wheel
     fewest_turns: float = 12.0
-    most_alternating_share: float = 0.8  # share of the blows that come from the other side than the one before
+    alternating_share: float = 0.8  # share of the blows that come from the other side than the one before
     longest_bridged_s: float = 0.06
     bridge_support_s: float = 0.05  # on both sides, by which a bridge is drawn
     shape_before_s: float = 0.04  # of a blow, over which it rings
@@ -197,18 +197,14 @@ def _blocks(
     for start in range(0, len(lateral) - size + 1, size):
         part = slice(start, start + size)
         known = np.isfinite(speed[part]) & np.isfinite(lateral[part])
-        if known.mean() < BLOWS.least_known_share or not fast_enough(
-            float(np.mean(speed[part][known])), BLOWS.least_speed
-        ):
+        if known.mean() < BLOWS.known_share or not fast_enough(float(np.mean(speed[part][known])), BLOWS.least_speed):
             continue
         run = np.cumsum(np.nan_to_num(speed[part], nan=float(np.mean(speed[part][known])))) * interval_s
         events = _events(fast[:, part], std[:, part], interval_s, None if lost is None else lost[part])
         comb = _comb(np.interp(events.middle, np.arange(size), run), float(run[-1]))
         if comb is not None:
             blows = events.lateral[comb.on_place]
-            if (
-                np.mean(blows[1:] * blows[:-1] < 0.0) > BLOWS.most_alternating_share
-            ):  # from either side in turn: flanges
+            if np.mean(blows[1:] * blows[:-1] < 0.0) > BLOWS.alternating_share:  # from either side in turn: flanges
                 comb = None
         yield _Block(start, run, events, comb)
 

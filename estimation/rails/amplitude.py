@@ -98,9 +98,7 @@ def uneven(component: Component, parameters: RailsParameters) -> list[int]:
         return []
     rise = np.log1p(alone.slope)
     alike = np.abs(rise[:, None] - rise[None, :]) <= np.log1p(parameters.uneven_slope)
-    found: list[int] = component.rail[
-        (alike.mean(axis=1) <= parameters.most_uneven_share) & ~two_way.known_rail
-    ].tolist()
+    found: list[int] = component.rail[(alike.mean(axis=1) <= parameters.uneven_share) & ~two_way.known_rail].tolist()
     return found
 
 

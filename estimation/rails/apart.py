@@ -15,7 +15,7 @@ from estimation.errors import ParameterError
 from estimation.rails.amplitude import NOT_COVERED, NOTHING, Check, at_amplitude, wheel_checks
 from estimation.rails.cell import Anchors, CellTable, cell_table, extent, grouped, sections_of, wheelsets_of
 from estimation.rails.component import Runs, islands
-from estimation.rails.parameters import OF_RAILS, RailsParameters
+from estimation.rails.parameters import RAILS, RailsParameters
 from estimation.rails.published import NEXT_TO_JUMP, AtAmplitude, TrendAt, on_rise
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import (
@@ -203,7 +203,7 @@ def _trends(
     found: dict[str, RailTrend] = {}
     why: dict[str, Reason] = {}
     for amplitude, level in reversed(list(zip(amplitudes, levels, strict=True))):
-        if amplitude > most + OF_RAILS.amplitude_tolerance:
+        if amplitude > most + RAILS.same_amplitude:
             continue
         for section in {key.section for key in level.rails} - found.keys():
             one = level.trends.get(section, TrendAt(Estimate.unknown(NOT_COVERED)))
@@ -220,7 +220,7 @@ def reported(part: tuple[Estimate, ...], amplitude: FloatArray, most: float) -> 
     known = [
         (one, float(a))
         for one, a in zip(part, amplitude, strict=True)
-        if one.value is not None and a <= most + OF_RAILS.amplitude_tolerance
+        if one.value is not None and a <= most + RAILS.same_amplitude
     ]
     return known[-1] if known else None
 

@@ -38,18 +38,10 @@ class RailsParameters:
     pair_size: int = 2
     tried_wheelsets: int = 3  # furthest from the others, besides all sections: without which the rest agree best
     largest_conicity_variance: float = 1.0  # of a conicity of which nothing is known
-    most_uneven_share: float = 0.5  # share of the rails
-
-
-@dataclass(frozen=True, slots=True)
-class RailParameters:
-    """Numbers of rails beside those of the mixed model's settings."""
-
+    uneven_share: float = 0.5  # share of the rails
     doubted_share: float = 0.99  # share of lines whose periods are nearer to it
     moved_share: float = 0.5  # of a change of the mean that wheels must have moved by for it to be theirs
     least_conicity: float = 1e-3  # to which an error may be in proportion
-    mean_conditions: float = 2.0  # of the means of rho and of beta
-    amplitude_tolerance: float = 1e-9  # m, within which amplitudes are the same
 
 
-OF_RAILS = RailParameters()
+RAILS = RailsParameters()

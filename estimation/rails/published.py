@@ -18,7 +18,7 @@ from scipy.special import fdtri
 from estimation.geometry.parameters import PRIORS
 from estimation.rails.cell import ReferenceWheel
 from estimation.rails.component import Component
-from estimation.rails.parameters import OF_RAILS, RailsParameters
+from estimation.rails.parameters import RAILS, RailsParameters
 from estimation.rails.two_way import Parted, part
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.opinions import RailKey, RailsReference, WheelKey
@@ -49,7 +49,7 @@ class Line:
         """Whether the values are on a line, as far as their errors say."""
         if self.freedom < 1:
             return True
-        return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), OF_RAILS.doubted_share))
+        return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), RAILS.doubted_share))
 
 
 def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
@@ -282,7 +282,7 @@ class _Publisher:
     def _reference(self, moved: float) -> RailsReference:
         if not self.component.two_way.anchored:
             return RailsReference.MEAN
-        by_wheels = abs(moved) > OF_RAILS.moved_share or not self.component.two_way.known_rail.any()
+        by_wheels = abs(moved) > self.parameters.moved_share or not self.component.two_way.known_rail.any()
         return RailsReference.MEASURED_WHEELS if by_wheels else RailsReference.KNOWN_RAILS
 
     def _systematic(self, place: int, change: float) -> float:

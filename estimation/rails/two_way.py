@@ -24,7 +24,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
 
-from estimation.rails.parameters import OF_RAILS, RailsParameters
+from estimation.rails.parameters import RailsParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.memory import MEMORY
 
@@ -240,7 +240,7 @@ class _Solved:
         cells = self.problem.cells
         residuals = len(cells.value) + int(np.isfinite(cells.known_value).sum())
         fitted = len(cells.known_value) + 2 * int((~cells.known_rail).sum())
-        conditions = 0.0 if cells.anchored else OF_RAILS.mean_conditions
+        conditions = 0.0 if cells.anchored else 2.0  # of the means of rho and of beta
         return residuals - (fitted - float(self.problem.before @ np.diag(self.covariance)) - conditions)
 
     def parted(self) -> Parted:

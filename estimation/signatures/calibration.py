@@ -210,7 +210,7 @@ def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
     found = families(groups)
     family = {name: number for number, names in enumerate(found) for name in names}
     of_row = np.array([family[min(group)] for group in groups])
-    count = min(SIGNATURE.validation_folds, len(found))
+    count = min(SIGNATURE.fold_count, len(found))
     # families in the order of their conicity, so that every fold has all kinds
     means = np.bincount(of_row, rows.conicity, len(found)) / np.maximum(np.bincount(of_row, minlength=len(found)), 1)
     rank = np.argsort(np.argsort(means, kind="stable"), kind="stable")[of_row]
@@ -265,7 +265,7 @@ def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[Bool
         yield ~left_out, left_out
         return
     sections, section = np.unique(rows.section, return_inverse=True)
-    count = min(SIGNATURE.validation_folds, len(sections))
+    count = min(SIGNATURE.fold_count, len(sections))
     for number in range(count):
         here = section % count == number
         yield ~left_out & ~here, left_out & here

@@ -24,7 +24,7 @@ class AnswerParameters:
     ridge_variance: float = 1e-4  # variance of a log feature that nothing is better known than
     level_margin: float = 0.2  # of the logarithm of a power: a track may be rougher or smoother than known ones
     # window signatures
-    validation_folds: int = 6
+    fold_count: int = 6
     least_step: float = 1e-9  # m from sample to sample at least
     named_entries: int = 10  # of an answer
     share_points: int = 21  # between 0 and 1, of the variances of geometries

@@ -82,9 +82,7 @@ def folds(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> l
         return found
     mean = {name: sum(values) / len(values) for name, values in known.items()}
     ordered = sorted(found, key=lambda names: (min(mean[name] for name in names if name in mean), min(names)))
-    return [
-        frozenset().union(*ordered[first :: SIGNATURE.validation_folds]) for first in range(SIGNATURE.validation_folds)
-    ]
+    return [frozenset().union(*ordered[first :: SIGNATURE.fold_count]) for first in range(SIGNATURE.fold_count)]
 
 
 def sharers(entry: LibraryEntry) -> frozenset[str]:

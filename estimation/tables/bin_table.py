@@ -25,6 +25,7 @@ from scipy.ndimage import uniform_filter1d
 from estimation.compiled import compiled
 from estimation.errors import ParameterError
 from estimation.motion.integration import WindowParameters
+from estimation.motion.parameters import MOTION
 from estimation.motion.window_motion import window_motion
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.geometry import BinTable, FilledCells
@@ -50,17 +51,6 @@ from estimation.vehicle.regressors import (
     yaw_targets,
 )
 from estimation.vehicle.vehicle_class import VehicleParameters, difference_noise
-
-
-@dataclass(frozen=True, slots=True)
-class FastNoiseParameters:
-    """How noise that is too fast to be motion is measured."""
-
-    smallest_eigenvalue: float = 1e-10  # of the scaled normal matrix; below it a direction is not in the data
-    fast_mean_samples: int = 17  # at 250 Hz: faster than some 10 Hz
-
-
-FAST_NOISE = FastNoiseParameters()
 
 
 def packed_size(regressors: int, targets: int) -> int:
@@ -98,7 +88,7 @@ def inverses(gram: FloatArray) -> FloatArray:
     scaled_inverse = np.full_like(scaled, np.nan)
     filled = np.all(scale > 0, axis=1)  # the others have directions that are not in the data
     values, vectors = np.linalg.eigh(scaled[filled])
-    ok = values[:, 0] > FAST_NOISE.smallest_eigenvalue
+    ok = values[:, 0] > MOTION.smallest_eigenvalue
     inverse_values = np.full_like(values, np.nan)
     inverse_values[ok] = 1.0 / values[ok]
     scaled_inverse[filled] = np.einsum("cij,cj,ckj->cik", vectors, inverse_values, vectors)
@@ -346,7 +336,7 @@ def fast_noise(difference: FloatArray, valid: BoolArray) -> float:
     if not known.any():
         return 0.0
     filled = np.where(known, difference, 0.0)
-    fast = filled - uniform_filter1d(filled, FAST_NOISE.fast_mean_samples)
+    fast = filled - uniform_filter1d(filled, MOTION.fast_mean_samples)
     return (float(np.median(np.abs(fast[known]))) * STD_PER_MAD) ** 2
 
 

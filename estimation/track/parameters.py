@@ -36,7 +36,7 @@ class TrackParameters:
     # basis
     basis_reach: float = 8e-3  # m of lateral displacement
     basis_step: float = 0.05e-3  # m
-    table_margin: float = 0.2e-3  # m beyond the contact table within which a measured profile has no weight
+    table_edge: float = 0.2e-3  # m beyond the contact table within which a measured profile has no weight
     # update
     sharper_std_share: float = 0.8  # of the std of a file, below which its mean with the first passes replaces it
     # settings

@@ -56,7 +56,7 @@ class StepModel:
     most_wear: float = 3.0  # standard deviations off the usual slope: among few points noise passes for more
     most_places: int = 4  # that are looked at, those of the largest changes
     usual_noise_share: float = 0.15  # of the prior, as a median and a standard deviation of the logarithm
-    noise_share_spread: float = 0.8
+    noise_spread: float = 0.8
     level_std: float = 10.0  # of the level, in standard deviations of a step: as good as flat
     outlier_deviations: float = 5.0  # median deviations from a running median with which a point begins as an outlier
     most_flips: int = 12
@@ -272,9 +272,7 @@ class _Points:
         log_size = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         inverse = np.einsum("fki,fkj->fij", whitened, whitened)
         left = whitened @ self.value
-        prior = (
-            -0.5 * ((np.log(NOISE_SHARES) - np.log(self.model.usual_noise_share)) / self.model.noise_share_spread) ** 2
-        )
+        prior = -0.5 * ((np.log(NOISE_SHARES) - np.log(self.model.usual_noise_share)) / self.model.noise_spread) ** 2
         prior -= np.logaddexp.reduce(prior)
         return inverse, prior + self._log_prior(out) - log_size - 0.5 * (left**2).sum(axis=1)
 

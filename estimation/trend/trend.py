@@ -38,9 +38,7 @@ def fit_recent(x: FloatArray, value: FloatArray, std: FloatArray, params: TrendP
 
 def _agrees(curve: WearCurve, x: FloatArray, value: FloatArray, scatter: FloatArray, params: TrendParameters) -> bool:
     level, slope = float(curve.weight @ curve.level), float(curve.weight @ curve.slope)
-    off = np.clip(
-        (value - level - slope * (x - x[-1])) / scatter, -params.most_deviation_stds, params.most_deviation_stds
-    )
+    off = np.clip((value - level - slope * (x - x[-1])) / scatter, -params.clipped_stds, params.clipped_stds)
     judged = [count for count in params.judged_together if params.judged_share * count <= len(x)]
     return all(abs(float(np.mean(off[-count:]))) * np.sqrt(count) <= params.disagreement_stds for count in judged)
 
@@ -70,7 +68,7 @@ class TrendParameters:
     judged_share: int = 3  # at most one in so many of the points
     fewest_judged: int = 6  # points that are left
     disagreement_stds: float = 2.5  # standard deviations of the mean of the last points off the curve
-    most_deviation_stds: float = 3.0  # scatters that one point counts for
+    clipped_stds: float = 3.0  # scatters that one point counts for
     least_scatter: float = 0.1  # of the stated standard deviation
     covering_share: float = 0.75  # of the newest intervals, and of those before, that cover the amplitude
     newest_points: int = 8  # intervals

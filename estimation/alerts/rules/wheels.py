@@ -204,9 +204,7 @@ def _shape(geometry: WheelsetGeometry) -> Estimate:
     even = 0.5 * (np.interp(distance, at, value) + np.interp(-distance, at, value))
     even_std = 0.5 * np.hypot(np.interp(distance, at, std), np.interp(-distance, at, std))
     inner = _mean(even, even_std, distance <= FINDINGS.inner_amplitude)
-    outer = _mean(
-        even, even_std, (distance >= FINDINGS.outer_amplitudes[0]) & (distance <= FINDINGS.outer_amplitudes[1])
-    )
+    outer = _mean(even, even_std, (distance >= FINDINGS.outer_range[0]) & (distance <= FINDINGS.outer_range[1]))
     if inner is None or outer is None:
         return Estimate.unknown(
             Reason(ReasonCode.TOO_FEW_BINS, f"bins on both sides reach {max(0.0, float(reach)) * 1e3:.2g} mm")

@@ -50,7 +50,7 @@ class WheelFunctionParameters:
     size_factors: tuple[float, ...] = (0.5, 0.65, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0)
     most_wheelsets: int = 6  # that a factor is estimated from
     far_quantile: float = 0.8  # quantile of |R|
-    clipped_residual: float = 1e-3  # m of residual
+    most_residual: float = 1e-3  # m of residual
     least_knot_samples: float = 300.0  # samples of a knot that count
     gauge_effect: float = 0.2  # m of h1 for a metre of gauge, rms: half is the most, at the flange
     mixture_angles_deg: tuple[float, ...] = (0.0, 45.0, 90.0, 135.0)  # degrees between the two leading vectors
@@ -249,9 +249,7 @@ def _leading_vectors(
         at = item.used_points
         residual = pass_residual(item, curve, panel)[item.inside] - solution.alignment[at]
         known = np.isfinite(residual)
-        residual = item.side * np.clip(
-            np.where(known, residual, 0.0), -WHEELS.clipped_residual, WHEELS.clipped_residual
-        )
+        residual = item.side * np.clip(np.where(known, residual, 0.0), -WHEELS.most_residual, WHEELS.most_residual)
         R = item.difference[item.inside]
         basis = basis_functions(np.minimum(np.abs(R), panel.parameters.reach), knots) * known
         products = panel.weight_of(item.life) * basis * np.sign(R) * residual

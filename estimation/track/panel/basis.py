@@ -41,9 +41,7 @@ class MeasuredCurve(FrozenArrays):
 
     def at(self, knots: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the displacement (k,), m, at some rL - rR (k,), m, and 1 where the profiles reach it, else 0 (k,)."""
-        reached = (knots >= self.difference[0] + TRACK.table_margin) & (
-            knots <= self.difference[-1] - TRACK.table_margin
-        )
+        reached = (knots >= self.difference[0] + TRACK.table_edge) & (knots <= self.difference[-1] - TRACK.table_edge)
         return np.interp(knots, self.difference, self.displacement), reached.astype(np.float64)
 
     @property

@@ -32,9 +32,9 @@ class ScreeningParameters:
     least_factor: float = 0.4  # of y against the y of others, and its inverse the most
     peers: int = 6  # that a pass is compared with
     misplaced: float = 4.0  # m that a position may jump
-    overlap_resolution: int = 20  # grid points: overlaps that differ less count as equal
+    overlap_step: int = 20  # grid points: overlaps that differ less count as equal
     min_chain_overlap: int = 10  # of these, of overlap with a pass that continues along the section
-    chain_neighbours: int = 2  # passes that continue along the section
+    chain_peers: int = 2  # passes that continue along the section
     correlation_length: float = 60.0  # m: over which samples of a high-passed signal are correlated
     piece: float = 1000.0  # m
     fewest_independent_samples: float = 8.0  # independent ones, below which two passes are not compared

@@ -133,9 +133,7 @@ def _peers(
     others = np.array(list(filtered), dtype=np.int64)
     first = np.array([one.first for one in filtered.values()])
     last = np.array([one.last for one in filtered.values()])
-    shared = (
-        np.minimum(last, filtered[i].last) - np.maximum(first, filtered[i].first)
-    ) // parameters.overlap_resolution
+    shared = (np.minimum(last, filtered[i].last) - np.maximum(first, filtered[i].first)) // parameters.overlap_step
     order = np.lexsort(((others - i) % len(journey_of), -shared))
     chosen: dict[int, int] = {}  # by journey
     for k in order[shared[order] > 0]:
@@ -145,9 +143,7 @@ def _peers(
     beyond = np.where(
         (journey_of[others] != journey_of[i]) & (shared >= parameters.min_chain_overlap), last - filtered[i].last, 0
     )
-    following = [
-        int(others[k]) for k in np.argsort(-beyond, kind="stable")[: parameters.chain_neighbours] if beyond[k] > 0
-    ]
+    following = [int(others[k]) for k in np.argsort(-beyond, kind="stable")[: parameters.chain_peers] if beyond[k] > 0]
     return list(dict.fromkeys([*best, *following]))
 
 

@@ -30,7 +30,7 @@ WELL_KNOWN = replace(
 
 
 def test_what_no_file_states_is_that_of_passengers_and_of_sensors_that_nobody_calibrated() -> None:
-    assert (VEHICLE.load_std, VEHICLE.unstated_scale_std, FORCES.yaw_scale_as_creep, FORCES.lateral_scale_as_creep) == (
+    assert (VEHICLE.load_std, VEHICLE.unstated_scale_std, FORCES.yaw_scale_creep, FORCES.lateral_scale_creep) == (
         0.12,
         0.03,
         0.55,

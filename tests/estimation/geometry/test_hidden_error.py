@@ -65,7 +65,7 @@ def test_the_shipped_figures() -> None:
         GeometryParameters().counted_as_one,
     ) == (0.5, 0.5, (10_000.0, 10_000.0, 1_000.0))
     assert ParameterUncertainty().of_bogie == (0.02, 0.02, np.radians(2.0))
-    assert (ParameterUncertainty().noise_doubt, MOTION.roll_cutoff_wavelength) == (0.5, 120.0)
+    assert (ParameterUncertainty().noise_doubt, MOTION.longest_roll_wave) == (0.5, 120.0)
 
 
 def noisy_table(*stds: float) -> BinTable:

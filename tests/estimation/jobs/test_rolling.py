@@ -25,13 +25,7 @@ from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import TableSum, bin_parameters, cells_of_window, init
 from estimation.values.geometry import BinTable, FilledCells
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import (
-    FleetRecord,
-    Mounting,
-    Reprofiling,
-    VehicleRecord,
-    WheelsetRecord,
-)
+from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.roll_up import RollUpState
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import DueStage, Window, WindowState

@@ -64,7 +64,7 @@ def test_wheelsets_of_one_fold_share_a_library_and_small_libraries_leave_out_one
     entries = draw(0, CONICITIES, 2)
     libraries = Libraries(entries, PARAMETERS)
     made = {id(libraries.library(subject(f"W{number}"))) for number in range(21)}
-    assert len(made) == SIGNATURE.validation_folds
+    assert len(made) == SIGNATURE.fold_count
     whole = libraries.library(subject("X"))
     assert isinstance(whole, Library)
     assert len(whole.entries) == len(entries), "who is not in it is judged by all"
@@ -76,7 +76,7 @@ def test_wheelsets_of_one_fold_share_a_library_and_small_libraries_leave_out_one
         subject("W0")
     )
     assert one_more.left_out[ReasonCode.JUDGED_TOGETHER] > 0
-    assert (SignatureParameters().most_own_folds, SIGNATURE.validation_folds) == (12, 6)
+    assert (SignatureParameters().most_own_folds, SIGNATURE.fold_count) == (12, 6)
 
 
 def test_eight_others_are_enough_for_a_wheelset_of_a_small_library(draw: Draw) -> None:
