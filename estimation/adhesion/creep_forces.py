@@ -31,14 +31,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.parameters import VEHICLE
-from estimation.vehicle.vehicle_class import (
-    AXLES_OF_A_BOGIE,
-    CREEP_STD,
-    STIFFNESS_STD,
-    SensorLayout,
-    VehicleClass,
-    VehicleParameters,
-)
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass, VehicleParameters
 
 ROLL, LATERAL, YAW, MASS = (
     ACCELERATIONS.index(f"{name}_acceleration") for name in ("roll", "lateral", "yaw", "mass_lateral")
@@ -285,8 +278,8 @@ def _named(
 class FileErrors:
     """Relative stds of what all vehicles of a class have in common."""
 
-    creep: float = CREEP_STD  # coefficient
-    spring: float = STIFFNESS_STD  # in yaw
+    creep: float = VEHICLE.creep_std  # coefficient
+    spring: float = VEHICLE.stiffness_std  # in yaw
     load: float = VEHICLE.load_std
     yaw_scale: float = VEHICLE.unstated_scale_std  # of the yaw sensors
     lateral_scale: float = VEHICLE.unstated_scale_std  # of the lateral sensors

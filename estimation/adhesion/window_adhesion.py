@@ -43,6 +43,7 @@ from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
 DISPLACEMENT = np.arange(-FORCES.curve_points, FORCES.curve_points + 1) * FORCES.curve_step
 SHARE_ROUNDS = FORCES.share_rounds
 MOST_UTILISATION = FORCES.most_utilisation
+STEPS = FORCES.excess_steps  # of the table of excesses
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,15 +117,15 @@ def _family(
 def excess_table() -> FloatArray:
     """Return linear over true creep force of a wheel less 1 at T/(mu N) from 0 to 0.98 in equal steps, (4097,)."""
     # It is 0 without slip. Between the points it is taken as linear, which misses it by less than 1e-5.
-    t = np.maximum(np.linspace(0.0, MOST_UTILISATION, FORCES.excess_steps + 1), FORCES.least_utilisation)
-    return frozen_array(3.0 * (1.0 - np.cbrt(1.0 - t)) / t - 1.0, (FORCES.excess_steps + 1,), name="excess")
+    t = np.maximum(np.linspace(0.0, MOST_UTILISATION, STEPS + 1), FORCES.least_utilisation)
+    return frozen_array(3.0 * (1.0 - np.cbrt(1.0 - t)) / t - 1.0, (STEPS + 1,), name="excess")
 
 
 @compiled(nogil=True)
 def excess_at(table: FloatArray, utilisation: float) -> float:
     """Return linear over true creep force of a wheel less 1 at T/(mu N), beyond 0.98 that at 0.98."""
-    at = min(utilisation / MOST_UTILISATION, 1.0) * FORCES.excess_steps
-    below = min(int(at), FORCES.excess_steps - 1)
+    at = min(utilisation / MOST_UTILISATION, 1.0) * STEPS
+    below = min(int(at), STEPS - 1)
     return float(table[below] + (at - below) * (table[below + 1] - table[below]))
 
 

@@ -23,7 +23,8 @@ from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ContactError, ParameterError
 from estimation.values.arrays import FloatArray
 
-_PLACES = [math.pi * ((j + 0.5) / PROFILES.conicity_angles - 0.5) for j in range(PROFILES.conicity_angles)]
+_ANGLES, _HALVINGS, _REST = PROFILES.conicity_angles, PROFILES.halvings, PROFILES.rest_share
+_PLACES = [math.pi * ((j + 0.5) / _ANGLES - 0.5) for j in range(_ANGLES)]
 _SINES, _COSINES = np.array([math.sin(x) for x in _PLACES]), np.array([math.cos(x) for x in _PLACES])
 
 
@@ -177,7 +178,7 @@ def _turn(a, crossing, points, values, potential, highest, k):  # type: ignore[n
     at_high -= _highest_at(high - 2.0 * a, points, values, potential, highest, k)
     if at_low > 0.0 or at_high < 0.0:
         return math.nan
-    for _ in range(PROFILES.halvings):
+    for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         right = _highest_at(middle, points, values, potential, highest, k)
         if right < _highest_at(middle - 2.0 * a, points, values, potential, highest, k):
@@ -202,8 +203,8 @@ def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # no
             continue
         energy = _highest_at(turn, points, values, potential, highest, k)
         left_energy = _highest_at(turn - 2.0 * a, points, values, potential, highest, k)
-        rests = _potential_at(turn, points, values, potential) < energy * (1.0 - PROFILES.rest_share)
-        rests |= _potential_at(turn - 2.0 * a, points, values, potential) < left_energy * (1.0 - PROFILES.rest_share)
+        rests = _potential_at(turn, points, values, potential) < energy * (1.0 - _REST)
+        rests |= _potential_at(turn - 2.0 * a, points, values, potential) < left_energy * (1.0 - _REST)
         energy = min(energy, left_energy)
         result[m] = 0.0 if rests else _from_travel(turn - a, a, energy, points, values, potential)
     return result
@@ -212,7 +213,7 @@ def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # no
 @compiled()
 def _from_travel(middle, amplitude, energy, points, values, potential):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     total, i, last = 0.0, 0, len(points) - 2
-    for j in range(PROFILES.conicity_angles):
+    for j in range(_ANGLES):
         x = middle + amplitude * _SINES[j]
         while i < last and points[i + 1] <= x:  # the places come in their order
             i += 1
@@ -224,7 +225,7 @@ def _from_travel(middle, amplitude, energy, points, values, potential):  # type:
         if left <= 0.0:
             return 0.0
         total += amplitude * _COSINES[j] / math.sqrt(left)
-    return (PROFILES.conicity_angles / total) ** 2
+    return (_ANGLES / total) ** 2
 
 
 class MeasuredShapes(NamedTuple):

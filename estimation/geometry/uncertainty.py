@@ -165,13 +165,8 @@ def _gauge_taken_off(track: TrackAlignment, wheelset: str | None) -> bool:
 
 
 def _jump_position_std(track: TrackAlignment, wheelset: str | None, uncertainty: ParameterUncertainty) -> float:
-    share = (
-        uncertainty.jump_share_uncorrected
-        if not _gauge_taken_off(track, wheelset)
-        else uncertainty.jump_share_corrected
-        if track.gauge_known
-        else uncertainty.jump_share_gauge_estimated
-    )
+    taken_off = uncertainty.jump_share_corrected if track.gauge_known else uncertainty.jump_share_gauge_estimated
+    share = taken_off if _gauge_taken_off(track, wheelset) else uncertainty.jump_share_uncorrected
     spread = float(np.std(track.gauge_deviation))
     return share * (spread if track.gauge_known else max(spread, float(np.median(track.gauge_deviation_std))))
 

@@ -83,10 +83,8 @@ class AxleDistance:
             return False
         if self.nearest <= AXLES.next_wave_distance and self.stands_out:
             return True
-        return (
-            self.correlation >= AXLES.least_correlation
-            and _clearer(self.correlation, self.expected) >= AXLES.clear_ratio
-        )
+        agrees = self.correlation >= AXLES.least_correlation
+        return agrees and _clearer(self.correlation, self.expected) >= AXLES.clear_ratio
 
 
 def _clearer(correlation: float, other: float) -> float:

@@ -81,12 +81,9 @@ class _Line:
             self.amplitude >= amplitude and self.share >= share and self.width <= width
             for amplitude, share, width in (STEADY, FLANGE_TO_FLANGE)
         )
-        return (
-            sustained
-            and self.coherence >= HUNTS.least_coherence
-            and abs(self.phase) <= HUNTS.most_phase
-            and HUNTS.gain_range[0] <= self.gain <= HUNTS.gain_range[1]
-        )
+        least, most = HUNTS.gain_range
+        kinematic = abs(self.phase) <= HUNTS.most_phase and least <= self.gain <= most
+        return sustained and kinematic and self.coherence >= HUNTS.least_coherence
 
 
 def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_s: float) -> Hunting:

@@ -271,16 +271,7 @@ def _resolution_noise(window: Window) -> FloatArray:
 
 
 def _densities(sensors: SensorLayout) -> FloatArray:
-    usual = (
-        MOTION.usual_lateral_noise,
-        MOTION.usual_angular_noise,
-        MOTION.usual_angular_noise,
-        MOTION.usual_lateral_noise,
-    )
-    rates = (False, sensors.yaw_is_gyroscope, sensors.roll_is_gyroscope, False)
-    return np.square(
-        [
-            one.noise_density or (MOTION.usual_rate_noise if rate else density)
-            for one, density, rate in zip(sensors.channels.values(), usual, rates, strict=True)
-        ]
-    )
+    lateral, angular, rate = MOTION.usual_lateral_noise, MOTION.usual_angular_noise, MOTION.usual_rate_noise
+    yaw, roll = (rate if gyro else angular for gyro in (sensors.yaw_is_gyroscope, sensors.roll_is_gyroscope))
+    channels = zip(sensors.channels.values(), (lateral, yaw, roll, lateral), strict=True)
+    return np.square([channel.noise_density or usual for channel, usual in channels])

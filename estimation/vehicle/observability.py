@@ -206,27 +206,22 @@ def _derivatives(
     p: VehicleParameters, wheelbase: float | None, speed: float, at: Combinations, s: ComplexArray
 ) -> tuple[dict[str, ComplexArray], dict[str, ComplexArray]]:
     """Return the derivatives of E (f, 2, signals) by the combinations, and by the logarithms of the parameters."""
-    E = equations(p, wheelbase, speed, at)
+    E, relative = equations(p, wheelbase, speed, at), VEHICLE.derivative_step
 
     def change(changed: FloatArray, step: float) -> ComplexArray:
         return filtered((changed - E) / step, s)
 
     names = [item.name for item in fields(VehicleParameters) if getattr(p, item.name)]
     by_parameter = {
-        name: change(
-            equations(replace(p, **{name: (1 + VEHICLE.derivative_step) * getattr(p, name)}), wheelbase, speed, at),
-            VEHICLE.derivative_step,
-        )
+        name: change(equations(replace(p, **{name: (1 + relative) * getattr(p, name)}), wheelbase, speed, at), relative)
         for name in names
     }
     if wheelbase is not None:
-        by_parameter["wheelbase"] = change(
-            equations(p, (1 + VEHICLE.derivative_step) * wheelbase, speed, at), VEHICLE.derivative_step
-        )
+        by_parameter["wheelbase"] = change(equations(p, (1 + relative) * wheelbase, speed, at), relative)
     by_combination = {}
     for name, unit in _UNITS.items():
-        moved = replace(at, **{name: getattr(at, name) + VEHICLE.derivative_step * unit})
-        by_combination[name] = change(equations(p, wheelbase, speed, moved), VEHICLE.derivative_step * unit)
+        moved = replace(at, **{name: getattr(at, name) + relative * unit})
+        by_combination[name] = change(equations(p, wheelbase, speed, moved), relative * unit)
     return by_combination, by_parameter
 
 

@@ -131,26 +131,17 @@ class VehicleClass:
         return axle + 1 if axle % AXLES_OF_A_BOGIE else axle - 1
 
 
-CREEP_STD, STIFFNESS_STD, DAMPING_STD, MASS_STD, LENGTH_STD = (
-    VEHICLE.creep_std,
-    VEHICLE.stiffness_std,
-    VEHICLE.damping_std,
-    VEHICLE.mass_std,
-    VEHICLE.length_std,
-)
-
-
 def default_relative_std(name: str) -> float:
     """Return the relative standard deviation of a parameter of which none is on file."""
     ends = {
-        "_coefficient": CREEP_STD,
-        "_stiffness": STIFFNESS_STD,
-        "_damping": DAMPING_STD,
-        "_mass": MASS_STD,
-        "_inertia": MASS_STD,
+        "_coefficient": VEHICLE.creep_std,
+        "_stiffness": VEHICLE.stiffness_std,
+        "_damping": VEHICLE.damping_std,
+        "_mass": VEHICLE.mass_std,
+        "_inertia": VEHICLE.mass_std,
         "load": VEHICLE.load_std,
     }
-    return next((std for end, std in ends.items() if name.endswith(end)), LENGTH_STD)
+    return next((std for end, std in ends.items() if name.endswith(end)), VEHICLE.length_std)
 
 
 SHIPPED_VERSION = 0  # of a class that the package holds and the registry does not

@@ -212,10 +212,8 @@ def _sensor(step: TrendStep, others: Sequence[TrendStep | None]) -> tuple[float,
 
 
 def _together(first: TrendStep, second: TrendStep) -> bool:
-    return (
-        first.before_ns - FINDINGS.simultaneous_ns <= second.after_ns
-        and second.before_ns <= first.after_ns + FINDINGS.simultaneous_ns
-    )
+    most_ns = FINDINGS.simultaneous_ns
+    return first.before_ns - most_ns <= second.after_ns and second.before_ns <= first.after_ns + most_ns
 
 
 def _log_scale(step: TrendStep) -> float:
