@@ -135,10 +135,7 @@ def _on_rails(wheels: WheelPair, one: RailShare) -> tuple[ContactTable, RadiusDi
     wheelset = WheelsetOnTrack(
         wheels.left, wheels.right, rail, rail, one.inclination, one.gauge, wheels.nominal_radius, wheels.nominal_radius
     )
-    x = ACCURACY.displacement_step * np.arange(
-        -round(ACCURACY.displacement_reach / ACCURACY.displacement_step),
-        round(ACCURACY.displacement_reach / ACCURACY.displacement_step) + 1,
-    )
+    x = ACCURACY.displacement()
     table = contact_table(wheelset, x, method=ContactMethod.EN15302, outside="hold")
     return table, refined_curve(wheelset, table, 0)
 

@@ -279,9 +279,6 @@ def touched(one: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tu
     """Return the stretches of low friction that a window was on."""
     if one.sums is None or not len(one.sums.cells):
         return ()
-    first, behind = CELL_LENGTH * one.sums.cells[0], CELL_LENGTH * (one.sums.cells[-1] + 1)
-    return tuple(
-        (begin, end)
-        for begin, end in stretches
-        if begin < behind + MOTION.low_friction_margin and end > first - MOTION.low_friction_margin
-    )
+    margin = MOTION.low_friction_margin
+    first, last = CELL_LENGTH * one.sums.cells[0] - margin, CELL_LENGTH * (one.sums.cells[-1] + 1) + margin
+    return tuple((begin, end) for begin, end in stretches if begin < last and end > first)

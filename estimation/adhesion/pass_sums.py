@@ -288,13 +288,9 @@ def common_std(
     by_level = usual * level / (sums.by_place(gq) + TINY)
     # in parts of what one pass leaves, from where places seem to be
     beyond = (by_level - parameters.best_inverse) / (one_pass + TINY)
-    shown, places = (
-        max(-float(np.quantile(beyond, parameters.below_best_share)) / NORMAL_90, parameters.least_common_std),
-        len(beyond),
-    )
-    return np.asarray(
-        float(np.sqrt((places * shown**2 + parameters.prior_places) / (places + parameters.prior_places))) * one_pass
-    )
+    by_quantile = -float(np.quantile(beyond, parameters.below_best_share)) / NORMAL_90
+    shown, places, prior = max(by_quantile, parameters.least_common_std), len(beyond), parameters.prior_places
+    return np.asarray(float(np.sqrt((places * shown**2 + prior) / (places + prior))) * one_pass)
 
 
 def _left(sums: PassSums, inverse: FloatArray, b: FloatArray, a: FloatArray) -> FloatArray:

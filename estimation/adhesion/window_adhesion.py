@@ -195,10 +195,8 @@ def creep_signals(
     rows = sign * np.stack([forces.contact, forces.moment, R, forces.roll])
     finite = np.isfinite(rows).all(axis=0) & np.isfinite(motion.displacement)
     passed, valid = np.full(rows.shape, np.nan), np.zeros(len(V), np.bool_)
-    trim, shortest = (
-        round(FORCES.trimmed_end_s / sample_interval_s),
-        round(FORCES.shortest_stretch_s / sample_interval_s),
-    )
+    lengths_s = FORCES.trimmed_end_s, FORCES.shortest_stretch_s
+    trim, shortest = (round(length_s / sample_interval_s) for length_s in lengths_s)
     for start, stop in runs(finite):
         if stop - start < shortest:
             continue
@@ -290,10 +288,8 @@ def window_adhesion(
         mounted_reversed=inputs.mounted_reversed,
     )
     if found.valid.sum() < FORCES.fewest_samples:
-        few = Reason(
-            ReasonCode.TOO_FEW_USABLE, f"{found.valid.sum()} samples of creep, {FORCES.fewest_samples} are needed"
-        )
-        return refused(*of_window, few)
+        text = f"{found.valid.sum()} samples of creep, {FORCES.fewest_samples} are needed"
+        return refused(*of_window, Reason(ReasonCode.TOO_FEW_USABLE, text))
     error = float(np.hypot(FORCES.force_std, FORCES.smoothed_force_std)) if forces.smoothed else FORCES.force_std
     distance = inputs.correction.at(window.distance)
     of_samples = (found, motion, distance, curve, vehicle, window.sample_interval_s)

@@ -75,17 +75,13 @@ def newest_mirrored(parts: Parts, model: StepModel) -> Mirrored | None:
     found = newest_change(Series(x_km, parts.t_ns[whole], size, error), EVEN)
     if found is None:
         return None
-    sides = (
-        slice(max(0, found.last + 1 - model.points_beside), found.last + 1),
-        slice(found.first, found.first + model.points_beside),
-    )
+    beside = model.points_beside
+    sides = slice(max(0, found.last + 1 - beside), found.last + 1), slice(found.first, found.first + beside)
     before, after = (float(np.median(size[side])) for side in sides)
     odd_change, even_change = (_change(table, x_km, sides) for table in (odd, even))
     unlike, common = abs(after + before), float(np.median(error))
-    if (
-        odd_change > FINDINGS.mirrored_odd_share * even_change
-        or unlike > FINDINGS.size_tolerance * abs(found.size) + FINDINGS.common_stds * common
-    ):
+    most_unlike = FINDINGS.size_tolerance * abs(found.size) + FINDINGS.common_stds * common
+    if odd_change > FINDINGS.mirrored_odd_share * even_change or unlike > most_unlike:
         return None
     left = unlike / float(np.hypot(found.std, FINDINGS.common_stds * common))
     return Mirrored(int(whole[found.last]), int(whole[found.first]), abs(found.size) / found.std, left)

@@ -120,11 +120,8 @@ def _design(kind: ProfileKind, name: str) -> tuple[DesignCurve, cKDTree]:
     tangent = np.column_stack([np.ones(len(profile.y)), profile.slope]) / np.hypot(1.0, profile.slope)[:, np.newaxis]
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     y, z = points.T
-    inside = (
-        (y >= PROFILES.design_wheel_range[0]) & (y <= PROFILES.design_wheel_range[1])
-        if kind == "wheel"
-        else z - z.min() <= PROFILES.design_rail_depth
-    )
+    begin, end = PROFILES.design_wheel_range
+    inside = (y >= begin) & (y <= end) if kind == "wheel" else z - z.min() <= PROFILES.design_rail_depth
     inner = float(arc[inside][0]), float(arc[inside][-1])
     return DesignCurve(name, arc, points, tangent, inner), cKDTree(points)
 

@@ -93,9 +93,8 @@ def fit_spline(
             weights = weight * _relative_precision(tangent, residual, weight)
     knots, basis = _basis(arc, spacing)
     rows = _whitened(points - design.at(arc)[0] if design else points, basis, weights, arc, length)
-    fit = _evidence_fit(
-        rows, fit.noise, PROFILES.fit_rounds, known=noise_std is not None, pooled=_on_design(design, knots)
-    )
+    pooled = _on_design(design, knots)
+    fit = _evidence_fit(rows, fit.noise, PROFILES.fit_rounds, known=noise_std is not None, pooled=pooled)
     if design is None:
         fit = _levelled(rows, fit, known=noise_std is not None)
     _, residual, _ = _projected(points, arc, knots, fit.coefficients, design)
@@ -212,10 +211,9 @@ def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool, pooled
 
 
 def _over_neighbours(values: FloatArray) -> FloatArray:
-    kernel = np.bartlett(2 * PROFILES.variance_neighbours + 3)[1:-1]
-    return np.asarray(
-        np.convolve(np.pad(values, PROFILES.variance_neighbours, mode="edge"), kernel / kernel.sum(), "valid")
-    )
+    reach = PROFILES.variance_neighbours
+    kernel = np.bartlett(2 * reach + 3)[1:-1]
+    return np.asarray(np.convolve(np.pad(values, reach, mode="edge"), kernel / kernel.sum(), "valid"))
 
 
 def _levelled(rows: _Rows, fit: _Fit, *, known: bool) -> _Fit:

@@ -198,9 +198,8 @@ class Profile:
             if len(bad):
                 raise ProfileError(f"profile {self.name!r}: point {bad[0] + 1} is not a finite number", field=field)
         if n < PROFILES.fewest_points:
-            raise ProfileError(
-                f"profile {self.name!r}: {n} points, at least {PROFILES.fewest_points} are needed", field="y"
-            )
+            few = f"{n} points, at least {PROFILES.fewest_points} are needed"
+            raise ProfileError(f"profile {self.name!r}: {few}", field="y")
         backwards = np.flatnonzero(np.diff(self.y) <= 0)
         if len(backwards):
             raise ProfileError(f"profile {self.name!r}: y does not increase at point {backwards[0] + 2}", field="y")

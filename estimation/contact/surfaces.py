@@ -72,11 +72,8 @@ def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
     beyond = top + np.flatnonzero(np.diff(outwards[0], prepend=-np.inf) > 0)
     before = top - np.flatnonzero(np.diff(outwards[1], prepend=np.inf) < 0)
     keep = np.concatenate([before[:0:-1], beyond])
-    return _gridded(
-        y[keep] - edge + gauge / 2.0,
-        z[keep] - z[top],
-        np.clip(slope[keep], -PROFILES.steepest_slope, PROFILES.steepest_slope),
-    )
+    steepest = PROFILES.steepest_slope
+    return _gridded(y[keep] - edge + gauge / 2.0, z[keep] - z[top], np.clip(slope[keep], -steepest, steepest))
 
 
 def _gauge_edge(name: str, y: FloatArray, depth: FloatArray, *, wall: bool) -> float:

@@ -259,9 +259,8 @@ def gain_std(vehicle_class: VehicleClass) -> float:
 
 
 def _scale_stds(sensors: SensorLayout) -> tuple[float, float]:
-    return max(sensors.lateral.scale_std, DAMPING.least_scale_std), max(
-        sensors.mass_lateral.scale_std, DAMPING.least_scale_std
-    )
+    least = DAMPING.least_scale_std
+    return max(sensors.lateral.scale_std, least), max(sensors.mass_lateral.scale_std, least)
 
 
 def _axles(vehicle_class: VehicleClass) -> int:

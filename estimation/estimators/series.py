@@ -56,10 +56,7 @@ def empty(
     parameters: EstimatorParameters, functions: int, targets: int = len(YAW_TARGETS), sums: int = 1
 ) -> SeriesState:
     """Return empty sums for ``functions`` basis functions."""
-    gram, cross = (
-        np.zeros((RIVALS.series_groups, functions, functions)),
-        np.zeros((RIVALS.series_groups, functions, targets)),
-    )
+    gram, cross = (np.zeros((RIVALS.series_groups, functions, columns)) for columns in (functions, targets))
     return SeriesState(parameters, gram, cross, 0.0, np.zeros((sums, CELLS)), np.zeros(CELLS), 0, 0)
 
 

@@ -157,11 +157,8 @@ def model_fit(
     solved, _ = solve_with_shared_scales(*moments, priors)
     theta = solved.theta.reshape(len(weight), int(used.sum()), regressors, len(YAW_TARGETS))
     unit = 1.0 if in_bogie else 0.5 * p.half_contact_distance * p.load / p.yaw_stiffness
-    of_spring = (
-        solve_with_shared_scales(*moments, (*priors[:2], uncertainty.straight_std))[0].theta
-        if in_bogie
-        else solved.theta
-    )
+    straight = (*priors[:2], uncertainty.straight_std)
+    of_spring = solve_with_shared_scales(*moments, straight)[0].theta if in_bogie else solved.theta
     errors = unit * np.nanmedian(of_spring.reshape(theta.shape)[:, :, 0, 0], axis=1)
     per_metre = p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius
     counts = weight[0, used]
@@ -218,10 +215,9 @@ def displaced(fit: ModelFit) -> Contradiction | None:
 def _spring_differs(
     fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool, uncertainty: ParameterUncertainty
 ) -> Contradiction | None:
-    share, of_sensors = (
-        (uncertainty.share_in_bogie, uncertainty.sensors_in_bogie) if in_bogie else (1.0, uncertainty.sensor_scale)
-    )
-    seen = uncertainty.seen_in_bogie if in_bogie else 1.0
+    share, seen, of_sensors = 1.0, 1.0, uncertainty.sensor_scale
+    if in_bogie:
+        share, seen, of_sensors = uncertainty.share_in_bogie, uncertainty.seen_in_bogie, uncertainty.sensors_in_bogie
     of_class = share * math.hypot(stiffness_std, creep_std)
     std = float(np.linalg.norm([fit.spring_error_std, of_sensors, of_class]))
     if abs(fit.spring_error) <= uncertainty.doubted_stds * std:
@@ -236,9 +232,8 @@ def _spring_differs(
 
 
 def _unexplained(fit: ModelFit, uncertainty: ParameterUncertainty) -> Contradiction | None:
-    doubted, certain = (
-        math.sqrt(most**2 + fit.displacement_error) for most in (uncertainty.doubted_misfit, uncertainty.certain_misfit)
-    )
+    limits = uncertainty.doubted_misfit, uncertainty.certain_misfit
+    doubted, certain = (math.sqrt(most**2 + fit.displacement_error) for most in limits)
     if fit.misfit <= doubted:
         return None
     text = (

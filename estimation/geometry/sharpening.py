@@ -344,9 +344,8 @@ def standard_curve(x: FloatArray, curve: FloatArray, roll: ContactRoll) -> tuple
     away = x - middle
     flat, rises = split_at_rises(x, curve, middle)
     phi = SHARPENING.roll_per_displacement * away + SHARPENING.roll_per_radius * flat
-    moved = (
-        curve - rises + displaced(x, rises, middle, (SHARPENING.crown_depth - VEHICLE.rail_head_radius) * np.abs(phi))
-    )
+    lever = SHARPENING.crown_depth - VEHICLE.rail_head_radius
+    moved = curve - rises + displaced(x, rises, middle, lever * np.abs(phi))
     if roll is ContactRoll.SEEN:
         return x, moved
     taken = MOTION.hidden_roll_share / (1.0 + MOTION.hidden_roll_share) * away

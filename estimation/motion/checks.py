@@ -92,12 +92,8 @@ def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> flo
 def straight_part(window: Window, layout: TrackLayout | None, parameters: SignalParameters) -> Window | Reason:
     """Return the window with samples in curves not valid, or why none is left; without a layout, if it shows one."""
     if layout is None:
-        return (
-            check_lateral(
-                window, window.valid & fast_enough(window.speed, parameters.least_speed_m_s), layout, parameters
-            )
-            or window
-        )
+        fast = window.valid & fast_enough(window.speed, parameters.least_speed_m_s)
+        return check_lateral(window, fast, layout, parameters) or window
     left = window.valid & straight(window.distance, layout, parameters)
     if not left.any() and window.valid.any():
         return Reason(ReasonCode.IN_CURVES, "all of the window is in curves")
@@ -278,9 +274,8 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
 def lateral_yaw_correlation(integrated: IntegratedWindow) -> float | None:
     """Return the correlation of lateral velocity with speed times yaw, vibration apart; None where nothing moves."""
     products, lateral, yaw = 0.0, 0.0, 0.0
-    second, fast = (
-        round(length / integrated.window.sample_interval_s) for length in (MOTION.comparison_s, MOTION.smoothing_s)
-    )
+    interval_s = integrated.window.sample_interval_s
+    second, fast = round(MOTION.comparison_s / interval_s), round(MOTION.smoothing_s / interval_s)
     for segment in integrated.segments:
         both = np.stack([segment.rates[0], segment.speed * segment.displacements[1]])
         a, b = (high_pass_running_mean(row, second) for row in uniform_filter1d(both, max(fast, 1)))

@@ -158,10 +158,8 @@ class FusedSignals:
 
 def fuse(signals: MotionSignals, vehicle: VehicleParameters) -> FusedSignals:
     """Return y, R and its stiffness term on a grid; short waves of R from the yaw sensor, long ones from Eq. 1."""
-    run = (
-        np.arange(np.ceil(signals.run[0] / FUSED.grid_step), np.floor(signals.run[-1] / FUSED.grid_step) + 1)
-        * FUSED.grid_step
-    )
+    step = FUSED.grid_step
+    run = np.arange(np.ceil(signals.run[0] / step), np.floor(signals.run[-1] / step) + 1) * step
     shortest = _shortest(signals, run)
     sampled = [
         signals.speed,
@@ -235,9 +233,8 @@ def _gravity(R: FloatArray, ψ: FloatArray, V: FloatArray, vehicle: VehicleParam
     if band is None:
         return FUSED.prior_gravity
     regressor, target = band
-    return float(
-        (regressor @ target + FUSED.prior_weight * FUSED.prior_gravity) / (regressor @ regressor + FUSED.prior_weight)
-    )
+    weight = FUSED.prior_weight
+    return float((regressor @ target + weight * FUSED.prior_gravity) / (regressor @ regressor + weight))
 
 
 def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatArray | None = None) -> MotionSignals:

@@ -186,9 +186,8 @@ def gauge_shift(
         if not certain.any():
             continue
         whole = (grid.difference + more * grid.stiffness_term)[None, :]
-        (fast,) = remove_wander(
-            np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, MOTION.longest_radius_wave
-        )
+        longest = MOTION.longest_radius_wave
+        (fast,) = remove_wander(np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, longest)
         known = segment.known & (run >= grid.run[0] + ends) & (run <= grid.run[-1] - ends)
         shift[part][known] = table.at(np.interp(run[known], grid.run, fast), e[part][known])
     return shift

@@ -120,9 +120,8 @@ def struck(lateral: FloatArray, roll: FloatArray, interval_s: float, lost: BoolA
         size = float(np.median(values[blows])) if blows.any() else BLOWS.least_blow_acceleration
         rings = near & (rest > np.maximum(BLOWS.ringing_stds * noise, BLOWS.ringing_share * size))
         found |= binary_closing(rings | blows | lost, iterations=2)
-    return np.asarray(
-        binary_dilation(found, iterations=max(round(BLOWS.guard_s / interval_s), 1)) if found.any() else found
-    )
+    guard = max(round(BLOWS.guard_s / interval_s), 1)
+    return np.asarray(binary_dilation(found, iterations=guard) if found.any() else found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,16 +228,15 @@ def _comb(events: FloatArray, run: float) -> _Comb | None:
     fewest = max(BLOWS.least_turn_share * run / BLOWS.longest_turn, BLOWS.fewest_turns * BLOWS.least_turn_share)
     if not fewest <= len(events) <= BLOWS.most_turn_events * run / BLOWS.shortest_turn:
         return None
-    step = 0.25 * BLOWS.shortest_turn / (BLOWS.turn_places * run)
+    places = BLOWS.turn_places
+    step = 0.25 * BLOWS.shortest_turn / (places * run)
     turns = np.exp(np.arange(np.log(BLOWS.shortest_turn), np.log(BLOWS.longest_turn), step))
-    place = (
-        np.floor(np.mod(events[None, :] / turns[:, None], 1.0) * BLOWS.turn_places).astype(np.int64) % BLOWS.turn_places
-    )
-    cells = (np.arange(len(turns))[:, None] * BLOWS.turn_places + place).ravel()
-    counts = np.bincount(cells, minlength=len(turns) * BLOWS.turn_places).reshape(len(turns), BLOWS.turn_places)
+    place = np.floor(np.mod(events[None, :] / turns[:, None], 1.0) * places).astype(np.int64) % places
+    cells = (np.arange(len(turns))[:, None] * places + place).ravel()
+    counts = np.bincount(cells, minlength=len(turns) * places).reshape(len(turns), places)
     pairs = counts + np.roll(counts, -1, axis=1)
     best, where = np.unravel_index(int(np.argmax(pairs)), pairs.shape)
-    on = (place[best] == where) | (place[best] == (where + 1) % BLOWS.turn_places)
+    on = (place[best] == where) | (place[best] == (where + 1) % places)
     turn = float(turns[best])
     hit = np.unique(np.round((events[on] - events[on][0]) / turn))
     tries = len(turns) * BLOWS.turn_places
@@ -300,9 +298,8 @@ def _bridge(signals: FloatArray, known: BoolArray, first: int, behind: int, supp
 def turn_blows(signals: FloatArray, at: FloatArray, interval_s: float) -> FloatArray:
     """Return what the blows of a flat are of signals (m, n), lateral, yaw and roll acceleration first; NaN: unknown."""
     turn = float(np.median(np.diff(at))) * interval_s
-    reach = min(BLOWS.shape_before_s + BLOWS.shape_behind_s, BLOWS.most_turn_share * turn) / (
-        BLOWS.shape_before_s + BLOWS.shape_behind_s
-    )
+    longest_s = BLOWS.shape_before_s + BLOWS.shape_behind_s
+    reach = min(longest_s, BLOWS.most_turn_share * turn) / longest_s
     knots = np.arange(-BLOWS.shape_before_s * reach, BLOWS.shape_behind_s * reach + BLOWS.knot_s, BLOWS.knot_s)
     index = np.arange(signals.shape[1])
     number = np.clip(np.searchsorted(at, index + BLOWS.shape_before_s * reach / interval_s) - 1, 0, len(at) - 1)

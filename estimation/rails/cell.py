@@ -238,10 +238,7 @@ def conicity_on_rails(wheels: WheelPair, rails: RailShare, amplitude: FloatArray
         wheelset = WheelsetOnTrack(
             wheels.left, wheels.right, rail, rail, rails.inclination, rails.gauge, radius, radius
         )
-        x = ACCURACY.displacement_step * np.arange(
-            -round(ACCURACY.displacement_reach / ACCURACY.displacement_step),
-            round(ACCURACY.displacement_reach / ACCURACY.displacement_step) + 1,
-        )
+        x = ACCURACY.displacement()
         curve = radius_difference_curve(wheelset, x)
     except (ContactError, ProfileError, ParameterError):
         return nothing, nothing

@@ -172,11 +172,8 @@ def _means(values: FloatArray, group: IntArray) -> FloatArray:
 
 def _covariance(residuals: FloatArray, freedom: int) -> FloatArray:
     raw = residuals.T @ residuals / freedom
-    return np.asarray(
-        (1 - SIGNATURE.covariance_shrinkage) * raw
-        + SIGNATURE.covariance_shrinkage * np.diag(np.diag(raw))
-        + SIGNATURE.ridge_variance * np.eye(len(raw))
-    )
+    share, ridge = SIGNATURE.covariance_shrinkage, SIGNATURE.ridge_variance
+    return np.asarray((1 - share) * raw + share * np.diag(np.diag(raw)) + ridge * np.eye(len(raw)))
 
 
 def _of_means(group: IntArray) -> float:

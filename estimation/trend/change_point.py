@@ -128,10 +128,8 @@ def _median_change(series: Series, at: int, model: StepModel) -> float:
     wear = min(max(_median((np.diff(about.value) / run).tolist()), model.slope - usual), model.slope + usual)
     flat = series.part(max(0, at - model.points_beside), at + model.points_beside)
     level, here = (flat.value - wear * (flat.x_km - series.x_km[at])).tolist(), min(at, model.points_beside)
-    changes = [
-        _median(level[here : here + n]) - _median(level[max(0, here - n) : here]) for n in (least, model.points_beside)
-    ]
-    return min(changes, key=abs)
+    counts = least, model.points_beside
+    return min((_median(level[here : here + n]) - _median(level[max(0, here - n) : here]) for n in counts), key=abs)
 
 
 def _median(values: list[float]) -> float:
@@ -244,12 +242,9 @@ class _Points:
         good = [~evidence.out[side] for side in sides]
         if min(one.sum() for one in good) < self.model.least_good:
             return False
-        before, behind = (
-            np.median(self.value[side][one][keep])
-            for side, one, keep in zip(
-                sides, good, (slice(-self.model.points_beside, None), slice(self.model.points_beside)), strict=True
-            )
-        )
+        count = self.model.points_beside
+        nearest = zip(sides, good, (slice(-count, None), slice(count)), strict=True)
+        before, behind = (np.median(self.value[side][one][keep]) for side, one, keep in nearest)
         off = self.model.outlier_share * abs(evidence.size)
         apart = [np.abs(self.value[side] - level) > off for side, level in zip(sides, (behind, before), strict=True)]
         return min(int((one | left).sum()) for one, left in zip(good, apart, strict=True)) >= self.model.least_points
@@ -308,11 +303,6 @@ def _log_normal(apart: FloatArray, variance: FloatArray) -> FloatArray:
 
 
 def _running_median(value: FloatArray, model: StepModel) -> FloatArray:
-    half = model.points_beside // 2
-    n = len(value)
-    return np.array(
-        [
-            np.median(value[max(0, i - half) : max(0, i - half) + model.points_beside][-model.points_beside :])
-            for i in range(n)
-        ]
-    )
+    count = model.points_beside
+    first = (max(0, i - count // 2) for i in range(len(value)))
+    return np.array([np.median(value[begin : begin + count][-count:]) for begin in first])

@@ -300,10 +300,8 @@ def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int, para
     # of several it is the one that most of the very newest cover, then the largest: a worn wheelset moves ever less,
     # and a step that its newest intervals show must not wait until they cover what it once did
     limit = round(LIMIT_AMPLITUDE / SAME_AMPLITUDE)
-    sides = [
-        covered[-params.newest_points :],
-        covered[-params.newest_points - params.points_before : -params.newest_points],
-    ]
+    recent = params.newest_points
+    sides = covered[-recent:], covered[-recent - params.points_before : -recent]
     keys = {key for one in covered for key in one if key <= limit}
     enough = [key for key in keys if all(sum(key in one for one in s) >= params.covering_share * len(s) for s in sides)]
     return max(enough, key=lambda key: (sum(key in one for one in covered[-newest:]), key), default=0)

@@ -68,9 +68,8 @@ def measured_curve(
     """
     rails = rail_profile(rail)
     wheelset = WheelsetOnTrack(left, right, rails, rails, inclination, gauge)
-    x = TRACK.basis_step * np.arange(
-        -round(TRACK.basis_reach / TRACK.basis_step), round(TRACK.basis_reach / TRACK.basis_step) + 1
-    )
+    steps = round(TRACK.basis_reach / TRACK.basis_step)
+    x = TRACK.basis_step * np.arange(-steps, steps + 1)
     curve = radius_difference_curve(wheelset, x, method=ContactMethod.EN15302 if at_rails else ContactMethod.RIGID)
     x, R = curve.displacement, curve.difference
     risen = np.maximum.accumulate(R)  # h(R) is the inverse of what rises: a step of R is a flat of h

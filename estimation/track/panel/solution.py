@@ -197,12 +197,8 @@ def _prior_of_measured(
     matrix, right = np.zeros((w * c, w * c)), np.zeros(w * c)
     for number, curve in _measured(state).items():
         displacement, reached = curve.at(p.knots)
-        own = (
-            (parameters.pass_std / curve.std) ** 2
-            * parameters.correlated_samples
-            * parameters.independent_parts
-            / p.basis_count
-        )
+        samples = (parameters.pass_std / curve.std) ** 2 * parameters.correlated_samples
+        own = samples * parameters.independent_parts / p.basis_count
         weight = reached * (own if fixed_weight is None else fixed_weight)
         if not weight.any():
             continue
