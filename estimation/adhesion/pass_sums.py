@@ -135,10 +135,8 @@ class Scales(FrozenArrays):
     def known(self) -> BoolArray:
         """(g,) those that a scale well below, or above the least of the grid, does not fit."""
         below = self.logarithm - FORCES.scale_reach
-        return np.asarray(
-            self.std_from(np.where(below >= SCALES[0], below, self.logarithm + FORCES.scale_reach))
-            < FORCES.most_scale_std
-        )
+        beside = np.where(below >= SCALES[0], below, self.logarithm + FORCES.scale_reach)
+        return np.asarray(self.std_from(beside) < FORCES.most_scale_std)
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,10 +238,9 @@ def along_track(
     values = CubicSpline(INVERSE, misfits, axis=1)(GRID)
     own = np.exp(-0.5 * (values - values.min(axis=1, keepdims=True)))
     widened = np.empty_like(own)
+    wrong = parameters.wrong_place_share
     for std in np.unique(place_std):
-        spread = (1.0 - parameters.wrong_place_share) * _spread(std, width) + parameters.wrong_place_share * _spread(
-            parameters.wrong_factor * std, width
-        )
+        spread = (1.0 - wrong) * _spread(std, width) + wrong * _spread(parameters.wrong_factor * std, width)
         widened[place_std == std] = own[place_std == std] @ spread.T
     likelihoods = np.asarray(widened / widened.max(axis=1, keepdims=True) + parameters.least_likelihood)
     adjoins = np.diff(cells) == 1

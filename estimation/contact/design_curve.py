@@ -59,10 +59,8 @@ def nearest_design(kind: ProfileKind, points: FloatArray) -> DesignCurve | None:
         start = _start(_design(kind, name)[0], shown) if kind == "rail" else (0.0, 0.0, 0.0)
         movement = _moved(kind, name, start, shown, PROFILES.search_reaches[:1])
         found.append((_distance(kind, name, movement, shown), name, movement))
-    finals = [
-        (name, _moved(kind, name, start, shown, PROFILES.search_reaches[1:]))
-        for _, name, start in sorted(found)[: PROFILES.finalist_designs]
-    ]
+    best, reaches = sorted(found)[: PROFILES.finalist_designs], PROFILES.search_reaches[1:]
+    finals = [(name, _moved(kind, name, start, shown, reaches)) for _, name, start in best]
     name, movement = min(finals, key=lambda final: _distance(kind, final[0], final[1], shown))
     design = _design(kind, name)[0]
     if float(np.median(np.abs(_across(kind, name, movement, shown)[0]))) > PROFILES.most_design_distance:

@@ -180,9 +180,8 @@ def _whitened(points: FloatArray, basis: FloatArray, weights: FloatArray, arc: F
     if length == 0.0:
         return design, target
     gap = np.abs(np.diff(arc[kept]))
-    alike = np.where(
-        gap > PROFILES.correlated_reach, 0.0, np.minimum(np.exp(-gap / length), PROFILES.most_correlation)
-    )[:, np.newaxis]
+    correlation = np.minimum(np.exp(-gap / length), PROFILES.most_correlation)
+    alike = np.where(gap > PROFILES.correlated_reach, 0.0, correlation)[:, np.newaxis]
     own = np.sqrt(1.0 - alike**2)
     return (
         np.concatenate([design[:1], (design[1:] - alike * design[:-1]) / own]),

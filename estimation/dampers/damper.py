@@ -299,22 +299,21 @@ class Posterior:
 
 def posterior(sums: FloatArray, curved: int, parameters: DamperParameters) -> Posterior | None:
     """Return what sums say; None where the noise of the sensors would make up all of it."""
-    t = (np.arange(parameters.shares_between) + 0.5) / parameters.shares_between
+    count = parameters.shares_between
+    t = (np.arange(count) + 0.5) / count
     low, apart = np.array(SHARES[:-1]), np.diff(SHARES)
     share = (low[:, None] + apart[:, None] * t).ravel()
-    products, between = np.repeat(sums, parameters.shares_between, axis=0), np.tile(t, len(low))
+    products, between = np.repeat(sums, count, axis=0), np.tile(t, len(low))
     found = _conditional(products, between, curved, parameters)
     if found is None:
         return None
     errors, square, precision = found
     likelihood = -0.5 * (square + np.linalg.slogdet(precision)[1])
-    weight = np.exp(likelihood - likelihood.max()) * np.repeat(apart, parameters.shares_between)
+    widths = np.repeat(apart, count)
+    weight = np.exp(likelihood - likelihood.max()) * widths
     weight /= weight.sum()
     mean = float(weight @ share)
-    spread = (
-        float(weight @ (share - mean) ** 2)
-        + float(weight @ np.repeat(apart, parameters.shares_between) / parameters.shares_between) ** 2 / 12.0
-    )
+    spread = float(weight @ (share - mean) ** 2) + float(weight @ widths / count) ** 2 / 12.0
     return Posterior(mean, float(np.sqrt(spread)), float(weight @ (errors**2).mean(axis=1)), errors.shape[1])
 
 
@@ -336,11 +335,8 @@ def _conditional(
         if np.linalg.eigvalsh(precision)[:, 0].min() < parameters.least_curvature:
             return None
         gradient = np.einsum("nak,na->nk", changes, left) + errors
-        errors = np.clip(
-            errors - np.linalg.solve(precision, gradient[..., None])[..., 0],
-            -parameters.farthest_stds,
-            parameters.farthest_stds,
-        )
+        farthest = parameters.farthest_stds
+        errors = np.clip(errors - np.linalg.solve(precision, gradient[..., None])[..., 0], -farthest, farthest)
     signals = np.concatenate([np.ones((n, 1)), errors, errors[:, :curved] ** 2, between[:, None]], axis=1)
     square = np.einsum("na,nab,nb->n", signals, products, signals) + (errors**2).sum(axis=1)
     return errors, square, precision

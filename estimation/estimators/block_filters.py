@@ -242,9 +242,8 @@ class ParticleFilter(BlockFilters):
         lever = 2 * vehicle.half_contact_distance * vehicle.nominal_radius
         square = kernels.particles(*inputs, noise, lever, slope, mean, P, _draws(self.particles))
         found = np.column_stack([mean[:, 2], slope * MILLIMETRE])
-        covariance = np.cov(found.T, bias=True) + np.diag(
-            [P[:, 2, 2].mean(), RIVALS.least_slope_variance * self.prior.std[1] ** 2]
-        )
+        least = [P[:, 2, 2].mean(), RIVALS.least_slope_variance * self.prior.std[1] ** 2]
+        covariance = np.cov(found.T, bias=True) + np.diag(least)
         return Posterior(found.mean(axis=0), covariance, square)
 
 

@@ -235,10 +235,8 @@ class PaperAlgorithm:
             return replace(state, stretches=state.stretches + 1)
         V = float(motion.speed[keep].mean())
         index = np.floor(motion.displacement[keep] / self.width + 0.5).astype(np.int64) + self._half
-        features = (
-            np.column_stack([motion.yaw[keep], motion.roll_rate[keep], np.ones(int(keep.sum()))])
-            / RIVALS.regressor_scale
-        )
+        columns = motion.yaw[keep], motion.roll_rate[keep], np.ones(int(keep.sum()))
+        features = np.column_stack(columns) / RIVALS.regressor_scale
         output = yaw_output(motion, state.parameters.vehicle, V, keep)
         root = np.sqrt(weight)
         cells = state.cells.added(motion, state.parameters.vehicle, weight)

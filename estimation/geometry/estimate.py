@@ -210,10 +210,8 @@ def _displacement_noise(
     least = float(np.quantile(residual[steep] / slope[steep], 0.25) / np.sqrt(2.0))
     most = float(np.linalg.norm(residual[use]) / max(float(np.linalg.norm(slope[use])), 1e-300))
     shown = max(least, min(most, expected))
-    hidden = (
-        float(np.median(of_sensors[use] / np.maximum(replicates.residual[use] ** 2, 1e-300))) > parameters.hidden_share
-    )
-    return (max(shown, expected), True) if hidden else (shown, False)
+    share = float(np.median(of_sensors[use] / np.maximum(replicates.residual[use] ** 2, 1e-300)))
+    return (max(shown, expected), True) if share > parameters.hidden_share else (shown, False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -138,9 +138,8 @@ def _longest_chain(readings: Sequence[MileageReading], km_per_ns: float) -> list
 
 
 def _journeys(readings: Sequence[MileageReading]) -> int:
-    return bool(readings) + sum(
-        second.start_ns - first.start_ns > MOTION.journey_pause_ns for first, second in pairwise(readings)
-    )
+    pauses_ns = (second.start_ns - first.start_ns for first, second in pairwise(readings))
+    return bool(readings) + sum(pause_ns > MOTION.journey_pause_ns for pause_ns in pauses_ns)
 
 
 def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:

@@ -241,11 +241,8 @@ def _comb(events: FloatArray, run: float) -> _Comb | None:
     hit = np.unique(np.round((events[on] - events[on][0]) / turn))
     tries = len(turns) * BLOWS.turn_places
     chance = tries * float(betainc(on.sum(), len(events) - on.sum() + 1, 2.0 / BLOWS.turn_places))
-    if (
-        len(hit) < BLOWS.least_turn_share * run / turn
-        or on.sum() < BLOWS.least_event_share * len(events)
-        or chance > BLOWS.most_chance_count
-    ):
+    few = len(hit) < BLOWS.least_turn_share * run / turn or on.sum() < BLOWS.least_event_share * len(events)
+    if few or chance > BLOWS.most_chance_count:
         return None
     number = np.round((events[on] - events[on][0]) / turn)
     fitted, first = np.polyfit(number, events[on], 1)

@@ -298,10 +298,8 @@ def _weights(found: Sequence[_Judged], shares: FloatArray, parameters: Signature
     weights = np.zeros((len(shares), len(FACTORS)))
     for number in np.flatnonzero(shares):
         variance = (FACTORS[:, None] * std) ** 2 + own + SHARES[number] * claimed
-        weighed = (
-            -0.5 * (error**2 / variance + np.log(variance)) @ weight
-            - 0.5 * (np.log(FACTORS) / parameters.factor_std) ** 2
-        )
+        before = 0.5 * (np.log(FACTORS) / parameters.factor_std) ** 2
+        weighed = -0.5 * (error**2 / variance + np.log(variance)) @ weight - before
         posterior = np.exp(weighed - weighed.max())
         weights[number] = shares[number] * posterior / posterior.sum()
     return weights

@@ -173,9 +173,8 @@ def current(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
         means = len(found) + sum(change is not None for change in found)
         scatter = scatter_of(np.concatenate(sides), wheelset[order], means)
     found = [_change(span, track, scatter, parameters) for span, track in zip(spans, of_places, strict=True)]
-    changes = {
-        change.place: change for change in found if change is not None and change.distance > parameters.largest_distance
-    }
+    most = parameters.largest_distance
+    changes = {change.place: change for change in found if change is not None and change.distance > most}
     kept, retired = [], []
     for entry in entries:
         change = changes.get(entry.signature.place) if entry.signature.place else None

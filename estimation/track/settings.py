@@ -146,9 +146,8 @@ def gauge_shift_changed(old: TrackAlignment, new: TrackAlignment, settings: Alig
         return False
     size = float(np.std(new.gauge_deviation))
     before, after = old.findings.gauge_shifts, new.findings.gauge_shifts
-    return any(
-        _apart(before[one], after[one], size, settings) > settings.same_shift * size for one in before.keys() & after
-    )
+    most = settings.same_shift * size
+    return any(_apart(before[one], after[one], size, settings) > most for one in before.keys() & after)
 
 
 def _apart(first: GaugeShift, second: GaugeShift, size: float, settings: AlignmentSettings) -> float:

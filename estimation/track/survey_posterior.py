@@ -190,10 +190,8 @@ def _band(
     noise = np.full(len(survey), np.inf)
     noise[compared] = passes.variance[number] / passes.journeys[number, compared]
     # errors on file are white down to the shortest wavelength
-    of_file = filed**2 * (
-        (1.0 / shortest - 1.0 / TRACK.band_edges[number])
-        / (1.0 / parameters.shortest_wavelength - 1.0 / TRACK.band_edges[0])
-    )
+    longest, last = TRACK.band_edges, parameters.shortest_wavelength
+    of_file = filed**2 * ((1.0 / shortest - 1.0 / longest[number]) / (1.0 / last - 1.0 / longest[0]))
     if not np.isfinite(passes.variance[number]):
         noise[compared] = square + of_file
     noise += systematic**2

@@ -176,9 +176,8 @@ class _Epoch:
 
     def judge_gauge(self, estimate: SectionEstimate, survey: TrackAlignment) -> Reason | None:
         """Return what is wrong with a surveyed gauge; None where nothing is, or nothing has been decided yet."""
-        found = judge_gauge(
-            estimate.iterated, survey, converged=estimate.report.converged, parameters=self.settings.section
-        )
+        converged, section = estimate.report.converged, self.settings.section
+        found = judge_gauge(estimate.iterated, survey, converged=converged, parameters=section)
         return None if found is None else prefixed(GAUGE_NOT_USED, found)
 
     def update(

@@ -159,9 +159,9 @@ def _damped(u: FloatArray) -> FloatArray:
 
 def _pilot(points: _Scaled) -> tuple[float, float, FloatArray]:
     k = len(points.x)
-    first, second = (
-        np.triu_indices(k, 1) if k <= CURVES.most_paired_points else (np.arange(k // 2), np.arange(k // 2) + k - k // 2)
-    )
+    first, second = np.arange(k // 2), np.arange(k // 2) + k - k // 2
+    if k <= CURVES.most_paired_points:
+        first, second = np.triu_indices(k, 1)
     run = points.x[second] - points.x[first]
     keep = run > 0.0
     first, second, run = first[keep], second[keep], run[keep]

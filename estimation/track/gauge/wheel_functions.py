@@ -181,9 +181,8 @@ def gauge_factor_with_std(seen: Mapping[ProfileLife, ContactSamples]) -> tuple[f
 
 def _misfits_by_factor(seen: Mapping[ProfileLife, ContactSamples]) -> FloatArray:
     """Return how badly the wheels of some wheelsets fit with each factor (w, f), m2."""
-    some = [one.inliers(2) for _, one in sorted(seen.items())][:: max(len(seen) // WHEELS.most_wheelsets, 1)][
-        : WHEELS.most_wheelsets
-    ]
+    most = WHEELS.most_wheelsets
+    some = [one.inliers(2) for _, one in sorted(seen.items())][:: max(len(seen) // most, 1)][:most]
     return np.array([[_misfit_wheels(one, factor) for factor in WHEELS.size_factors] for one in some])
 
 

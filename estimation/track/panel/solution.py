@@ -151,9 +151,8 @@ def _curves(
         *[_prior(size if size > 0.0 else 1.0, state.panel)] * w
     )  # all passes too short: nothing was met
     prior += _no_common_shift(w, state.panel, 1e2 * float(diagonal.max(initial=0.0)))
-    measured, measured_right = _prior_of_measured(
-        state, parameters.fixed_curve_weight * size if curves_fixed else None, parameters
-    )
+    fixed = parameters.fixed_curve_weight * size if curves_fixed else None
+    measured, measured_right = _prior_of_measured(state, fixed, parameters)
     prior += measured
     if curves_fixed:  # the passes determine the stiffness as little as the curves: it is as assumed
         stiffness = np.arange(c - 1, w * c, c)

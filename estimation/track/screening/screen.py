@@ -140,9 +140,8 @@ def _peers(
         chosen.setdefault(int(journey_of[others[k]]), int(others[k]))
     chosen.pop(int(journey_of[i]), None)
     best = list(chosen.values())[:wanted]
-    beyond = np.where(
-        (journey_of[others] != journey_of[i]) & (shared >= parameters.min_chain_overlap), last - filtered[i].last, 0
-    )
+    chained = (journey_of[others] != journey_of[i]) & (shared >= parameters.min_chain_overlap)
+    beyond = np.where(chained, last - filtered[i].last, 0)
     following = [int(others[k]) for k in np.argsort(-beyond, kind="stable")[: parameters.chain_peers] if beyond[k] > 0]
     return list(dict.fromkeys([*best, *following]))
 
