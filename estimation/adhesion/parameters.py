@@ -25,6 +25,10 @@ class ForceParameters:
     lateral_creep_std: float = 0.10  # of the lateral creep, whose gravitational part follows from profiles
     saturation_quantile: float = 0.99
     fewest_samples: int = 500
+    excess_steps: int = 4096  # of the table of excesses
+    curve_step: float = 0.05e-3  # m, between points of the curves of worn wheels
+    curve_points: int = 140  # to either side
+    wear_depths: tuple[float, ...] = (0.0, 0.25e-3, 0.5e-3, 0.75e-3, 1e-3, 1.25e-3, 1.5e-3, 1.75e-3, 2e-3)  # m
     # stationary filter
     speed_step: float = 0.5  # m/s, to which the mean speed of a window is rounded
     least_noise_density: float = 1e-5  # m/s2 or rad/s2 per root hertz: of sensors that have no noise on file
@@ -36,6 +40,7 @@ class ForceParameters:
     creepage_change_s: float = 0.15
     rolling_angle_std: float = 2e-5  # white, of the angle of rolling
     corner_wavelength: float = 130.0  # m
+    state_rounding: float = 1e-13  # of the scaled states, which keeps the covariance positive
     # creep forces
     band_hz: float = 12.0  # end of the band that is kept
     vibration_rms: float = 0.25  # m/s2, of a lateral acceleration above the band: more than contact jumps make
@@ -48,12 +53,7 @@ class ForceParameters:
     # pass sums
     most_scale_std: float = 0.25  # of the logarithm of a scale that is compared
     scale_reach: float = 0.5  # of the logarithm: over which that std is measured
-    state_rounding: float = 1e-13  # of the scaled states, which keeps the covariance positive
-    excess_steps: int = 4096  # of the table of excesses
     inverse_points: int = 160  # of 1/mu
-    curve_step: float = 0.05e-3  # m, between points of the curves of worn wheels
-    curve_points: int = 140  # to either side
-    wear_depths: tuple[float, ...] = (0.0, 0.25e-3, 0.5e-3, 0.75e-3, 1e-3, 1.25e-3, 1.5e-3, 1.75e-3, 2e-3)  # m
     widest_scale: float = 1.8  # logarithm, of the scales that are tried
     scale_points: int = 73
 

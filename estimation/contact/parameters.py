@@ -25,34 +25,42 @@ class ProfileParameters:
     curve_interval: float = 1e-9  # m, a jump of a refined curve is placed to within this
     # conicity
     conicity_draws: int = 48
-    least_draw_share: float = 0.8  # share of the draws that must cover an amplitude
+    least_draw_share: float = 0.8  # that must cover an amplitude
     draw_seed: int = 20_15302
+    conicity_angles: int = 240  # midpoints of the substitution y = middle + amplitude sin(angle)
+    halvings: int = 60  # of the search for where a wheelset turns
+    rest_share: float = 1e-9  # share by which S is below its running maximum where a wheelset has come to rest before
     # design curve
     most_design_distance: float = 0.3  # mm, median distance of the points, beyond which no design is tried
-    significant_stds: float = 5.0  # standard deviations of a mean distance that noise does not explain
+    significant_stds: float = 5.0  # of a mean distance, that noise does not explain
     averaging_lengths: tuple[float, float, float] = (2.0, 6.0, 20.0)  # mm of arc, over which distances are averaged
     design_wheel_range: tuple[float, float] = (-43.0, 50.0)  # mm from the tread datum: flange face to the outer tread
     design_rail_depth: float = 13.0  # mm below the top
     search_reaches: tuple[float, float, float] = (3.0, 1.0, 0.3)  # mm, beyond which a distance counts little
     search_rounds: int = 5  # with each reach
-    fewest_design_points: int = 100  # points
+    fewest_design_points: int = 100
     placing_points: int = 300  # that place a design
     finalist_designs: int = 3
     thickness_step: float = 0.5  # mm
     head_depth: float = 5.0  # mm below its top, where the middle of a head is taken
     # profiles
-    tread_datum: float = 0.070  # distance of a wheel's tread datum from its flange back, m
-    sampling_step_mm: float = 0.05  # distance between the points of an analytic profile, along its surface
-    grid_step: float = 2e-5  # distance between grid points, m
-    gauge_depth: float = 0.014  # depth below the top of the rail down to which the gauge is measured, m (EN 13848-1)
+    tread_datum: float = 0.070  # m, of a wheel, from its flange back
+    sampling_step_mm: float = 0.05  # of an analytic profile, along its surface
+    grid_step: float = 2e-5  # m
+    gauge_depth: float = 0.014  # m below the top of the rail, down to which the gauge is measured (EN 13848-1)
     tip_height: float = 2e-3  # m, part of the flange that counts as its tip
     least_flange_height: float = 15e-3  # m, a wheel profile flatter than this has no flange
     steepest_slope: float = math.tan(math.radians(82.0))
     notch_height: float = 1e-3  # m of height that may be steeper without ending the surface
     flange_face_end: float = -20e-3  # m from the tread datum
     wall_slope: float = math.tan(math.radians(70.0))  # a gauge face at least this steep may be continued straight down
+    usual_radius: float = 0.45  # m, at the tread datum
+    flange_back_distance: float = 1.360  # m, usual for 1435 mm
+    fewest_points: int = 4  # of a profile
+    fewest_gridded: int = 2  # points of a surface
+    jump_neighbours: float = 1.5  # times the interval of a curve, that they are apart at most
     # wear
-    deepest_hollow: float = 6e-3  # largest depth that the form is meant for, m
+    deepest_hollow: float = 6e-3  # m, that the form is meant for
     most_flange_wear: float = 4e-3  # m, for which the moved flange still is one height per lateral position
     root_range: tuple[float, float] = (-0.040, -0.032)  # m, flange moves fully at first, tread not from second
     tip_range: tuple[float, float] = (-0.058, -0.048)  # m, tip stays up to the first, face moves fully from the second
@@ -61,7 +69,7 @@ class ProfileParameters:
     tread_begin: float = -0.030  # m, field side of the flange root
     rim_margin: float = 5e-3  # m, the outermost part belongs to the chamfer
     wear_step: float = 2e-5  # m
-    deepest_band: float = 4e-3  # largest depth that the form is meant for, m
+    deepest_band: float = 4e-3  # m, that the form is meant for
     # penalised spline
     knot_step: float = 0.5  # mm of arc, unless points are farther apart
     noise_rounds: int = 4
@@ -82,6 +90,10 @@ class ProfileParameters:
     least_third_derivative: float = 1e-5  # 1/mm^2
     unseen_third_derivative: float = 1e-2  # 1/mm^3, of the noise, that a difference from a design may have unseen
     least_determined_share: float = 1e-3
+    variance_neighbours: int = 4  # to either side, over which the local variance is averaged
+    # of the local variance, that are tried
+    levels: tuple[float, ...] = tuple(float(10.0**exponent) for exponent in np.arange(-2.0, 2.01, 0.25))
+    tiny_variance: float = 1e-20  # mm2; in place of zero
     # smoothed profile
     exact_noise: float = 1e-4  # mm: points with less noise are taken as they are
     smoothed_step: float = 0.05  # mm of arc between the points of a smoothed profile
@@ -93,19 +105,6 @@ class ProfileParameters:
     outlier_neighbours: int = 3  # points to either side, of which only the farthest is left out at a time
     noise_neighbours: int = 40  # points to either side that show the local noise
     middle_neighbours: int = 15  # points to either side, whose noise is that of the point between them
-    conicity_angles: int = 240  # midpoints of the substitution y = middle + amplitude sin(angle)
-    halvings: int = 60  # of the search for where a wheelset turns
-    rest_share: float = 1e-9  # share by which S is below its running maximum where a wheelset has come to rest before
-    variance_neighbours: int = 4  # to either side, over which the local variance is averaged
-    tiny_variance: float = 1e-20  # mm2; in place of zero
-    flange_back_distance: float = 1.360  # m, usual for 1435 mm
-    fewest_gridded: int = 2  # points of a surface
-    fewest_points: int = 4  # of a profile
-    levels: tuple[float, ...] = tuple(
-        float(10.0**exponent) for exponent in np.arange(-2.0, 2.01, 0.25)
-    )  # of the variance
-    jump_neighbours: float = 1.5  # times the interval of a curve, that they are apart at most
-    usual_radius: float = 0.45  # m, at the tread datum
     most_points: int = 4000  # of a measured profile
 
 

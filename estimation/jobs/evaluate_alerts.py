@@ -22,6 +22,7 @@ from estimation.jobs.stage import AnyStage, Counted, Outcome, Part, Stage
 from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.jobs.work import Isolation
 from estimation.storage import UnitOfWork
+from estimation.trend.now import SCALE
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Finding, Transition
 from estimation.values.geometry import GEOMETRY
 from estimation.values.runs import Facet, SubjectKind
@@ -280,7 +281,7 @@ ALERTS = Stage(
         *(Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, Facet.RESTARTS, GEOMETRY.stage, Facet.BESIDE),
         *(TREND.stage, IDENTITY_EVENT.stage),
     ),
-    settings=lambda settings: (settings.trend, settings.rules.version, FINDINGS),
+    settings=lambda settings: (settings.trend, settings.rules.version, FINDINGS, SCALE),
     load=load,
     compute=compute,
     counted=Counted(

@@ -11,11 +11,12 @@ class MotionParameters:
 
     # window motion
     full_band_factor: float = 2.0  # times the wavelength looked at: an alignment of longer ones holds it unchanged
-    # m, of an alignment at a place from which on it is left out, where most of it is far better:
-    uncertain_std: float = 0.25e-3
+    uncertain_std: float = 0.25e-3  # m, of a place of an alignment that is left out, where most of it is far better
     uncertain_factor: float = 3.0  # times the median
     inverse_floor: float = 0.03  # e: where F leaves less than about this, less is undone
     longest_radius_wave: float = 120.0  # m, wavelength of rL - rR; what is longer is small: -2 l r0 d''
+    spline_margin: int = 20  # points beyond a piece, so that the ends of its spline do not matter
+    fewest_spline_points: int = 4
     # mileage
     most_mileage_km: float = 1e8  # of a wheelset; the registry takes no more either
     slack_km: float = 50.0  # of readings and times that people enter
@@ -38,7 +39,7 @@ class MotionParameters:
     backwards_correlation: float = -0.3  # of lateral velocity and speed times yaw, 1 of an axle that rolls forward
     unrelated_correlation: float = 0.25  # of sensors off these axes: a turned one has up to 0.15, stiff bogies 0.8
     smoothing_s: float = 0.04  # vibration is faster
-    one_way_share: float = 0.98  # share of the samples that must lead one way
+    one_way_share: float = 0.98  # of the samples that must lead one way
     low_friction_margin: float = 25.0  # m kept from a stretch of low friction: half a place
     most_left_out_share: float = 0.25  # share of the samples from which low friction is why too few are left
     # rolling sums
@@ -50,8 +51,6 @@ class MotionParameters:
     usual_lateral_noise: float = 1e-3  # m/s2 and rad/s2 per root hertz: MEMS sensors, where nothing is on file
     usual_angular_noise: float = 2e-3
     usual_rate_noise: float = 1e-4  # rad/s per root hertz, of a gyroscope
-    spline_margin: int = 20  # points beyond a piece, so that the ends of its spline do not matter
-    fewest_spline_points: int = 4  # of a spline
     # bin tables
     smallest_eigenvalue: float = 1e-10  # of the scaled normal matrix; below it a direction is not in the data
     fast_mean_samples: int = 17  # at 250 Hz: faster than some 10 Hz

@@ -16,6 +16,9 @@ class AnswerParameters:
     conicity_step: float = 0.002  # of conicity
     most_outside_probability: float = 0.02  # most probability outside what a library covers
     novel_quantile: float = 0.99  # quantile of the distances, by their logarithms, from which on a signature is novel
+    share_points: int = 21  # between 0 and 1, of the variances of geometries
+    widest_factor: float = 1.2  # logarithm, of the factors that are tried
+    factor_points: int = 97
     # mixed model
     middle_conicity: float = 0.2  # that the polynomial is about
     usual_speed: float = 20.0
@@ -26,10 +29,8 @@ class AnswerParameters:
     # window signatures
     fold_count: int = 6
     least_step: float = 1e-9  # m from sample to sample at least
+    # answer
     named_entries: int = 10  # of an answer
-    share_points: int = 21  # between 0 and 1, of the variances of geometries
-    widest_factor: float = 1.2  # logarithm, of the factors that are tried
-    factor_points: int = 97
 
 
 SIGNATURE = AnswerParameters()

@@ -22,7 +22,7 @@ class TrackParameters:
     neighbour_correlation: float = 0.48  # of one error in two bands next to each other
     second_neighbour_correlation: float = 0.06  # with one band between
     # survey check
-    correlation_length: float = 60.0  # m: correlation length of a high-passed alignment
+    correlation_length: float = 60.0  # m, of a high-passed alignment
     worthwhile_share: float = 0.5  # of what is wrong with a survey that a fleet's alignment may be off by to replace it
     worthwhile_std: float = 0.3e-3  # m, that it may be off by at most
     # screen
@@ -40,7 +40,7 @@ class TrackParameters:
     # update
     sharper_std_share: float = 0.8  # of the std of a file, below which its mean with the first passes replaces it
     # settings
-    same_gauge_correlation: float = 0.8  # correlation of two estimates of one gauge
+    same_gauge_correlation: float = 0.8  # of two estimates of one gauge
     # passes
     most_pass_windows: int = 4  # the pass of a longer run is cut: a window that comes late changes little
     # search
@@ -48,7 +48,7 @@ class TrackParameters:
     most_cg_steps: int = 14
     cg_tolerance: float = 1e-3  # of the residual's norm, relative to the right side
     # survey verdict
-    fewest_blocks: int = 4  # of blocks along the section
+    fewest_blocks: int = 4  # along the section
     most_survey_error_share: float = 0.97  # of a survey's mean square that its own error may make up
     ratio_prior_std: float = 0.15  # of the stiffness ratio of a vehicle, relative
 

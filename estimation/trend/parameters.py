@@ -31,6 +31,8 @@ class CurveParameters:
     covering_share: float = 0.75  # of the latest intervals that must cover an amplitude
     covering_intervals: int = 8  # an amplitude that a little worn wheelset did not reach long ago may be covered
     stored_unit: float = 1e-4  # of a stored conicity
+    table_amplitudes: tuple[float, ...] = tuple(0.25e-3 * step for step in range(2, 13))  # m, of worn wheels
+    spread_values: int = 40  # that show how the changes of members are spread
     # wear curve
     most_knots: int = 8
     most_paired_points: int = 500  # points up to which all pairs enter the pilot slope
@@ -46,13 +48,12 @@ class CurveParameters:
     probability_margin: float = 1e-9  # far more than rounding: what comes as near is computed again by itself
     share_tolerance: float = 1e-7  # far below what a result shows
     horizon_points: int = 240  # at which a limit may have been reached
-    spread_values: int = 40  # that show how the changes of members are spread
     bend_nodes: tuple[float, ...] = (0.01, 0.15, 0.4, 1.0)  # change of slope over the observed span, in slopes
     bend_prior: tuple[float, ...] = (0.4, 0.2, 0.2, 0.2)
+    # change point
     noise_shares: tuple[float, float] = (0.02, 3.0)  # of the stated stds, that are tried
     noise_points: int = 9
-    # of the table of worn wheels, m
-    table_amplitudes: tuple[float, ...] = tuple(0.25e-3 * step for step in range(2, 13))
+    # trend
     points_ahead: int = 61  # distances to the horizon at which the probability is kept
 
 

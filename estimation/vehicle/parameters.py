@@ -22,9 +22,11 @@ class GearParameters:
     shortest_cutoff: float = 30.0  # m
     usual_speed: float = 20.0  # m/s
     rail_head_radius: float = 0.08  # m, of the arc beside the crown of all usual rail heads, where most wheels touch
+    usual_radius: float = 0.45  # m, of wheels that nothing is on file of
     # linear model
     angle_per_difference: float = 67.0  # c, rad/m: touching at 1:20 on a tread of 300 mm
     angle_sum: float = 0.1  # A, rad: twice 1:20
+    usual_conicity: float = 0.2
     lowest_speed: float = 5.0  # m/s
     highest_speed: float = 150.0
     speed_step: float = 2.5
@@ -37,17 +39,14 @@ class GearParameters:
     least_noise_density: float = 1e-7  # m/s2, rad/s2 or rad/s per root hertz: no sensor is quieter
     angle_sum_std: float = 0.1  # rad, of dL + dR beforehand: turns a wheelset like 0.1 % of a soft yaw spring
     certain_std: float = 1e-9  # relative std of what is known exactly
+    derivative_step: float = 1e-4  # of numerical derivatives, relative
+    frequencies: int = 400  # at which noise is summed
     # plausibility
     unit_factor: float = 1000.0  # mm for m, N/mm for N/m, t for kg, kN for N
     flattest_ellipse: float = 1e-3  # semi-axis ratio of an ellipse that is looked for; the table ends at 0.1
     rail_condition_std: float = 0.10  # relative std of the coefficients on rails as they are, beside the table's
     # regressors
     least_force: float = 1e-6  # N; in place of zero, with which the data say nothing of D
-    # observability
-    derivative_step: float = 1e-4  # of numerical derivatives, relative
-    frequencies: int = 400  # at which noise is summed
-    usual_conicity: float = 0.2
-    usual_radius: float = 0.45  # m, of wheels that nothing is on file of
 
 
 VEHICLE = GearParameters()
