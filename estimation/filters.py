@@ -336,11 +336,7 @@ Precision = TypeVar("Precision", bound=np.floating[Any])
 
 @lru_cache(maxsize=64)
 def local_cubic_kernel(cutoff_wavelength: float, step: float) -> FloatArray:
-    """Return the weights (2 m + 1,) of the local cubic fit on a grid of ``step`` m, read-only; they sum to one.
-
-    Args:
-        cutoff_wavelength: Wavelength, m, of which half remains after the high-pass.
-    """
+    """Return weights (2 m + 1,) of the local cubic fit, steps in m; its high-pass leaves half of the cut-off wavelength."""
     width = cutoff_wavelength / FILTERS.cut_off_in_widths
     m = int(np.ceil(FILTERS.reach_in_widths * width / step))
     u = np.arange(-m, m + 1) * step / width
@@ -354,8 +350,7 @@ def local_cubic_kernel(cutoff_wavelength: float, step: float) -> FloatArray:
 def high_pass(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) -> npt.NDArray[Precision]:
     """Return ``signals`` (m, n) minus their local fit; the first and last len(weights)//2 samples mean nothing.
 
-    Args:
-        weights: (2 k + 1,) from :func:`local_cubic_kernel` for that grid, of the same precision.
+    The weights are those of :func:`local_cubic_kernel` for that grid, of the same precision.
     """
     n, reach = signals.shape[-1], len(weights) // 2
     size = fft.next_fast_len(n + 2 * reach, real=True)

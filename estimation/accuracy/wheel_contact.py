@@ -100,11 +100,8 @@ def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact
 def conicity_of(x: FloatArray, curve: FloatArray, amplitude: FloatArray, std: float) -> tuple[Estimate, ...]:
     """Return the equivalent conicity of a curve at each amplitude, with what an error of the displacement makes of it.
 
-    The error is a stretch of the displacement by ``std`` at the amplitude: both turning points err alike. It counts
+    The error is a stretch of the displacement by ``std``, m, at the amplitude: both turning points err alike. It counts
     by the largest change per standard deviation within a 95 % interval, for a contact jump may be passed far out only.
-
-    Args:
-        std: Of the displacement at a rolling radius difference, m.
     """
     here = equivalent_conicity(x, curve, amplitude)
     changes = np.zeros((4, len(amplitude)))

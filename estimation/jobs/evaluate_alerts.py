@@ -86,12 +86,7 @@ def raise_in_fleet(
 def _joining(
     unit: UnitOfWork, of_fleet: Mapping[str, Alert], single: Sequence[Alert], book: RuleBook
 ) -> dict[str, list[Alert]]:
-    """Return by kind what becomes a member; the members that an open fleet alert has already count as well.
-
-    Args:
-        of_fleet: Open fleet alerts by kind.
-        single: Alerts of wheelsets, raised or found, that are no members.
-    """
+    """Return by kind which ``single`` alerts become members; those of an open fleet alert (by kind) count as well."""
     joining = {}
     for kind in (rule.kind for rule in book.rules):
         fleet_alert = of_fleet.get(kind)

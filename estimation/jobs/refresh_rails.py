@@ -120,11 +120,7 @@ def anchor_inputs(unit: UnitOfWork, cells: Sequence[StoredCell], context: JobCon
 
 
 def anchors(inputs: AnchorInputs, amplitude: FloatArray) -> Anchors:
-    """Return what holds the level, with the conicities that follow from profiles.
-
-    Args:
-        amplitude: (k,) m.
-    """
+    """Return what holds the level, with the conicities that follow from profiles, at amplitudes (k,), m."""
     nothing = np.full(len(amplitude), np.nan)
     wheel = designed_wheel(inputs.profile, inputs.nominal_radius)
     if inputs.rails is None:

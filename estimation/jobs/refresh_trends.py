@@ -81,11 +81,7 @@ def compute(inputs: TrendInputs) -> Outcome[WearTrend]:
 
 
 def trend_of(records: Sequence[IntervalConicities], limit: float, parameters: TrendParameters) -> WearTrend:
-    """Return the trend of the conicities of intervals, since their newest step.
-
-    Args:
-        limit: Of the conicity at 3 mm.
-    """
+    """Return the trend of the conicities of intervals, since their newest step, against the limit at 3 mm."""
     step = newest_step(records, parameters)
     chosen = conicity_points(behind_step(records, step))
     trend = refresh(

@@ -110,12 +110,7 @@ def hand_out(context: JobContext, stage: Work, units: Iterable[Unit], done: Call
 
 
 def unit_size(context: JobContext, total: int, most: int) -> int:
-    """Return how many keys a unit has, so that there are enough units for all workers.
-
-    Args:
-        total: Number of keys, as far as it is known.
-        most: Largest number of a unit.
-    """
+    """Return how many keys of ``total`` a unit has, at most ``most``, so that there are enough for all workers."""
     width = 1 if context.executor is None else context.executor.width
     return most if width == 1 else max(1, min(most, -(-total // (WORK.units_per_worker * width))))
 

@@ -155,8 +155,7 @@ def _after(unit: UnitOfWork, computed: Computed, context: JobContext) -> FoldSta
 def is_hardly_another(base: TrackAlignment | None, update: AlignmentUpdate, settings: AlignmentSettings) -> bool:
     """Return whether what an epoch makes of the alignment is, for its windows, the one that was in force before.
 
-    Args:
-        base: The oldest version from which the one in force does not differ materially; None where there is none.
+    ``base`` is the oldest version from which the one in force does not differ materially.
     """
     if base is None:
         return False

@@ -46,11 +46,7 @@ RESULTS = (TREND, IDENTITY_EVENT, SUSPENSION, GEAR_DAMPERS)
 
 
 def facts_of(unit: UnitOfWork, serials: Sequence[str], settings: JobSettings) -> Mapping[str, WheelsetFacts]:
-    """Return what the rules need of some wheelsets, by serial: few statements for all.
-
-    Args:
-        settings: Of all jobs.
-    """
+    """Return what the rules need of some wheelsets, by serial: few statements for all."""
     read = _Read.of(unit, serials, settings)
     histories = {one.serial: _history(read, one) for one in read.wheelsets}
     wanted = {serial: _looked_at(known, read.books[serial]) for serial, known in histories.items() if known}
@@ -295,13 +291,7 @@ def surroundings(
     beside: Sequence[TrendStep | None],
     rails: Collection[RailShare],
 ) -> StepSurroundings:
-    """Return what else is known about the time of a step: the design of the wheel, and the other wheelsets.
-
-    Args:
-        behind: Its intervals behind the step.
-        beside: Steps of the other wheelsets of its vehicle that have a trend.
-        rails: Of all sections.
-    """
+    """Return what is known about the time of a step: the design of the wheel, and trends of wheelsets ``beside`` it."""
     newest = max(behind, key=lambda one: one.to_ns, default=None)
     return StepSurroundings(() if newest is None else newest.known, _designed(wheelset, rails), tuple(beside))
 
