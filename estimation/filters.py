@@ -336,7 +336,7 @@ Precision = TypeVar("Precision", bound=np.floating[Any])
 
 @lru_cache(maxsize=64)
 def local_cubic_kernel(cutoff_wavelength: float, step: float) -> FloatArray:
-    """Return weights (2 m + 1,) of the local cubic fit, steps in m; its high-pass leaves half of the cut-off wavelength."""
+    """Return weights (2 m + 1,) of the local cubic fit on a grid, m; its high-pass leaves half of the cut-off wave."""
     width = cutoff_wavelength / FILTERS.cut_off_in_widths
     m = int(np.ceil(FILTERS.reach_in_widths * width / step))
     u = np.arange(-m, m + 1) * step / width

@@ -71,7 +71,7 @@ class EstimationSettings:
     method: str = METHOD  # digest of the numbers that no deployment sets
 
     def windows(self, vehicle_class: VehicleClass, nominal_radius: float | None) -> WindowParameters:
-        """Return what turns the windows of a wheelset into motion; without a nominal radius, m, by that of the class."""
+        """Return what turns windows of a wheelset into motion; without a nominal radius (m) by that of its class."""
         return WindowParameters.of(vehicle_class, nominal_radius, self.signals, self.gates)
 
     def as_json(self) -> Mapping[str, JsonValue]:
