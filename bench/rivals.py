@@ -201,8 +201,8 @@ def fleet(family: str, seed: int, vehicles: int, wheels: Path) -> Scenario:
     if family == SMOOTH:
         pair = _smooth_pair(pair, 4 * vehicles, wheels)
     plan = replace(drawn, given_vehicles=vehicles, pairs=(pair,))
-    running = replace(scenario.running, contact_step=STEP)
-    return with_seed(replace(scenario, name=f"rivals {family}", drawn=plan, running=running), seed)
+    finer = replace(scenario.wheels, contact_step=STEP)
+    return with_seed(replace(scenario, name=f"rivals {family}", drawn=plan, wheels=finer), seed)
 
 
 def _smooth_pair(pair: ProfilePair, wheelsets: int, folder: Path) -> ProfilePair:

@@ -35,8 +35,8 @@ from estimation.vehicle.vehicle_class import (
     VehicleParameters,
 )
 from ingest.simulator.irregularity import Isolated, IsolatedKind
-from ingest.simulator.motion import STEP, PreparedTable, WheelsetMotion
-from ingest.simulator.running_gear import RunningGear, simulate_gear
+from ingest.simulator.motion import STEP, WheelsetMotion
+from ingest.simulator.running_gear import PreparedTable, RunningGear, simulate_gear
 from ingest.simulator.sensors import draw_offsets, measure
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 

@@ -346,15 +346,6 @@ def lateral_slip_velocity(speed: npt.ArrayLike, state: WheelsetState, contact: C
     )
 
 
-def creep_rate(parameters: VehicleParameters, speed: float) -> float:
-    """Return the fastest decay rate of the creep modes, 1/s: the larger of 2 f22/(m V) and 2 l^2 f11/(I V)."""
-    # it bounds the step of an explicit integration: the rate grows without limit as the speed falls
-    p = parameters
-    lateral = 2.0 * p.lateral_creep_coefficient / (p.wheelset_mass * speed)
-    yaw = 2.0 * p.half_contact_distance**2 * p.longitudinal_creep_coefficient / (p.yaw_inertia * speed)
-    return max(lateral, yaw)
-
-
 def _array(value: npt.ArrayLike) -> FloatArray:
     return np.asarray(value, dtype=np.float64)
 

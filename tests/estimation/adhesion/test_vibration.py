@@ -24,7 +24,7 @@ def vibrating(window: Window, seed: int, lateral: float = 2.0) -> Window:
     every = round(window.sample_interval_s / STEP)
     count = every * len(window.valid)
     vibration = Vibration(lateral, 0.5 * lateral, highest_hz=100.0)
-    added = vibration_of(vibration, count, STEP, np.random.default_rng(seed))[:, ::every]
+    added = vibration_of(vibration, count, np.random.default_rng(seed))[:, ::every]
     return replace(
         window, **{name: getattr(window, name) + row for name, row in zip(ACCELERATIONS, added, strict=True)}
     )
@@ -52,7 +52,7 @@ def test_vibration_in_the_band_of_the_forces_diverges() -> None:
     def slow(window: Window, seed: int) -> Window:
         count = 4 * len(window.valid)
         low = Vibration(2.0, 1.0, mass_share=0.5, lowest_hz=5.0, highest_hz=20.0)
-        added = vibration_of(low, count, STEP, np.random.default_rng(seed))[:, ::4]
+        added = vibration_of(low, count, np.random.default_rng(seed))[:, ::4]
         named = zip(ACCELERATIONS, added, strict=True)
         return replace(window, **{name: getattr(window, name) + row for name, row in named})
 

@@ -18,7 +18,7 @@ from estimation.track.passes import Pass, ProfileLife
 from estimation.track.section import Residuals, SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters
 from estimation.vehicle.vehicle_class import VehicleParameters
-from ingest.simulator.motion import simulate_wheelset
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 
 HOLLOW = ("hollow", 0.05, 20.0)  # name, cone, speed
 HEALTHY = (("B", 0.14, 20.0), ("C", 0.09, 20.0), ("D", 0.16, 23.0), ("E", 0.07, 17.0), ("F", 0.12, 18.0))
@@ -35,7 +35,7 @@ class HollowTable(SmoothTable):
 @cache
 def one_pass(name: str, cone: float, speed: float) -> tuple[Pass, ...]:
     table = HollowTable(cone) if name == "hollow" else SmoothTable(cone)
-    m = simulate_wheelset(VehicleParameters(), table, track(1), np.full(120_000, speed), 10.0)
+    m = simulate_gear(RunningGear(), [table], track(1), np.full(120_000, speed), 10.0)[0]
     (window,) = whole_runs(mems_windows(m, seed=ord(name[0])))
     return tuple(
         replace(item, life=ProfileLife(name), vehicle=f"V {name}")
