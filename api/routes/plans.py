@@ -18,12 +18,10 @@ from api.times import Timestamp, to_rfc3339
 from estimation.trend.now import SCALE
 from estimation.values.alerts import OVER, Urgency, WorklistRow, WorklistState
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.units import DAY_NS, MILLIMETRE
+from estimation.values.units import DAY_NS, IN_MM, MILLIMETRE
 from estimation.worklist.turning_plan import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
 from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistFilter
-
-_TO_MM = 1e3
 
 
 class TurningPlanLine(Representation):
@@ -108,8 +106,8 @@ def _turning_plan_line(line: PlanLine, row: WorklistRow) -> TurningPlanLine:
         urgency=state.urgency,
         distance_to_limit_km=distance_forecast(state.distance_to_limit_km, state.forecast_reason),
         date_of_limit=date_forecast(state.date_of_limit_ns, state.forecast_reason),
-        radius_mm=None if one.radii is None else finite(min(one.radii.wheels), _TO_MM),
-        radius_after_mm=finite(line.radius_after, _TO_MM),
+        radius_mm=None if one.radii is None else finite(min(one.radii.wheels), IN_MM),
+        radius_after_mm=finite(line.radius_after, IN_MM),
         not_checked=list(line.not_checked),
     )
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, delete, func, insert, select, update
 
 from estimation.errors import ParameterError, StorageError
-from estimation.values.units import DAY_NS
+from estimation.values.units import DAY_NS, SECOND_NS
 from fleet_db.locks import Subject, serialise
 from fleet_db.records import ChunkState
 from fleet_db.rows import table_of, upsert
@@ -19,7 +19,6 @@ from fleet_db.tables.recordings import ChunkRow, RawMarkRow
 
 SETTINGS, CHUNKS = table_of(StoredSettingRow), table_of(ChunkRow)
 LENGTH = "window_length_ns"
-SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
