@@ -35,9 +35,10 @@ from estimation.storage import Storage, UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS
 from estimation.values.quantities import Estimate
+from estimation.values.units import DAY_NS
 from ingest.simulator.axle_motion import rails_of, section_at, truth_of, wear_at, worn_contact
 from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.scenario import DAY_NS, DrawnFleet, Scenario, SectionPlan, VehicleErrors, VehiclePlan
+from ingest.simulator.scenario import DrawnFleet, Scenario, SectionPlan, VehicleErrors, VehiclePlan
 from ingest.simulator.scenario_file import load_scenario
 from ingest.simulator.section import WornRails
 

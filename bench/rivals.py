@@ -31,8 +31,9 @@ from estimation.jobs.steps.rolling import members
 from estimation.motion.integration import standard_displacement
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
-from estimation.values.quantities import NORMAL_95, Status
+from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
+from estimation.values.units import NORMAL_95
 from estimation.values.windows import Motion
 from ingest.simulator.axle_motion import contact_of
 from ingest.simulator.campaign import scenario_track

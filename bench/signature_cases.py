@@ -18,6 +18,7 @@ from estimation.signatures.window_signatures import SignatureParameters, window_
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason
 from estimation.values.signatures import ConicitySource, LibraryEntry, Place, Signature
+from estimation.values.units import DAY_NS
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import Arrangement, VehicleClass, VehicleParameters
 from ingest.simulator.motion import STEP
@@ -43,7 +44,6 @@ SPREAD = {  # of the vehicles about their class, relative standard deviations
     "yaw_inertia": 0.015,
     "suspended_mass": 0.015,
 }
-DAY_NS = 86_400_000_000_000
 POSITION_STD = 10.0  # m, of a run
 SPEEDS_TRIED = 10  # until a wheelset stays within its contact table
 

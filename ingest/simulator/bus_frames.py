@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from estimation.errors import ScenarioError
 from estimation.values.arrays import BoolArray, IntArray
+from estimation.values.units import SECOND_NS
 from estimation.values.windows import ACCELERATIONS
 from ingest import catalogue as kinds
 from ingest.catalogue import Catalogue, MessagePlan, sync_counter, time_of_day
@@ -18,7 +19,7 @@ from ingest.codec import encode
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.simulator.campaign import VehicleRun, failed, odometer_scale
 from ingest.simulator.motion import STEP
-from ingest.simulator.scenario import NORMAL_REACH, SECOND_NS, BusPlan, FaultKind, Scenario, Stream, generator
+from ingest.simulator.scenario import NORMAL_REACH, BusPlan, FaultKind, Scenario, Stream, generator
 from ingest.simulator.sensors import SensorRecord
 
 SLOT_NS = 230_000  # time on a 500 kbit/s bus of a frame with 8 bytes, stuffing included

@@ -18,7 +18,8 @@ from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray
 from estimation.values.fields import KM, KM_H, MM, FileUnit, Key
 from estimation.values.registry import MAX_AXLES
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, GRAVITY, Arrangement, BogieParameters, VehicleParameters
+from estimation.values.units import GRAVITY
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, Arrangement, BogieParameters, VehicleParameters
 from ingest.file_value import FileBeside, IncreasingPlaces, Inline, between, taken
 from ingest.input_file import NotNegative, Positive, Text, field_error
 from ingest.simulator.drawn_plan import DrawnFleet, ProfilePair, Wear, WearDistribution

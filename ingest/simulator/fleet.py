@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from estimation.errors import ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray
+from estimation.values.units import SECOND_NS
 from ingest.catalogue import default_catalogue
 from ingest.frames import FrameBatch
 from ingest.live.listening import send
@@ -43,7 +44,7 @@ from ingest.simulator.campaign import (
     with_margins,
 )
 from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less_wear
-from ingest.simulator.scenario import SECOND_NS, Scenario, Stream, VehiclePlan, generator, seed_of
+from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, generator, seed_of
 from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, write_registry, write_truth
 from ingest.simulator.track import TrackTruth, from_zero, make_track, read_track

@@ -13,7 +13,8 @@ from scipy.interpolate import CubicSpline
 from estimation.contact.geometry import ContactTable
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, IntArray, frozen_array
-from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, VehicleParameters
+from estimation.values.units import GRAVITY
+from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
 from ingest.simulator.motion import STEP, WheelsetMotion, time_derivative, travelled
 from ingest.simulator.rates import (
     AXLE_PATH,

@@ -15,6 +15,7 @@ from annotated_types import Interval
 
 from estimation.errors import ScenarioError
 from estimation.values.fields import KM, M_S, M_S2, MINUTES, MS, PERCENT, US, FileUnit, Key, M, S
+from estimation.values.units import DAY_NS, SECOND_NS
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass, VehicleParameters
 from ingest.file_value import Counted, between, written
 from ingest.input_file import NotNegative, Positive, field_error
@@ -43,8 +44,6 @@ class ClassOnFile:
         return tuple(round(middle + side * half, 6) for middle in middles for side in (-1.0, 1.0))
 
 
-DAY_NS = 86_400_000_000_000
-SECOND_NS = 1_000_000_000
 _AXLE_SPACING = 2.6  # m
 BOGIE_SPACING = 19.0  # m between the middles of two bogies
 NORMAL_REACH = 3.0  # standard deviations that a normal error of the position is at most

@@ -14,8 +14,8 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Self
 
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import Profile
-from estimation.contact.wear import DEEPEST_BAND
 from estimation.errors import ProfileError, ScenarioError
 from estimation.values.fields import MM
 from ingest.file_value import As, FileBeside, between, read_value, taken
@@ -187,8 +187,9 @@ class ScenarioTable:
             raise field_error("the rails under a drawn fleet do not wear", *place)
         days = (self.sessions.campaigns - 1) * self.sessions.distance_between / self.sessions.distance_per_day
         deepest = max(wear.after(self.section.tonnage, days).depths)
-        if deepest > DEEPEST_BAND:
-            reason = f"the last campaign is on bands {1e3 * deepest:.1f} mm deep; at most {1e3 * DEEPEST_BAND:g} mm"
+        if deepest > PROFILES.deepest_band:
+            most = 1e3 * PROFILES.deepest_band
+            reason = f"the last campaign is on bands {1e3 * deepest:.1f} mm deep; at most {most:g} mm"
             raise field_error(reason, *place)
 
     def scenario(self) -> Scenario:

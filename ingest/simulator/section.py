@@ -10,8 +10,8 @@ from typing import Annotated, Self
 from annotated_types import Interval
 from pydantic import AfterValidator
 
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.wear import DEEPEST_BAND
 from estimation.errors import ProfileError
 from estimation.values.fields import DEG, MM, FileUnit, Key, M
 from ingest.file_value import As, FileBeside, Inline, between, keys_of
@@ -93,7 +93,7 @@ class RailFiles:
         return self.rail_left_file_mirror, self.rail_right_file_mirror
 
 
-Depth = Annotated[float, between(0.0, DEEPEST_BAND / 1e-3), MM]
+Depth = Annotated[float, between(0.0, PROFILES.deepest_band / 1e-3), MM]
 
 
 @dataclass(frozen=True, slots=True)

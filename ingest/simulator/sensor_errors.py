@@ -13,7 +13,7 @@ import numpy as np
 import scipy.signal
 
 from estimation.values.arrays import FloatArray, FrozenArrays
-from estimation.vehicle.vehicle_class import GRAVITY
+from estimation.values.units import GRAVITY
 from ingest.simulator.motion import STEP
 
 AXES = 3  # x forward, y left, z up; rotations about them: roll, pitch, yaw

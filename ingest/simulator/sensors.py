@@ -20,8 +20,8 @@ from pydantic import AfterValidator
 
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.fields import MS, PERCENT, FileUnit, Key
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.vehicle_class import GRAVITY
 from ingest.file_value import between
 from ingest.input_file import NotNegative, Positive, Text, field_error, refusing
 from ingest.simulator.motion import STEP, WheelsetMotion, time_derivative
@@ -212,8 +212,6 @@ UG, MG, G = FileUnit("_ug", MICRO_G), FileUnit("_mg", 1e3 * MICRO_G), FileUnit("
 Noise = Annotated[NotNegative, FileUnit("_ug_per_root_hz", MICRO_G)]
 Drift = Annotated[NotNegative, FileUnit("_ug_per_root_s", MICRO_G)]
 RAD_S2 = FileUnit("_rad_s2")
-
-
 _DIVIDES = refusing(lambda rate: FULL_RATE_HZ % rate, f"{{value}} Hz does not divide {FULL_RATE_HZ} Hz")
 
 

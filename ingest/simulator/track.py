@@ -38,8 +38,6 @@ from ingest.track_file import (
 )
 
 ROUNDING = 6.0  # m over which the ends of transitions are rounded: no track has a kink in its cant
-
-
 MIN_CURVE_RADIUS = 150.0  # m
 _IS_RADIUS = refusing(
     lambda radius: abs(radius) < MIN_CURVE_RADIUS,

@@ -13,8 +13,9 @@ from whole_runs import whole_runs
 from window_passes import window_passes
 
 from estimation.filters import high_pass, local_cubic_kernel
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Pass, ProfileLife
-from estimation.track.section import LEAST_USUAL, USUAL_FACTOR, Residuals, SectionEstimate, estimate_section
+from estimation.track.section import Residuals, SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters
 from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.running_gear import RunningGear, simulate_gear
@@ -72,17 +73,22 @@ def test_what_is_usual_counts_whole_and_what_is_not_counts_less_and_less() -> No
             ProfileLife("E"): float("nan"),
         },
     )
-    usual = USUAL_FACTOR * 0.1245e-3
+    usual = TRACK.usual_std_factor * 0.1245e-3
     assert rms_residuals.weights() == {ProfileLife("D"): pytest.approx((usual / 0.3e-3) ** 4)}
     assert (
         Residuals(
-            {}, {ProfileLife("A"): 0.01e-3, ProfileLife("B"): 0.01e-3, ProfileLife("C"): 0.99 * LEAST_USUAL}
+            {}, {ProfileLife("A"): 0.01e-3, ProfileLife("B"): 0.01e-3, ProfileLife("C"): 0.99 * TRACK.least_usual_std}
         ).weights()
         == {}
     )
     assert (
         Residuals(
-            {}, {ProfileLife("A"): 0.1e-3, ProfileLife("B"): 0.1e-3, ProfileLife("C"): 1.2 * USUAL_FACTOR * 0.1e-3}
+            {},
+            {
+                ProfileLife("A"): 0.1e-3,
+                ProfileLife("B"): 0.1e-3,
+                ProfileLife("C"): 1.2 * TRACK.usual_std_factor * 0.1e-3,
+            },
         ).weights()
         == {}
     )  # hardly matters

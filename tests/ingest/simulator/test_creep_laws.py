@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from analytic_contact import HALF, RADIUS, cones, smooth_pair
 
-from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, VehicleParameters
+from estimation.values.units import GRAVITY
+from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
 from ingest.simulator.rates import Wheels
 from ingest.simulator.running import Creep, CreepLaw, share_of_linear
 from ingest.simulator.running_gear import RunningGear, simulate_gear

@@ -9,7 +9,8 @@ from linear_bogie import bogie_system
 from scipy.linalg import expm
 
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, VehicleParameters
+from estimation.values.units import GRAVITY
+from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
 from ingest.simulator.motion import WheelsetMotion
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import Curve, TrackRecipe, TrackTruth, laid_out, make_track

@@ -13,8 +13,8 @@ from scipy.signal import welch
 
 from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.vehicle_class import GRAVITY
 from ingest.simulator.campaign import odometer_scale, vehicle_run
 from ingest.simulator.motion import STEP, WheelsetMotion
 from ingest.simulator.running_gear import RunningGear, simulate_gear
