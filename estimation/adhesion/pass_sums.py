@@ -84,7 +84,7 @@ class PassSums(FrozenArrays):
 
 def pass_sums(passes: Sequence[WindowAdhesion]) -> PassSums | None:
     """Return the sums of passes; None where none says anything."""
-    ordered = sorted(passes, key=lambda one: one.key)
+    ordered = sorted(passes, key=lambda window_pass: window_pass.key)
     known = [(one, one.sums) for one in ordered if one.sums is not None and len(one.sums.cells)]
     if not known:
         return None

@@ -65,7 +65,7 @@ def _check(component: Component, held: Parted, own: IntArray, shared: float, par
     systematic = shared * np.abs(value[own] - level)
     groups = 1 + max(1, int(held.freedom))
     intervals = [with_interval(*one, groups) for one in zip(left.tolist(), sampled, systematic, strict=True)]
-    half = np.array([(one.high or 0.0) - (one.value or 0.0) for one in intervals])
+    half = np.array([(interval.high or 0.0) - (interval.value or 0.0) for interval in intervals])
     worst = int(np.argmax(np.abs(left) / half))
     return Check(float(left[worst]), float(half[worst]), float(np.sqrt(variance.max())))
 
@@ -169,9 +169,10 @@ class _Level:
     def of(table: CellTable, k: int, anchors: Anchors) -> _Level:
         value, std = np.full((2, len(table.wheels)), np.nan)
         places = {key: place for place, key in enumerate(table.wheels)} if anchors.known_wheels else {}
-        for one in anchors.known_wheels:
-            if one.wheel in places and np.isfinite([one.conicity[k], one.std[k]]).all():
-                value[places[one.wheel]], std[places[one.wheel]] = one.conicity[k], one.std[k]
+        for measured in anchors.known_wheels:
+            if measured.wheel in places and np.isfinite([measured.conicity[k], measured.std[k]]).all():
+                place = places[measured.wheel]
+                value[place], std[place] = measured.conicity[k], measured.std[k]
         return _Level(table, k, anchors, table.given(k), (value, std))
 
     @property

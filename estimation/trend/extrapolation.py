@@ -80,7 +80,7 @@ def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
 
 def below_limit(geometry: WheelsetGeometry) -> list[KnownConicity]:
     """Return the conicities that are known at smaller amplitudes than the limit's, increasing."""
-    return [one for one in known_conicities(geometry) if one.amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE]
+    return [point for point in known_conicities(geometry) if point.amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE]
 
 
 def extrapolated_from(amplitude: float) -> Reason:

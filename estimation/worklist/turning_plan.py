@@ -107,10 +107,10 @@ def turning_plan(
 ) -> list[PlanLine]:
     """Return the plan, the earliest visit first; what cannot be assessed comes last."""
     lines: list[PlanLine] = []
-    ordered = sorted(candidates, key=lambda one: (one.vehicle, one.axle))
+    ordered = sorted(candidates, key=lambda candidate: (candidate.vehicle, candidate.axle))
     for _, of_vehicle in groupby(ordered, key=lambda one: one.vehicle):
         wheelsets = list(of_vehicle)
-        radii = {one.serial: one.radii.wheels for one in wheelsets if one.radii is not None}
+        radii = {wheelset.serial: wheelset.radii.wheels for wheelset in wheelsets if wheelset.radii is not None}
         turned: set[str] = set()
         number = 0
         for turn_by_ns, due in _visits(wheelsets, now_ns, horizon_ns, together_ns):
@@ -136,9 +136,9 @@ def _visits(
     wheelsets: Sequence[Candidate], now_ns: int, horizon_ns: int, together_ns: int
 ) -> list[tuple[int, list[Candidate]]]:
     due = [
-        (now_ns if one.over_limit else max(one.due_ns or now_ns, now_ns), one)
-        for one in wheelsets
-        if one.over_limit or one.due_ns is not None
+        (now_ns if wheelset.over_limit else max(wheelset.due_ns or now_ns, now_ns), wheelset)
+        for wheelset in wheelsets
+        if wheelset.over_limit or wheelset.due_ns is not None
     ]
     visits: list[tuple[int, list[Candidate]]] = []
     for turn_by_ns, one in sorted(due, key=lambda pair: (pair[0], pair[1].axle)):
@@ -171,7 +171,7 @@ class _Visit:
             larger, target, why = found
             self.chosen.setdefault(larger.serial, (Cause.TOGETHER, why))
             self._turn(larger, target)
-        return [self._line(one) for one in wheelsets if one.serial in self.chosen]
+        return [self._line(wheelset) for wheelset in wheelsets if wheelset.serial in self.chosen]
 
     def _turn(self, one: Candidate, target: float | None) -> None:
         """Take off what a turning takes off, and down to a target; a wheelset that becomes too small is replaced."""
@@ -194,7 +194,7 @@ class _Visit:
 
     def _too_different(self, wheelsets: Sequence[Candidate]) -> Iterator[tuple[Candidate, float, str]]:
         """Yield wheelsets that are too large beside another, or on one side: down to which radius, and why."""
-        known = [one for one in wheelsets if one.serial in self.radii]
+        known = [wheelset for wheelset in wheelsets if wheelset.serial in self.radii]
         for one in known:
             yield from self._pair(one, one, self.limits.axle_difference, "left and right differ")
             for other in known:

@@ -133,13 +133,14 @@ def read_sums_ahead(unit: UnitOfWork, some: Sequence[tuple[str, Rolled]]) -> Non
 
 
 def _same_rules(state: RollUpState, rules: Membership) -> bool:
-    known = {vehicle: rules.class_of(vehicle) for vehicle in state.classes}
-    return state.rules == rules.digest and state.classes == known
+    classes = {vehicle: rules.table_key_and_class(vehicle) for vehicle in state.classes}
+    return state.rules == rules.digest and state.classes == classes
 
 
 def _state(rules: Membership, runs: Sequence[Run], before: Mapping[str, str]) -> RollUpState:
     vehicles = {window.record.vehicle for window, _ in runs}
-    return RollUpState(rules.digest, {**before, **{vehicle: rules.class_of(vehicle) for vehicle in vehicles}})
+    classes = {vehicle: rules.table_key_and_class(vehicle) for vehicle in vehicles}
+    return RollUpState(rules.digest, {**before, **classes})
 
 
 def _continued(
@@ -325,9 +326,9 @@ def _standing(unit: UnitOfWork, rules: Membership, roll_up: RollUp, touched: Col
     """Return the windows that a stored roll-up has and keeps, oldest first."""
     windows = unit.tables.tabled(rules.wheelset, roll_up.first_ns, roll_up.last_ns + 1)
     return [
-        rules.member(one, one.running_km, roll_up.key)
-        for one in windows
-        if one.running_km is not None and _is_in(roll_up, one) and one.start_ns not in touched
+        rules.member(window, window.running_km, roll_up.key)
+        for window in windows
+        if window.running_km is not None and _is_in(roll_up, window) and window.start_ns not in touched
     ]
 
 

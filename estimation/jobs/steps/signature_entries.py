@@ -13,7 +13,7 @@ from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelPair, 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
 from estimation.jobs.parameters import JOBS
-from estimation.jobs.steps.assumptions import Baseline, ClassLookup, baselines, suspected
+from estimation.jobs.steps.assumptions import Baseline, ClassLookup, baselines, with_identity_alerts
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, extrapolated
@@ -73,7 +73,7 @@ class EntryReader:
 
     def entries(self, known: Sequence[KnownSignatures]) -> Entries:
         """Return the library entries that signatures make, the newest of each wheelset, place and band of speed."""
-        doubted, left_out = frozenset(suspected(self.unit)), Counter[ReasonCode]()
+        doubted, left_out = frozenset(with_identity_alerts(self.unit)), Counter[ReasonCode]()
         newest: dict[tuple[str, int, Place, int], LibraryEntry] = {}
         for one in known:
             wheelset = one.found.wheelset
@@ -108,7 +108,7 @@ class EntryReader:
 
     def baseline_at(self, wheelset: str, at_ns: int) -> Baseline:
         """Return the life of a wheelset's profile at a time."""
-        return next(one for one in reversed(self.lives(wheelset)) if one.from_ns <= max(at_ns, 0))
+        return next(life for life in reversed(self.lives(wheelset)) if life.from_ns <= max(at_ns, 0))
 
     def lives(self, wheelset: str) -> Sequence[Baseline]:
         """Return the lives of a wheelset's profile, oldest first."""
