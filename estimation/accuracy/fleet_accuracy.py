@@ -52,8 +52,7 @@ def estimate_of_date(
     # no data of after the next. Where that interval has no conicity it is the nearest one that has, if its mileage is
     # within an interval of the measurement: in that distance a profile hardly wears.
     baseline, begin_km = baseline_at(wheelset, measurement.at_ns)
-    filled = (record for record in intervals if record.interval is not None and record.geometry.windows)
-    of_baseline = [record for record in filled if record.baseline == baseline]
+    of_baseline = [r for r in intervals if r.baseline == baseline and r.interval is not None and r.geometry.windows]
     if not of_baseline:
         since = "the wheelset was new" if baseline == 0 else f"reprofiling {baseline}"
         return EstimateOfDate(None, Reason(ReasonCode.NO_GEOMETRY, f"nothing was estimated since {since}"))

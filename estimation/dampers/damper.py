@@ -1,8 +1,7 @@
 """Estimate of the lateral damper of a running gear.
 
-``window_damper`` reduces one window to products of its filters' innovations. The input of the filters holds the noise
-of the wheelsets' sensors, which would bias the parameters; what noise as on file adds to the products is subtracted
-(bias-compensated least squares).
+``window_damper`` reduces one window to products of its filters' innovations. Sensor noise in the filters' input would
+bias the parameters; what noise as on file adds to the products is subtracted (bias-compensated least squares).
 
 ``gear_damper`` turns the sums of many windows into a posterior over the share of damping left. Given that share, the
 innovations are linear in the errors of the other parameters, whose standard deviations the class states. Each particle

@@ -221,12 +221,9 @@ def _store_span(
     if not unit.adhesion.put_section(found, context.code_version, made_with):
         return {}
     after = certain_stretches(unit, section, starts)
-    again = [
-        item for item in span.passes if touched(item, before[item.start_ns]) != touched(item, after[item.start_ns])
-    ]
+    again = [p for p in span.passes if touched(p, before[p.start_ns]) != touched(p, after[p.start_ns])]
     records = unit.windows.several([one.key for one in again]) if again else ()
-    judged = (record for record in records if record.state is not WindowState.PENDING)
-    standing = {record.key for record in judged if not record.samples_purged}
+    standing = {r.key for r in records if not r.samples_purged and r.state is not WindowState.PENDING}
     marks = [WindowMark(*one.key, WindowState.PENDING) for one in again if one.key in standing]
     unit.windows.mark_all(marks)
     if last is None or found.to_ns >= last.to_ns:

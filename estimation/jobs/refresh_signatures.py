@@ -162,7 +162,6 @@ def _shelved(made: Entries, without: Mapping[ReasonCode, int], parameters: Signa
 
 
 def _line(entry: LibraryEntry) -> str:
-    """Return all of an entry."""
     one = entry.signature
     spectra = hashlib.sha256(one.spectra.tobytes()).hexdigest()
     about = (one.wheelset, one.start_ns, one.order, one.vehicle_class, one.position, one.place, one.speed)
@@ -237,7 +236,6 @@ class Library:
 
 
 def _finding(library: Library, subject: _Subject, geometry: Estimate | None) -> SignatureFinding:
-    """Return the answer about a wheelset."""
     shelf, answer = library.shelf, SignatureAnswer(subject.wheelset, Estimate.unknown(NO_SIGNATURE))
     signatures = tuple(signature for signature in subject.signatures if _of_present_track(signature, shelf))
     left_out = Counter(shelf.left_out)

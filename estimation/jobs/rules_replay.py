@@ -120,7 +120,6 @@ def _evaluate(
 
 
 def _follow(change: Transition | None, key: str, standing: dict[str, Alert], closed: list[Alert]) -> None:
-    """Keep what becomes of the alert that stands under a key."""
     if change is None:
         return
     if change.alert.closed_ns is None:
@@ -203,8 +202,7 @@ def _instants(history: History, book: RuleBook, span: tuple[int, int]) -> list[i
     if history.current is not None:
         times.add(history.current.to_ns)
     times |= {reprofiling.at_ns for reprofiling in history.wheelset.reprofilings}
-    times |= {mounting.from_ns for mounting in history.mountings}
-    times |= {mounting.to_ns for mounting in history.mountings if mounting.to_ns}
+    times |= {m.from_ns for m in history.mountings} | {m.to_ns for m in history.mountings if m.to_ns}
     ordered = sorted(time for time in times if time <= span[1])
     return [*ordered[max(0, bisect_right(ordered, span[0] - 1) - 1) :], span[1]]
 

@@ -46,8 +46,7 @@ def findings(iterated: IterationResult, *, gauge_estimated: bool) -> tuple[Track
     shifts = total_gauge_shifts(iterated.solution, panel)
     sign = gauge_sign(contact_samples(iterated.passes, iterated.solution, panel), shifts) if gauge_estimated else 1
     if sign < 0:
-        # mirrored: the grid is symmetric
-        shifts = {life: replace(shift, shift=shift.shift[:, ::-1]) for life, shift in shifts.items()}
+        shifts = {life: replace(item, shift=item.shift[:, ::-1]) for life, item in shifts.items()}  # a symmetric grid
     latest = {life.wheelset: shifts[life] for life in sorted(shifts)}  # of several lives the latest
     return TrackFindings(ratios, std, latest), sign * gauge if gauge_estimated else None
 
@@ -188,13 +187,11 @@ def merged_alignment(
     )
 
 
-def _std(
-    long_wave: LongWaveAlignment, total_weight: FloatArray, curves_std: FloatArray, systematic: FloatArray
-) -> FloatArray:
+def _std(long_wave: LongWaveAlignment, total: FloatArray, curves_std: FloatArray, systematic: FloatArray) -> FloatArray:
     """Return the std (n,) in m: curves, passes, and the systematic variance, weighted by the share of the passes."""
     common = np.where(np.isfinite(curves_std), curves_std, 0.0)
-    std = np.hypot(common * long_wave.weight / total_weight, long_wave.pass_std / np.sqrt(total_weight))
-    return np.asarray(np.sqrt(std**2 + long_wave.weight / total_weight * systematic))
+    std = np.hypot(common * long_wave.weight / total, long_wave.pass_std / np.sqrt(total))
+    return np.asarray(np.sqrt(std**2 + long_wave.weight / total * systematic))
 
 
 def _gauge_std(

@@ -302,8 +302,7 @@ class WithoutEstimate:
 
 def remedies(reasons: Sequence[Reason | None]) -> str:
     """Return what to do about some reasons, each remedy once, in their order."""
-    remedies = (reason.code.remedy for reason in reasons if reason is not None)
-    return " ".join(dict.fromkeys(remedy for remedy in remedies if remedy))
+    return " ".join(dict.fromkeys(r.code.remedy for r in reasons if r is not None and r.code.remedy))
 
 
 def fast_enough(speed: FloatArray | float, least_m_s: float) -> BoolArray:

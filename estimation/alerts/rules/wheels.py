@@ -145,8 +145,7 @@ class WheelAsymmetryRule(AlertRule):
         if facts.geometry is None:
             return None
         if not facts.intervals:
-            own_alerts = (alert for alert in facts.open_alerts if alert.kind == self.kind)
-            raised = (_names(alert.evidence.get("raised_by")) for alert in own_alerts)
+            raised = (_names(a.evidence.get("raised_by")) for a in facts.open_alerts if a.kind == self.kind)
             now = self._of(facts, facts.geometry, next(raised, []), facts.not_assessable_reason)
             return replace(now, mileage_km=facts.geometry.mileage_km)
         standing, blamed = Standing(), list[str]()

@@ -189,9 +189,8 @@ class Membership:
 
     def of_its_baseline(self, roll_up: RollUp) -> bool:
         """Whether all windows of a roll-up are of the baseline, and on the side, that its key names."""
-        if (baseline_and_side := self._baseline_and_side(roll_up)) is None:
-            return False
-        return (baseline_and_side[0].number, baseline_and_side[1]) == (roll_up.key.baseline, roll_up.key.side)
+        placed = self._baseline_and_side(roll_up)
+        return placed is not None and (placed[0].number, placed[1]) == (roll_up.key.baseline, roll_up.key.side)
 
     def place_of(self, roll_up: RollUp) -> tuple[int, int, Side] | None:
         """Return the present baseline, interval and side of a roll-up; None where its time is of several."""

@@ -105,7 +105,6 @@ def _together(groups: Iterable[Sequence[Entry]]) -> Iterator[list[Sequence[Entry
 
 
 def _runs(context: JobContext, groups: Sequence[Sequence[Entry]], on_file: RunsOnFile) -> list[_Run]:
-    """Read the samples of runs."""
     records = [record for group in groups for record, _ in group]
     settings = context.settings.estimation
     with context.storage.read() as unit:

@@ -163,7 +163,6 @@ def _facts(
     conicities: Sequence[IntervalConicities],
     looked_at: Sequence[IntervalConicities],
 ) -> WheelsetFacts:
-    """Return what the rules need of a wheelset."""
     serial, mounting, alerts = wheelset.serial, wheelset.mounting, tuple(read.alerts.get(wheelset.serial, ()))
     if mounting is None:
         return WheelsetFacts(
@@ -238,7 +237,6 @@ def _span(intervals: Sequence[IntervalConicities]) -> tuple[int, int]:
 
 
 def _geometries(unit: UnitOfWork, serial: str, wanted: Sequence[IntervalConicities]) -> Sequence[GeometryRecord]:
-    """Return the geometries of intervals."""
     if not wanted:
         return ()
     first, last = _span(wanted)
