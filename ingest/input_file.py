@@ -127,7 +127,6 @@ Text = Annotated[FreeText, refusing(lambda text: not text.strip(), "must not be 
 Code = Annotated[Text, AfterValidator(_one_short_line)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
-IncreasingNumbers = Annotated[list[NotNegative], AfterValidator(increasing)]
 
 
 @dataclass(frozen=True, slots=True)

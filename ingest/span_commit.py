@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import Window, WindowKey, WindowRecord
@@ -13,10 +13,11 @@ from fleet_db.stores.assembled import AssembledWindow, StoredWindow
 from fleet_db.telemetry import window_digest
 from ingest.align.windows import MountedWindow
 from ingest.assembly import Assembler, SpanAssembly, registry_lookup
+from ingest.codec import Counts
 
 
 @dataclass(frozen=True, slots=True)
-class SpanChanges:
+class SpanChanges(Counts):
     """How many windows of a span are not as they were."""
 
     new: int = 0
@@ -29,10 +30,6 @@ class SpanChanges:
     def windows(self) -> int:
         """Number of windows that were stored or removed."""
         return self.new + self.changed + self.removed + self.healed
-
-    def __add__(self, other: SpanChanges) -> SpanChanges:
-        """Return the sums."""
-        return SpanChanges(*(own + more for own, more in zip(astuple(self), astuple(other), strict=True)))
 
 
 NO_CHANGES = SpanChanges()

@@ -132,8 +132,7 @@ def read_and_end(path: Path, limits: ReadLimits, answer: int, columns: Sequence[
         _limit(limits)
         sink = FrameSink(files, limits)
         format_of(path).read(path, limits, sink)
-        summary = sink.finish()
-        found = {"channel": summary.channel, "frames": summary.frames, "counts": summary.counts}
+        found = sink.finish()
     except LogFileError as error:
         found = {"error": error.reason, "line": error.line}
     except PassingFaultError as error:

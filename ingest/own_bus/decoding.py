@@ -310,11 +310,10 @@ def _motion(bus: OwnBus, messages: Messages) -> VehicleMotion:
     moved = np.column_stack([_between(speed, tick, reach), _at(odometer, tick)])
     moved[:, 0] = np.abs(moved[:, 0])
     distance = _values(vehicle.distance, messages)
-    place = [_held(vehicle.track_section, messages, distance.tick, bus), distance.values]
-    place.append(np.ones(len(distance.tick)))
-    if vehicle.position_quality is not None:
-        place[2] = _held(vehicle.position_quality, messages, distance.tick, bus)
-    return VehicleMotion(bus.sample_interval_ns, Track(tick, moved), Track(distance.tick, np.column_stack(place)))
+    of_position = (vehicle.track_section, 1 if vehicle.position_quality is None else vehicle.position_quality)
+    section, quality = (_held(reference, messages, distance.tick, bus) for reference in of_position)
+    position = Track(distance.tick, np.column_stack([section, distance.values, quality]))
+    return VehicleMotion(bus.sample_interval_ns, Track(tick, moved), position)
 
 
 def _at(signal: _Values, tick: IntArray) -> FloatArray:

@@ -214,20 +214,17 @@ class _Builder:
             )
 
     def _check_range(self, location: Location, found: SignalReference) -> None:
-        quantity = {0: Quantity.ANGULAR_ACCELERATION, 1: Quantity.ANGULAR_RATE, 2: Quantity.ANGLE}
-        by_name = {
-            "lateral": Quantity.ACCELERATION,
-            "mass_lateral": Quantity.ACCELERATION,
-            "yaw": quantity[found.derivatives],
-            "roll": quantity[found.derivatives],
-            "speed": Quantity.SPEED,
-            "distance": Quantity.LENGTH,
-        }.get(str(location[-1]))
-        if by_name is None or found.is_float:
+        name = str(location[-1])
+        quantity = (
+            list(DERIVATIVES)[found.derivatives]
+            if name in {"yaw", "roll"}
+            else QUANTITIES.get(name, (Quantity.NUMBER,))[0]
+        )
+        if quantity not in RANGES or name == "odometer" or found.is_float:
             return
         ends = [raw * found.scale + found.offset for raw in (found.plan.raw_minimum, found.plan.raw_maximum)]
-        least = RANGES[by_name][0]
-        signed = by_name not in {Quantity.SPEED, Quantity.LENGTH}
+        least = RANGES[quantity][0]
+        signed = quantity not in {Quantity.SPEED, Quantity.LENGTH}
         if max(ends) < least or (signed and min(ends) > -least):
             span = f"{min(ends):.4g} to {max(ends):.4g}"
             sign = "+-" if signed else ""

@@ -19,7 +19,7 @@ from fleet_db.stores.registry_history import RecordKey
 from fleet_db.stores.tracks import free_numbers
 from fleet_db.stores.wheelset_events import MOUNTINGS, MountedTwiceError, mountings_where
 from ingest.input_file import Location
-from ingest.registry_entry.checks import Entered, contradictions, mileage_point
+from ingest.registry_entry.checks import DistancePoint, Entered, contradictions, mileage_point
 from ingest.registry_entry.contents import (
     ARRAYS,
     CONFIRMABLE,
@@ -333,15 +333,13 @@ def _entered(unit: SqlUnitOfWork, key: RecordKey) -> Entered:
     if key.kind is RecordKind.MOUNTING:
         entered.mountings += [one for one in unit.registry.mountings(key.subject) if one.from_ns == key.at_ns]
     elif key.kind is RecordKind.REPROFILING:
-        entered.reprofilings += [
-            mileage_point(Kind.REPROFILING, one.wheelset, one.at_ns, one.mileage_km)
-            for one in unit.registry.wheelset(key.subject).reprofilings
-            if one.at_ns == key.at_ns
-        ]
+        entered.reprofilings += _points_at(key, Kind.REPROFILING, unit.registry.wheelset(key.subject).reprofilings)
     elif key.kind is RecordKind.MEASUREMENT:
-        entered.measurements += [
-            mileage_point(Kind.MEASUREMENT, one.wheelset, one.at_ns, one.mileage_km)
-            for one in unit.registry.measured_profiles(key.subject)
-            if one.at_ns == key.at_ns
-        ]
+        entered.measurements += _points_at(key, Kind.MEASUREMENT, unit.registry.measured_profiles(key.subject))
     return entered
+
+
+def _points_at(
+    key: RecordKey, kind: Kind, records: Sequence[Reprofiling] | Sequence[MeasuredProfiles]
+) -> list[DistancePoint]:
+    return [mileage_point(kind, r.wheelset, r.at_ns, r.mileage_km) for r in records if r.at_ns == key.at_ns]
