@@ -61,16 +61,8 @@ class Service:
 
     def write(self, writer: int, steps: int, pause_s: float) -> list[str]:
         """Return the arguments of a process that commits events."""
-        return [
-            "-m",
-            "bench.feed",
-            "write",
-            str(self.folder),
-            self.database_url or "",
-            f"{writer}",
-            f"{steps}",
-            f"{pause_s}",
-        ]
+        numbers = (str(writer), str(steps), str(pause_s))
+        return ["-m", "bench.feed", "write", str(self.folder), self.database_url or "", *numbers]
 
     def poll(self, file: Path) -> list[str]:
         """Return the arguments of a process that polls."""

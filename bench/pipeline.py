@@ -44,7 +44,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
 from api.comparison.trial import Recorded, opened, receive
 from api.terminal.processes import executor_of
-from bench.counting import run
+from bench.counting import run_all
 from bench.measuring import INGEST, Stages, every, exponent, resident_of, tree
 from bench.report import BenchRow, RowBench, say
 from bench.small_fleets import (
@@ -58,7 +58,6 @@ from bench.small_fleets import (
     small_fleet,
     workload,
 )
-from estimation.jobs.catalogue import ALL_JOBS
 from fleet_db.storage import SqlStorage
 from ingest.frames import take
 from ingest.logs import read_log, write_blf
@@ -210,8 +209,7 @@ def _measured(load: Workload, folder: Path) -> tuple[Stages, int]:
 
     with opened(settings) as (storage, context), ExitStack() as stack:
         assert isinstance(storage, SqlStorage)
-        for job in ALL_JOBS:
-            run(job, context)
+        run_all(context)
         stack.enter_context(every(0.05, look))
         stages.measure(storage, context, settings, load.recorded)
     return stages, largest[0]
@@ -221,13 +219,11 @@ def _beside_workers_s(load: Workload, folder: Path) -> float:
     """Return the CPU time that this process spends on the same jobs where two workers do the units, s."""
     settings = load.copy(folder).model_copy(update={"workers": CORES})
     with opened(settings) as (_, context):
-        for job in ALL_JOBS:
-            run(job, context)
+        run_all(context)
         receive(load.recorded, settings)
         with executor_of(settings) as executor:
             begin_s = time.process_time()
-            for job in ALL_JOBS:
-                run(job, replace(context, executor=executor))
+            run_all(replace(context, executor=executor))
             return time.process_time() - begin_s
 
 
@@ -258,8 +254,7 @@ def _of_fleet(folder: Path, load: Workload, vehicles: int) -> Stages:
     put_copies_into(settings, model, [code_of(number) for number in range(vehicles)])
     recorded = Recorded(copies(folder / "recordings", path.read_bytes(), vehicles), load.received.data_dir)
     with opened(settings) as (storage, context):
-        for job in ALL_JOBS:
-            run(job, context)
+        run_all(context)
         stages.measure(storage, context, settings, recorded)
     return stages
 

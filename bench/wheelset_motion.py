@@ -18,5 +18,5 @@ def wheelset_motion(
     ``table`` is its contact geometry where that is at hand already; made here otherwise.
     """
     axles = together(scenario, run.vehicle, axle)
-    known = [table if place == axle else None for place in axles]
-    return axle_motions(scenario, track, run, axles, known)[axles.index(axle)]
+    tables = [table if place == axle else None for place in axles]
+    return axle_motions(scenario, track, run, axles, tables)[axles.index(axle)]
