@@ -44,17 +44,19 @@ def export_registry(unit: SqlUnitOfWork, folder: str) -> ExportedRegistry:
     wheelsets = [registry.wheelset(serial) for serial in serials]
     vehicles = registry.vehicles_page(None, None, MOST_VEHICLES)
     arrays: dict[str, Sequence[Entry]] = {
-        "fleets": [entry_of(one) for one in registry.fleets()],
-        "vehicle_classes": [{"recorded": class_document(one.vehicle_class)} for one in registry.vehicle_classes()],
+        "fleets": [entry_of(fleet) for fleet in registry.fleets()],
+        "vehicle_classes": [
+            {"recorded": class_document(record.vehicle_class)} for record in registry.vehicle_classes()
+        ],
         "vehicles": [entry_of(one) for one in vehicles],
         "wheelsets": [entry_of(one) for one in wheelsets],
-        "mountings": [entry_of(one) for serial in serials for one in registry.mountings(serial)],
-        "reprofilings": [entry_of(one) for wheelset in wheelsets for one in wheelset.reprofilings],
+        "mountings": [entry_of(mounting) for serial in serials for mounting in registry.mountings(serial)],
+        "reprofilings": [entry_of(reprofiling) for wheelset in wheelsets for reprofiling in wheelset.reprofilings],
         "measured_profiles": [
-            _measurement(one, files) for serial in serials for one in registry.measured_profiles(serial)
+            _measurement(profiles, files) for serial in serials for profiles in registry.measured_profiles(serial)
         ],
         "sensor_changes": [entry_of(one) for vehicle in vehicles for one in unit.sensor_changes.list(vehicle.code)],
-        "track_sections": [_section(unit, one, files) for one in unit.tracks.sections()],
+        "track_sections": [_section(unit, section, files) for section in unit.tracks.sections()],
     }
     filled = {name: list(entries) for name, entries in arrays.items() if entries}
     text = json.dumps({"format": FORMAT, **filled}, indent=1, ensure_ascii=False) + "\n"

@@ -100,7 +100,7 @@ class BacklogWatch:
 
 def free_bytes(folder: Path) -> int:
     """Return how much room is left where a folder is, or will be made."""
-    there = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.is_dir())
+    there = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.is_dir())
     with passing_faults(there):
         return shutil.disk_usage(there).free
 

@@ -305,14 +305,14 @@ class TopicReader:
     def _on_assign(self, consumer: Consumer, partitions: list[TopicPartition]) -> None:
         consumer.incremental_assign(partitions)
         self._assignment += 1
-        self._assignments |= {one.partition: self._assignment for one in partitions}
+        self._assignments |= {partition.partition: self._assignment for partition in partitions}
         if self._paused:
             consumer.pause(partitions)
         self._count()
 
     def _on_revoke(self, consumer: Consumer, partitions: list[TopicPartition]) -> None:
-        for one in partitions:
-            self._assignments.pop(one.partition, None)
+        for partition in partitions:
+            self._assignments.pop(partition.partition, None)
         self._early = deque(message for message in self._early if self.holds(message))
         consumer.incremental_unassign(partitions)
         self._count()
