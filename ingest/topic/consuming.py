@@ -147,23 +147,16 @@ Decode = Callable[[Callable[[int, int], None], str | None], DecodedChunks]
 """Decodes what waits, as :func:`ingest.intake.backlog.decode_received`, given its last two arguments."""
 
 
+@dataclass(slots=True)
 class Consuming:
     """Takes messages until asked to end."""
 
-    def __init__(
-        self,
-        reader: TopicReader,
-        taking: ReferenceTaking,
-        decode: Decode,
-        status: ConsumerStatus,
-        stopped: Callable[[], bool],
-    ) -> None:
-        self._reader = reader
-        self._taking = taking
-        self._decode_received = decode
-        self._status = status
-        self._stopped = stopped
-        self._looked_s = float("-inf")
+    _reader: TopicReader
+    _taking: ReferenceTaking
+    _decode_received: Decode
+    _status: ConsumerStatus
+    _stopped: Callable[[], bool]
+    _looked_s: float = float("-inf")
 
     def run(self) -> None:
         """Consume; what has no committed offset at the end comes again."""
