@@ -199,7 +199,6 @@ def _started(arguments: list[str], *, quiet: bool = False) -> subprocess.Popen[b
 
 
 def _new_alert(writer: int) -> Alert:
-    """Return an alert that is not stored yet."""
     return Alert(
         alert_id=0,
         fleet=FLEET,

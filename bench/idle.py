@@ -145,7 +145,6 @@ def _counts(storage: SqlStorage) -> str:
 
 
 def _cpu_of_server(server: PostgresServer) -> float:
-    """Return processor time of the processes of a server, s."""
     assert server.process is not None
     return sum(map(cpu_of, tree(server.process.pid)))
 

@@ -225,7 +225,6 @@ def _copy(table: Table, own: Mapping[str, object], rows: ColumnElement[bool] | N
 
 
 def _chunks(connection: Connection, vehicle: str) -> Iterator[dict[str, object]]:
-    """Yield a receipt for each day of a vehicle."""
     model = dict(connection.execute(select(CHUNKS).order_by(CHUNKS.c.digest).limit(1)).mappings().one())
     for day in range(DAYS):
         shift_ns = day * DAY_NS
@@ -234,7 +233,6 @@ def _chunks(connection: Connection, vehicle: str) -> Iterator[dict[str, object]]
 
 
 def _see(unit: SqlUnitOfWork, context: JobContext) -> None:
-    """Let every stage have seen what there is."""
     for stage in ALL_STAGES:
         inputs = stage.inputs(context)
         due = unit.marks.due(inputs, 0)

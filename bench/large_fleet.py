@@ -220,7 +220,6 @@ def _store_results(storage: SqlStorage, drawn: _Drawn) -> None:
 
 
 def _store_alerts(storage: SqlStorage, drawn: _Drawn) -> None:
-    """Raise an alert for those of every few wheelsets that wear most."""
     size, now_ns = drawn.size, drawn.now_ns
     last = np.array([drawn.courses[course].trend.fitted.value for course in drawn.chosen])
     worst = np.argsort(-last, kind="stable")[: size.wheelsets // WORST_OF]

@@ -65,7 +65,6 @@ def visited(browser: Browser, address: str) -> Iterator[tuple[Page, Visit]]:
 
 
 def _counted(session: CDPSession) -> Mapping[str, int]:
-    """Return what every request receives, as it comes in."""
     names: dict[str, str] = {}
     sent: dict[str, int] = {}
 

@@ -137,7 +137,6 @@ FEWEST_RUNS = FIRST_RUNS + 2
 
 
 def _pipeline(options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
-    """Yield what each stage costs per wheelset-hour, frames per second, and the ratio to the rival."""
     for chunk_s in options.chunk:
         for surveyed in (False, True):
             track = "surveyed" if surveyed else "unsurveyed"
@@ -228,7 +227,6 @@ def _beside_workers_s(load: Workload, folder: Path) -> float:
 
 
 def _fleet_sizes(options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
-    """Yield what a window costs in fleets of different sizes, and the exponents."""
     load, sizes = workload(folder / "load", 1, options.minutes), sorted(options.vehicles)
     found = []
     for vehicles in sizes:
@@ -260,7 +258,6 @@ def _of_fleet(folder: Path, load: Workload, vehicles: int) -> Stages:
 
 
 def _section_runs(options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
-    """Yield estimations per window, and how the cost of a window grows with the runs."""
     if options.vehicles * options.campaigns < FEWEST_RUNS:
         raise SystemExit(f"{FEWEST_RUNS} journeys of all vehicles or more are needed for an exponent")
     found = []

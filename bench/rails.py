@@ -143,7 +143,6 @@ def _figures(errors: Sequence[Error]) -> tuple[str, str]:
 
 
 def _findings(results: Results) -> Rows:
-    """Return what is said of worn and of unworn sections."""
     rows: Rows = []
     for anchor in (*HOLD, NONE):
         sections = [one for case in _held_by(results, anchor) for one in case["sections"] if one["section"] != "S0"]

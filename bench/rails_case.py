@@ -193,7 +193,6 @@ def whole_fleet(sections: Sequence[BenchSection], measured: int = 0) -> Scenario
 
 
 def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
-    """Return what the jobs have stored, beside the truth."""
     amplitude = np.array(AMPLITUDES)
     of_sections = []
     for one in sections:
