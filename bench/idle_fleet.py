@@ -16,8 +16,9 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Insert, Table, case, func, insert, literal, select
 
 from api.settings import Settings
+from bench.standing_clock import StandingClock
 from bench.wheelset_recording import recorded
-from bench.wheelset_year import SERIAL, At, WheelsetYear
+from bench.wheelset_year import SERIAL, WheelsetYear
 from estimation.jobs import refresh_rails, refresh_signatures
 from estimation.jobs.catalogue import ALL_STAGES, job_named
 from estimation.jobs.job import JobContext, run_job
@@ -138,7 +139,7 @@ def fill(context: JobContext, storage: SqlStorage, settings: Settings, size: Fle
     """Fill an empty database; return our time at the end, ns UTC."""
     end_ns = WheelsetYear(context, storage, recorded(context, storage, settings)).put(1, DAYS)
     for name in OPINIONS:
-        run_job(job_named(name), replace(context, clock=At(end_ns)), JobTrigger.CLI)
+        run_job(job_named(name), replace(context, clock=StandingClock(end_ns)), JobTrigger.CLI)
     with storage.write() as unit:
         _sections(unit, size)
     for first in range(0, size.vehicles, TOGETHER):
