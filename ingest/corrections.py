@@ -138,11 +138,11 @@ def _placed_by(unit: SqlUnitOfWork, record: ChunkRecord) -> Sequence[ChunkRecord
     found: list[ChunkRecord] = []
     near = [record]
     while near:
-        one = near.pop()
-        if RECORDER_FIRST not in one.counts:
+        chunk = near.pop()
+        if RECORDER_FIRST not in chunk.counts:
             continue
-        ends = one.counts[RECORDER_FIRST], one.counts[RECORDER_LAST]
-        beside = [other for other in without if other not in found and is_beside(other, one.digest, ends)]
+        ends = chunk.counts[RECORDER_FIRST], chunk.counts[RECORDER_LAST]
+        beside = [other for other in without if other not in found and is_beside(other, chunk.digest, ends)]
         found += beside
         near += beside
     return found

@@ -83,12 +83,12 @@ def on_section(distance: FloatArray, forward: FloatArray, section: IntArray, num
 @compiled(nogil=True)
 def gridded(values: FloatArray, slot: IntArray, good: BoolArray, count: int, signals: int) -> FloatArray:
     """Return the first ``signals`` of values (k, m) of good samples on a grid, (signals, count); NaN elsewhere."""
-    found = np.full((signals, count), np.nan)
+    grid = np.full((signals, count), np.nan)
     for i in range(len(slot)):
         if good[i]:
             for j in range(signals):
-                found[j, slot[i]] = values[i, j]
-    return found
+                grid[j, slot[i]] = values[i, j]
+    return grid
 
 
 @compiled(nogil=True)

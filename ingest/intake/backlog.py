@@ -173,7 +173,7 @@ def assemble_windows(receiver_of: Callable[[JobContext], Receiver], context: Job
     if not counts["spans"] and not waiting and not looked_for and not received:
         return counts
     receiver = receiver_of(context)
-    receipts = [one.record for one in receiver.decode(waiting) if isinstance(one, ChunkReceipt)]
+    receipts = [answer.record for answer in receiver.decode(waiting) if isinstance(answer, ChunkReceipt)]
     counts["decoded"] = sum(record.state is ChunkState.DECODED for record in receipts)
     counts["decoded"] += decode_received(context.storage, receiver, ASSEMBLY, context.checkpoint).decoded
     receiver.reassembler.lost.look()

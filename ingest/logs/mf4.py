@@ -50,7 +50,7 @@ def stamps_ns(frames: Frames) -> IntArray:
 
 def bus_groups(mdf: Any) -> list[tuple[int, str]]:  # noqa: ANN401 - asammdf's MDF, untyped here
     """Return number and kind of the channel groups that log frames of a CAN bus."""
-    found = []
+    groups = []
     for number, group in enumerate(mdf.groups):
         source = group.channel_group.acq_source
         if not group.channel_group.flags & BUS_EVENT or group.channel_group.cycles_nr == 0 or source is None:
@@ -58,8 +58,8 @@ def bus_groups(mdf: Any) -> list[tuple[int, str]]:  # noqa: ANN401 - asammdf's M
         if not source.source_type & BUS_SOURCE or source.bus_type != CAN_BUS:
             continue
         names = {channel.name for channel in group.channels}
-        found += [(number, kind) for kind in KINDS if kind in names][:1]
-    return found
+        groups += [(number, kind) for kind in KINDS if kind in names][:1]
+    return groups
 
 
 def merged(groups: Sequence[Iterator[Frames]]) -> Iterator[Frames]:
