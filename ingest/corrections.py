@@ -135,17 +135,17 @@ def _placed_by(unit: SqlUnitOfWork, record: ChunkRecord) -> Sequence[ChunkRecord
         for other in unit.chunks.overlapping(record.vehicle, *ALWAYS)
         if other.digest != record.digest and not other.counts.get(OWN_TIME, 1) and RECORDER_FIRST in other.counts
     ]
-    found: list[ChunkRecord] = []
+    placed: list[ChunkRecord] = []
     near = [record]
     while near:
         chunk = near.pop()
         if RECORDER_FIRST not in chunk.counts:
             continue
         ends = chunk.counts[RECORDER_FIRST], chunk.counts[RECORDER_LAST]
-        beside = [other for other in without if other not in found and is_beside(other, chunk.digest, ends)]
-        found += beside
+        beside = [other for other in without if other not in placed and is_beside(other, chunk.digest, ends)]
+        placed += beside
         near += beside
-    return found
+    return placed
 
 
 def _conflict(record: ChunkRecord, why: str) -> ConflictError:

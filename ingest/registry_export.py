@@ -40,7 +40,7 @@ def export_registry(unit: SqlUnitOfWork, folder: str) -> ExportedRegistry:
     The files that it names will be in a folder, relative to the registry file.
     """
     registry, files = unit.registry, _Files(folder)
-    serials = [one.serial for one in registry.wheelsets() if not registry.voided(one.serial)]
+    serials = [wheelset.serial for wheelset in registry.wheelsets() if not registry.voided(wheelset.serial)]
     wheelsets = [registry.wheelset(serial) for serial in serials]
     vehicles = registry.vehicles_page(None, None, MOST_VEHICLES)
     arrays: dict[str, Sequence[Entry]] = {
@@ -48,14 +48,16 @@ def export_registry(unit: SqlUnitOfWork, folder: str) -> ExportedRegistry:
         "vehicle_classes": [
             {"recorded": class_document(record.vehicle_class)} for record in registry.vehicle_classes()
         ],
-        "vehicles": [entry_of(one) for one in vehicles],
-        "wheelsets": [entry_of(one) for one in wheelsets],
+        "vehicles": [entry_of(vehicle) for vehicle in vehicles],
+        "wheelsets": [entry_of(wheelset) for wheelset in wheelsets],
         "mountings": [entry_of(mounting) for serial in serials for mounting in registry.mountings(serial)],
         "reprofilings": [entry_of(reprofiling) for wheelset in wheelsets for reprofiling in wheelset.reprofilings],
         "measured_profiles": [
             _measurement(profiles, files) for serial in serials for profiles in registry.measured_profiles(serial)
         ],
-        "sensor_changes": [entry_of(one) for vehicle in vehicles for one in unit.sensor_changes.list(vehicle.code)],
+        "sensor_changes": [
+            entry_of(change) for vehicle in vehicles for change in unit.sensor_changes.list(vehicle.code)
+        ],
         "track_sections": [_section(unit, section, files) for section in unit.tracks.sections()],
     }
     filled = {name: list(entries) for name, entries in arrays.items() if entries}

@@ -128,10 +128,10 @@ class RegistryObject:
         for name, key in _KEYS:
             before: set[tuple[object, ...]] = set()
             for index, entry in enumerate(getattr(self, name)):
-                found = tuple(getattr(getattr(entry, "record", entry), part) for part in key)
-                if found in before:
-                    raise field_error(f"{found[0]!r} is in an entry before", name, index)
-                before.add(found)
+                names = tuple(getattr(getattr(entry, "record", entry), part) for part in key)
+                if names in before:
+                    raise field_error(f"{names[0]!r} is in an entry before", name, index)
+                before.add(names)
         return self
 
 

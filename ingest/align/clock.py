@@ -248,10 +248,10 @@ def merge_aligned(parts: Sequence[AlignedFrames]) -> Mapping[int, TickedValues]:
         return parts[0].messages
     merged = {}
     for arbitration_id in sorted({key for part in parts for key in part.messages}):
-        found = [part.messages[arbitration_id] for part in parts if arbitration_id in part.messages]
-        tick, raw = np.concatenate([item.tick for item in found]), np.concatenate([item.raw for item in found])
-        values, _ = by_tick(found[0].plan, tick, raw)
-        bad = np.concatenate([item.tick[item.conflict] for item in found])
+        pieces = [part.messages[arbitration_id] for part in parts if arbitration_id in part.messages]
+        tick, raw = np.concatenate([item.tick for item in pieces]), np.concatenate([item.raw for item in pieces])
+        values, _ = by_tick(pieces[0].plan, tick, raw)
+        bad = np.concatenate([item.tick[item.conflict] for item in pieces])
         conflict = values.conflict | np.isin(values.tick, bad)
         merged[arbitration_id] = replace(values, conflict=conflict)
     return MappingProxyType(merged)

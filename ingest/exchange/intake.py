@@ -110,23 +110,23 @@ def check_signs(run: ExchangeRun, file: ExchangeFile, toml: InputFile, *, in_bog
 
     Where all axles have the wrong sign the error names the axis that must be turned, else a sensor.
     """
-    found = {axle: sign_evidence(run, axle, in_bogie=in_bogie) for axle in run.accelerations}
+    signs = {axle: sign_evidence(run, axle, in_bogie=in_bogie) for axle in run.accelerations}
     for index, axle in enumerate(file.axles):
-        evidence = found[axle.axle]
+        evidence = signs[axle.axle]
         if evidence.other_unit:
             reason = f"the lateral velocity is {evidence.gain:.3g} times what yaw and speed give (y' = V psi)"
             raise toml.error(f"{reason}: is the unit of lateral or of yaw another?", ("axles", index, "lateral"))
-    turned = {axle: evidence.turned for axle, evidence in found.items()}
+    turned = {axle: evidence.turned for axle, evidence in signs.items()}
     kinds = set(turned.values())
     if kinds == {None}:
         return
     if len(kinds) == 1:
-        raise _axis_error(next(kind for kind in turned.values() if kind), found, file.axes, toml)
+        raise _axis_error(next(kind for kind in turned.values() if kind), signs, file.axes, toml)
     index, axle, kind = next((i, axle, kind) for i, axle in enumerate(file.axles) if (kind := turned[axle.axle]))
     signal = "lateral" if kind is Turned.LATERAL_OR_YAW else str(kind)
     good = [str(number) for number, other in turned.items() if other is None]
     others = f"axles {', '.join(good)} do not" if good else "other signals of other axles do too"
-    reason = f"{_contradiction(kind, [found[axle.axle]])} on axle {axle.axle}, {others}: turn that sensor (turned = "
+    reason = f"{_contradiction(kind, [signs[axle.axle]])} on axle {axle.axle}, {others}: turn that sensor (turned = "
     raise toml.error(f"{reason}{str(not getattr(axle, signal).turned).lower()})", ("axles", index, signal))
 
 

@@ -297,10 +297,10 @@ def _not_good(state: StateReference, messages: Messages, tick: IntArray, interva
     if ticked is None:
         return np.zeros(len(tick), np.bool_)
     after = np.searchsorted(ticked.tick, tick, side="left")
-    known = after < len(ticked.tick)
+    measured = after < len(ticked.tick)
     after = np.minimum(after, len(ticked.tick) - 1)
-    known &= ticked.tick[after] - tick <= TIME_REACH_NS // interval_ns
-    return np.asarray(known & (ticked.raw[after, state.signal.column] != state.good))
+    measured &= ticked.tick[after] - tick <= TIME_REACH_NS // interval_ns
+    return np.asarray(measured & (ticked.raw[after, state.signal.column] != state.good))
 
 
 def _motion(bus: OwnBus, messages: Messages) -> VehicleMotion:
@@ -344,5 +344,5 @@ def _held(reference: SignalReference | int, messages: Messages, tick: IntArray, 
     if len(signal.tick) == 0:
         return np.full(len(tick), np.nan)
     before = np.searchsorted(signal.tick, tick, side="right") - 1
-    known = (before >= 0) & (tick - signal.tick[before] <= TIME_REACH_NS // bus.sample_interval_ns)
-    return np.where(known, signal.values[before], np.nan)
+    fresh = (before >= 0) & (tick - signal.tick[before] <= TIME_REACH_NS // bus.sample_interval_ns)
+    return np.where(fresh, signal.values[before], np.nan)

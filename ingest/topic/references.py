@@ -100,10 +100,10 @@ def read_message(key: bytes | None, value: bytes | None) -> Reference | Refused:
         size = "no value" if value is None else f"{len(value):,} bytes, a reference has at most {MOST_BYTES:,}"
         return Refused(Outcome.MALFORMED, f"has {size}")
     try:
-        found = orjson.loads(value)
+        document = orjson.loads(value)
     except orjson.JSONDecodeError as error:
         return Refused(Outcome.MALFORMED, f"is no JSON: {error}"[:SHOWN])
-    version = found.get("version") if isinstance(found, dict) else None
+    version = document.get("version") if isinstance(document, dict) else None
     if type(version) is not int:
         return Refused(Outcome.MALFORMED, "is no object with a version")
     if version != VERSION:
