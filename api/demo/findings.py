@@ -209,8 +209,8 @@ def _by_signature(
 
 
 def _true_friction(scenario: Scenario) -> str:
-    stretches = [f"{one.friction:.2f} at {one.begin:g} to {one.end:g} m" for one in scenario.running.stretches]
-    return ", ".join([*stretches, f"{scenario.running.creep.friction:.2f} elsewhere"])
+    stretches = [f"{one.friction:.2f} at {one.begin:g} to {one.end:g} m" for one in scenario.creep.stretches]
+    return ", ".join([*stretches, f"{scenario.creep.friction:.2f} elsewhere"])
 
 
 def _low(service: ServiceAddress, section: str) -> str:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, delete, func, insert, select, update
 
 from estimation.errors import ParameterError, StorageError
+from estimation.values.units import DAY_NS, SECOND_NS
 from fleet_db.locks import Subject, serialise
 from fleet_db.records import ChunkState
 from fleet_db.rows import table_of, upsert
@@ -17,10 +18,7 @@ from fleet_db.tables.operation import ResultRow, StoredSettingRow
 from fleet_db.tables.recordings import ChunkRow, RawMarkRow
 
 SETTINGS, CHUNKS = table_of(StoredSettingRow), table_of(ChunkRow)
-
-
 LENGTH = "window_length_ns"
-SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +114,6 @@ class FeedBranchStore:
 
 
 RESULTS = table_of(ResultRow)
-DAY_NS = 86_400_000_000_000
 MOST_BEHIND_NS = DAY_NS
 """How far our clock may be behind what vehicles have measured by theirs before it is the one that is wrong."""
 
