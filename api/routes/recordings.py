@@ -31,7 +31,7 @@ from api.times import Moment
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.windows import WindowState
-from fleet_db.records import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState, RecordingAction
 from fleet_db.records import RecordingChange as Change
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.chunks import ChosenChunks
@@ -240,15 +240,19 @@ def reassign_recording(asked: NewDep, digest: Digest, body: Reassignment) -> Res
     with asked.read() as unit:
         unit.registry.vehicle(body.vehicle)  # one of another fleet is not found
     author = _author(asked.caller, body)
-    return _correct(asked, digest, body, lambda made: made.reassign(digest, body.vehicle, author))
+    return _correct(
+        asked, digest, body, lambda made: made.correct(digest, RecordingAction.REASSIGN, author, body.vehicle)
+    )
 
 
 @corrections_router.post("/{digest}/retry", response_model=RecordingWithHistory, responses=_REFUSALS)
 def retry_recording(asked: NewDep, digest: Digest, body: Retry) -> Response:
     """Let a rejected or waiting recording be decoded again, by the next run of `assemble_windows`."""
     author = _author(asked.caller, body)
+    behind = body.clock_was_behind
     return _correct(
-        asked, digest, body, lambda made: made.retry(digest, author, our_clock_was_behind=body.clock_was_behind)
+        *(asked, digest, body),
+        lambda made: made.correct(digest, RecordingAction.RETRY, author, our_clock_was_behind=behind),
     )
 
 
