@@ -25,6 +25,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
+from estimation.errors import NotFoundError
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.fields import Members, hints_of
 from fleet_db.tables import Base
@@ -119,6 +120,13 @@ def on_sections(column: ColumnElement[str | None], sections: Collection[str]) ->
     """Return the condition that a column names one of some sections; the empty text stands for null."""
     named = column.in_(sorted(set(sections) - {""}))
     return or_(named, column.is_(None)) if "" in sections else named
+
+
+def present(found: V | None, kind: str, key: object) -> V:
+    """Return what was found of a kind under a key; NotFoundError: nothing was."""
+    if found is None:
+        raise NotFoundError(kind, str(key))
+    return found
 
 
 def by_wheelset(rows: Iterable[Any], value: Callable[[Any], V]) -> dict[str, list[V]]:

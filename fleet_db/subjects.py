@@ -142,6 +142,20 @@ class Subjects:
             self.raised(SubjectKind.SECTION, section, Facet.REGISTRY)
 
 
+@dataclass(frozen=True, slots=True)
+class Store:
+    """What is stored of one subject, in one transaction."""
+
+    connection: Connection
+
+
+@dataclass(frozen=True, slots=True)
+class RaisingStore(Store):
+    """A store whose changes raise facets."""
+
+    subjects: Subjects
+
+
 @cache
 def _raise(dialect: str) -> Insert:
     names = ("kind", "subject", "facet")

@@ -6,12 +6,13 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, delete, func, insert, select, update
+from sqlalchemy import delete, func, insert, select, update
 
 from estimation.errors import ParameterError, StorageError
 from fleet_db.locks import Subject, serialise
 from fleet_db.records import ChunkState
 from fleet_db.rows import table_of, upsert
+from fleet_db.subjects import Store
 from fleet_db.tables.alerts import AlertEventRow, FeedBranchRow
 from fleet_db.tables.operation import ResultRow, StoredSettingRow
 from fleet_db.tables.recordings import ChunkRow, RawMarkRow
@@ -23,11 +24,8 @@ LENGTH = "window_length_ns"
 SECOND_NS = 1_000_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class StoredSettingStore:
+class StoredSettingStore(Store):
     """Settings and their values, in one transaction."""
-
-    connection: Connection
 
     def get(self, name: str) -> str | None:
         """Return a setting; None where it was never stored."""
@@ -61,11 +59,8 @@ class StoredSettingStore:
 MARKS = table_of(RawMarkRow)
 
 
-@dataclass(frozen=True, slots=True)
-class RawMarkStore:
+class RawMarkStore(Store):
     """The mark, in one transaction."""
-
-    connection: Connection
 
     def get(self) -> str | None:
         """Return the mark; None before the first use."""
@@ -89,11 +84,8 @@ class FeedBranch:
     after_sequence: int  # last event that it shares with the branch before
 
 
-@dataclass(frozen=True, slots=True)
-class FeedBranchStore:
+class FeedBranchStore(Store):
     """The branches of the feed, in one transaction."""
-
-    connection: Connection
 
     def all(self) -> Sequence[FeedBranch]:
         """Return the branches, the current one last; StorageError: somebody has emptied the database."""
@@ -121,11 +113,8 @@ MOST_BEHIND_NS = DAY_NS
 """How far our clock may be behind what vehicles have measured by theirs before it is the one that is wrong."""
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedTimeStore:
+class RecordedTimeStore(Store):
     """Our clock on what is stored: results from the time when it was ahead count as recorded now."""
-
-    connection: Connection
 
     def correct(self, now_ns: int) -> int:
         """Let results that carry a later time than our clock shows count as recorded now; return how many.

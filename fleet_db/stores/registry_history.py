@@ -13,7 +13,7 @@ from estimation.values.fields import JsonValue
 from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass, class_digest, class_document, class_of_document
 from fleet_db.records import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.rows import columns_of, equal, given, table_of, value_of_row
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import RaisingStore
 from fleet_db.tables.registry import RegistryEventRow, VehicleClassRow, VehicleRow
 
 EVENTS, VEHICLES, CLASSES = table_of(RegistryEventRow), table_of(VehicleRow), table_of(VehicleClassRow)
@@ -31,12 +31,8 @@ class RecordKey:
     at_ns: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class RegistryHistoryStore:
+class RegistryHistoryStore(RaisingStore):
     """Decisions, in one transaction; what rests on a record follows each change of it, noted or not."""
-
-    connection: Connection
-    subjects: Subjects
 
     def note(
         self,

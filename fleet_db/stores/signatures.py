@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, and_, delete, func, or_, select, tuple_
+from sqlalchemy import Row, and_, delete, func, or_, select, tuple_
 
 from estimation.errors import DamagedError
 from estimation.values.runs import SubjectKind
@@ -16,7 +15,7 @@ from estimation.values.windows import WindowKey
 from fleet_db.due import list_due, windows_changed
 from fleet_db.packed_values import pack_signatures, unpack_signatures
 from fleet_db.rows import put_rows, reason_columns, stored_reason, table_of
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import RaisingStore
 from fleet_db.tables.windows import WearSignatureRow, WindowRow
 
 SIGNATURES, WINDOWS = table_of(WearSignatureRow), table_of(WindowRow)
@@ -27,12 +26,8 @@ TOGETHER = 100
 """Conditions in a statement: SQLite takes no more than a thousand, one behind the other."""
 
 
-@dataclass(frozen=True, slots=True)
-class SignatureStore:
+class SignatureStore(RaisingStore):
     """Wear signatures of windows."""
-
-    connection: Connection
-    subjects: Subjects
 
     def made_of(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, MadeOf]:
         """Return what the signatures of windows are made from, of those that have been looked at."""

@@ -40,7 +40,7 @@ from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.locks import Subject, serialise
 from fleet_db.rows import columns_of, equal, given, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.assembled import SPANS
-from fleet_db.subjects import MOUNTINGS, REGISTRY_VERSION, VERSIONS, ReadOnce, Subjects
+from fleet_db.subjects import MOUNTINGS, REGISTRY_VERSION, VERSIONS, ReadOnce, Store, Subjects
 from fleet_db.tables.operation import StageMarkRow
 from fleet_db.tables.recordings import ChunkRow, QuarantineRow
 from fleet_db.tables.windows import WindowRow
@@ -269,11 +269,8 @@ Place = tuple[str, str, str]
 """Kind, key and stage."""
 
 
-@dataclass(frozen=True, slots=True)
-class QuarantineStore:
+class QuarantineStore(Store):
     """What failed by itself and is kept apart."""
-
-    connection: Connection
 
     def get(self, kind: SubjectKind, key: str, stage: str) -> Quarantined | None:
         """Return what is kept of one thing, held or resolved."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import cache
 from typing import Any
 
 from sqlalchemy import (
     ColumnElement,
-    Connection,
     Row,
     Select,
     Update,
@@ -35,7 +34,7 @@ from estimation.values.windows import DueStage, WindowKey, WindowRecord, WindowS
 from fleet_db.due import BATCH, DUE, OF_WINDOW, list_due, stale_epochs
 from fleet_db.rows import columns_of, put_rows, table_of, value_of_row
 from fleet_db.stores.window_rows import keys_given, to_window_record
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import RaisingStore
 from fleet_db.tables.track import TrackEpochRow, TrackEpochVehicleRow, TrackEpochWindowRow
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
@@ -97,12 +96,8 @@ def _refused() -> Update:
     return update(MEMBERS).where(*this).values(estimated_version=bindparam("version"))
 
 
-@dataclass(frozen=True, slots=True)
-class EpochStore:
+class EpochStore(RaisingStore):
     """Epochs of sections in vehicle time, each as it was computed last, and what has changed under them since."""
-
-    connection: Connection
-    subjects: Subjects
 
     def list(self, section: str) -> Sequence[TrackEpoch]:
         """Return the epochs of a section as they were computed last, in order."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-from sqlalchemy import Connection, Select, delete, func, insert, select, update
+from sqlalchemy import Select, delete, func, insert, select, update
 
 from estimation.errors import NotFoundError
 from fleet_db.records import Delivery, DeliveryState, DisabledReason, Webhook, WebhookCount, WebhookState
 from fleet_db.rows import columns_of, equal, given, table_of, value_of_row
+from fleet_db.subjects import Store
 from fleet_db.tables.alerts import AlertEventRow, WebhookDeliveryRow, WebhookFleetRow, WebhookRow, WebhookSecretRow
 
 WEBHOOKS, FLEETS = table_of(WebhookRow), table_of(WebhookFleetRow)
@@ -18,11 +19,8 @@ SECRETS, DELIVERIES = table_of(WebhookSecretRow), table_of(WebhookDeliveryRow)
 EVENTS = table_of(AlertEventRow)
 
 
-@dataclass(frozen=True, slots=True)
-class WebhookStore:
+class WebhookStore(Store):
     """The webhooks, in one transaction."""
-
-    connection: Connection
 
     def get(self, webhook_id: int) -> Webhook:
         """Return one webhook; raises NotFoundError."""

@@ -20,7 +20,7 @@ from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
 from fleet_db.records import Decision, RecordKind
 from fleet_db.rows import by_wheelset, columns_of, given, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import RaisingStore
 from fleet_db.tables.recordings import StaleSpanRow
 from fleet_db.tables.registry import MeasuredProfilesRow, MountingRow, ReprofilingRow, SensorChangeRow, WheelsetRow
 from fleet_db.tables.windows import WindowRow
@@ -210,12 +210,8 @@ def _parts(keys: Collection[str]) -> Iterator[list[str]]:
 CHANGES = table_of(SensorChangeRow)
 
 
-@dataclass(frozen=True, slots=True)
-class SensorChangeStore:
+class SensorChangeStore(RaisingStore):
     """When the sensors of an axle were exchanged or calibrated."""
-
-    connection: Connection
-    subjects: Subjects
 
     def list(self, vehicle: str) -> Sequence[SensorChange]:
         """Return what was done to the sensors of a vehicle, oldest first."""
