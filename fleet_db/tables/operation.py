@@ -4,7 +4,8 @@ from sqlalchemy import CheckConstraint, ForeignKey, Index, String, Text, text
 
 from estimation.values.alerts import Severity, Urgency
 from estimation.values.quantities import Status
-from estimation.values.runs import JobOutcome
+from estimation.values.runs import JobRun
+from fleet_db.records import ApiKey, AuditEntry
 from fleet_db.tables.base import (
     Base,
     Code,
@@ -21,11 +22,10 @@ from fleet_db.tables.base import (
 )
 
 
-class JobRunRow(Base, table="job_runs", numbered=True):
+class JobRunRow(Base, table="job_runs", numbered=True, of=JobRun):
     """One run; ``finished_ns`` is null until its end is recorded. ``owner`` is the lease of its process."""
 
     constraints = (
-        one_of("outcome", JobOutcome),
         CheckConstraint("(outcome = 'running') = (finished_ns IS NULL)", name="running_until_finished"),
         Index(None, "job", "run_id"),
     )
@@ -33,11 +33,6 @@ class JobRunRow(Base, table="job_runs", numbered=True):
     run_id: Serial
     job: str = column(String(64))
     trigger: str = column(String(16))
-    started_ns: Nanoseconds
-    finished_ns: Nanoseconds | None
-    outcome: str = column(String(16))
-    counts: Json
-    error: Name | None
     owner: Count | None
 
 
@@ -108,35 +103,22 @@ class StoredSettingRow(Base, table="stored_settings"):
     recorded_ns: Nanoseconds
 
 
-class ApiKeyRow(Base, table="api_keys"):
+class ApiKeyRow(Base, table="api_keys", of=ApiKey):
     """One key; only the digest of its secret is kept. ``fleets`` null is all fleets."""
 
     prefix: str = column(String(8), primary_key=True)
     digest: Code
-    owner: Name
-    scopes: Json
-    fleets: Json | None
-    created_ns: Nanoseconds
-    created_by: Name
-    expires_ns: Nanoseconds | None
-    revoked_ns: Nanoseconds | None
-    last_used_ns: Nanoseconds | None
 
 
-class AuditRow(Base, table="audit_entries", numbered=True):
+class AuditRow(Base, table="audit_entries", numbered=True, of=AuditEntry):
     """One change or refusal; rows are only added, and purged when they are old."""
 
     constraints = (Index(None, "at_ns"), Index(None, "key_prefix", "entry_id"))
 
     entry_id: Serial
-    at_ns: Nanoseconds
-    owner: Name | None
     key_prefix: str | None = column(String(64))
     method: str = column(String(16))
-    path: Name
     status: int
-    object: Name | None
-    address: Name | None
     request_id: str | None = column(String(64))
 
 
