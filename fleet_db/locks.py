@@ -243,7 +243,9 @@ def decoding_locks(engine: Engine, holder: str) -> Iterator[TryVehicle]:
     """Yield what locks a vehicle: decoding it twice would give the same, this only saves the work."""
     file = sqlite_file(engine)
     if file is not None:
-        yield partial(_file_lock, file)
+        yield lambda vehicle: locked_file(
+            file.with_name(f"{file.name}.decoding-{zlib.crc32(vehicle.encode()) % FILES:02d}")
+        )
         return
     with translate_errors(), postgresql_session(engine, holder) as session:
         yield partial(_advisory_lock, session)
@@ -261,10 +263,6 @@ def _answers(session: Connection) -> bool:
     except SQLAlchemyError:
         return False
     return True
-
-
-def _file_lock(file: Path, vehicle: str) -> AbstractContextManager[bool]:
-    return locked_file(file.with_name(f"{file.name}.decoding-{zlib.crc32(vehicle.encode()) % FILES:02d}"))
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 from functools import cache
 from typing import Any, TypeVar, cast, get_args, get_origin
@@ -127,6 +127,12 @@ def present(found: V | None, kind: str, key: object) -> V:
     if found is None:
         raise NotFoundError(kind, str(key))
     return found
+
+
+def batches(items: Sequence[V], size: int = 500) -> Iterator[Sequence[V]]:
+    """Yield the items of a sequence, in their order, so many at once as a statement takes."""
+    for first in range(0, len(items), size):
+        yield items[first : first + size]
 
 
 def by_wheelset(rows: Iterable[Any], value: Callable[[Any], V]) -> dict[str, list[V]]:

@@ -34,11 +34,12 @@ from estimation.accuracy.fleet_accuracy import (
 from estimation.accuracy.wheel_contact import WheelContact
 from estimation.contact.profiles import Profile
 from estimation.contact.wear import WearMeasures, wear_measures
-from estimation.errors import NotFoundError, ProfileError
+from estimation.errors import ProfileError
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.rows import present
 from fleet_db.stores.wheelset_events import newest_measurements
 
 NOT_OBSERVABLE = Reason(
@@ -70,18 +71,20 @@ class NotEstimated(Representation):
     reason_code: ReasonCode
 
 
-class EstimateOfDate(Representation):
+class EstimateOfDate(
+    Derived,
+    of=GeometryRecord,
+    without=("wheelset", "interval", "geometry", "input_digest", "track_versions", "parameters", "code_version"),
+    columns="status reason reason_code baseline mileage_km mileage_apart_km measured_from measured_to recorded_at"
+    " n_windows bins",
+):
     """The estimate that belongs to a measurement: of the same profile, of its mileage interval or the nearest."""
 
     status: Status
     reason: str | None
     reason_code: ReasonCode | None
-    baseline: int
     mileage_km: float | None = Field(description="Weighted mean mileage of its windows.")
     mileage_apart_km: float | None = Field(description="Mileage of the estimate less that of the measurement.")
-    measured_from: Timestamp
-    measured_to: Timestamp
-    recorded_at: Timestamp
     n_windows: int
     bins: Bins = Field(description="Its bin table; intervals of 95 % are 1.96 of the standard deviations.")
 
@@ -130,14 +133,14 @@ class ProfileComparison(Representation):
 
 
 def _profile_comparison(found: Comparison) -> ProfileComparison:
-    one, record = found.measurement, found.estimate.record
-    own = f"/v1/wheelsets/{segment(one.wheelset)}"
+    measured, record = found.measurement, found.estimate.record
+    own = f"/v1/wheelsets/{segment(measured.wheelset)}"
     return ProfileComparison(
-        wheelset=one.wheelset,
-        measured_at=to_rfc3339(one.at_ns),
-        mileage_km=one.mileage_km,
-        std_mm=one.std * MM,
-        wheels=BothWheels(left=_measures(one.left), right=_measures(one.right)),
+        wheelset=measured.wheelset,
+        measured_at=to_rfc3339(measured.at_ns),
+        mileage_km=measured.mileage_km,
+        std_mm=measured.std * MM,
+        wheels=BothWheels(left=_measures(measured.left), right=_measures(measured.right)),
         estimated_wheels=NotEstimated(
             status=Status.UNESTIMATED, reason=NOT_OBSERVABLE.text, reason_code=NOT_OBSERVABLE.code
         ),
@@ -150,7 +153,7 @@ def _profile_comparison(found: Comparison) -> ProfileComparison:
             ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3)) for pair in found.conicity
         ],
         links={
-            "self": _comparison_path(one.wheelset, one.at_ns),
+            "self": _comparison_path(measured.wheelset, measured.at_ns),
             "wheelset": own,
             "measured_profiles": f"{own}/measured-profiles",
             "accuracy": "/v1/accuracy",
@@ -172,17 +175,11 @@ def _measures(wheel: Profile) -> WheelMeasures:
 
 
 def _estimate(found: Comparison, record: GeometryRecord) -> EstimateOfDate:
-    cause = found.estimate.reason or record.geometry.reason
-    apart = record.mileage_km - found.measurement.mileage_km
-    return EstimateOfDate(
+    return EstimateOfDate.made(
+        record,
         status=record.geometry.status,
-        **why(cause),
-        baseline=record.baseline,
-        mileage_km=finite(record.mileage_km),
-        mileage_apart_km=finite(apart),
-        measured_from=to_rfc3339(record.from_ns),
-        measured_to=to_rfc3339(record.to_ns),
-        recorded_at=to_rfc3339(record.recorded_ns),
+        **why(found.estimate.reason or record.geometry.reason),
+        mileage_apart_km=finite(record.mileage_km - found.measurement.mileage_km),
         n_windows=record.geometry.windows,
         bins=bin_table(record.geometry),
     )
@@ -363,11 +360,10 @@ def get_profile_comparison(asked: AskedDep, serial: Serial, measured_at: Measure
     """Return a measurement of both wheels beside the estimate that belongs to its date."""
     with asked.read() as unit:
         wheelset = unit.registry.wheelset(serial)
-        wanted = [one for one in unit.registry.measured_profiles(serial) if one.at_ns == measured_at]
-        found = comparison_reader(asked.services, unit).of_wheelset(wheelset, wanted)
-    if not found:
-        raise NotFoundError("measured profiles", f"{serial} at {to_rfc3339(measured_at)}")
-    return asked.answer(_profile_comparison(found[0]))
+        of_date = [measured for measured in unit.registry.measured_profiles(serial) if measured.at_ns == measured_at]
+        comparisons = comparison_reader(asked.services, unit).of_wheelset(wheelset, of_date)
+    key = f"{serial} at {to_rfc3339(measured_at)}"
+    return asked.answer(_profile_comparison(present(next(iter(comparisons), None), "measured profiles", key)))
 
 
 @router.get("/accuracy", response_model=Accuracy, responses={**described(404), **TABLE})

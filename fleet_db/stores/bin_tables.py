@@ -25,7 +25,7 @@ from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTa
 from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
-from fleet_db.rows import by_wheelset, given, on_sections, put_rows, replace_all, table_of
+from fleet_db.rows import batches, by_wheelset, given, on_sections, put_rows, replace_all, table_of
 from fleet_db.stores.window_rows import keys_given, list_for_sums, spans_given, to_window_record
 from fleet_db.stores.windows import NOT_PASSED_OVER
 from fleet_db.subjects import ReadOnce, Subjects
@@ -90,9 +90,8 @@ class BinTableStore:
     def _checked(self, expected: Sequence[tuple[WindowKey, str]]) -> Mapping[WindowKey, Row[Any]]:
         """Return windows with their tables, once the contents of the windows are those expected."""
         windows: dict[WindowKey, Row[Any]] = {}
-        for first in range(0, len(expected), BATCH):
-            keys = [key for key, _ in expected[first : first + BATCH]]
-            windows |= {(row.wheelset, row.start_ns): row for row in self.connection.execute(STORED, {"keys": keys})}
+        for some in batches([key for key, _ in expected]):
+            windows |= {(row.wheelset, row.start_ns): row for row in self.connection.execute(STORED, {"keys": some})}
         for key, digest in expected:
             name = f"{key[0]}@{key[1]}"
             if key not in windows:
@@ -219,14 +218,11 @@ class BinTableStore:
             for start_ns, packed in ahead:
                 yield start_ns, unpack_filled_cells(packed, where=f"bin table of window {wheelset}@{start_ns}")
             return
-        for first in range(0, len(starts), BATCH):
-            statement = (
-                select(TABLES.c.start_ns, TABLES.c.packed)
-                .where(TABLES.c.wheelset == wheelset, TABLES.c.start_ns.in_(starts[first : first + BATCH]))
-                .order_by(TABLES.c.start_ns)
-            )
-            with self.connection.execute(statement.execution_options(yield_per=BATCH)) as found:
-                for start_ns, packed in found:
+        for some in batches(starts):
+            of_windows = (TABLES.c.wheelset == wheelset, TABLES.c.start_ns.in_(some))
+            statement = select(TABLES.c.start_ns, TABLES.c.packed).where(*of_windows).order_by(TABLES.c.start_ns)
+            with self.connection.execute(statement.execution_options(yield_per=BATCH)) as rows:
+                for start_ns, packed in rows:
                     yield start_ns, unpack_filled_cells(packed, where=f"bin table of window {wheelset}@{start_ns}")
 
     def stream(

@@ -24,11 +24,10 @@ from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.window_rows import wait_again
 from fleet_db.subjects import Subjects
-from fleet_db.tables.track import TrackAlignmentRow, TrackVersionRow, WindowPositionRow
+from fleet_db.tables.track import TrackVersionRow, WindowPositionRow
 from fleet_db.tables.windows import WindowRow
 
-WINDOWS, POSITIONS = table_of(WindowRow), table_of(WindowPositionRow)
-ALIGNMENTS, VERSIONS = table_of(TrackAlignmentRow), table_of(TrackVersionRow)
+WINDOWS, POSITIONS, VERSIONS = table_of(WindowRow), table_of(WindowPositionRow), table_of(TrackVersionRow)
 OF_WINDOW = and_(POSITIONS.c.wheelset == WINDOWS.c.wheelset, POSITIONS.c.start_ns == WINDOWS.c.start_ns)
 
 
@@ -95,16 +94,11 @@ class Again:
         assert before is not None
         recorded_ns = before.recorded_ns if self.recorded_ns is None else self.recorded_ns
         if recorded_ns is not None:  # a registered one is in force as it is
-            tracks.add_alignment(self._registered(section) or _unknown(now), recorded_ns=recorded_ns)
+            version = tracks.registered(section)
+            registered = None if version is None else tracks.alignment(section, version)
+            tracks.add_alignment(registered or _unknown(now), recorded_ns=recorded_ns)
         EpochStore(self.connection, self.subjects).start_again(section)
         self._wait(WINDOWS.c.track_section == section, PassedOver.SUPERSEDED)
-
-    def _registered(self, section: str) -> TrackAlignment | None:
-        same = and_(VERSIONS.c.section == ALIGNMENTS.c.section, VERSIONS.c.version == ALIGNMENTS.c.version)
-        version = self.connection.scalar(
-            select(func.max(ALIGNMENTS.c.version)).where(ALIGNMENTS.c.section == section, ~exists().where(same))
-        )
-        return None if version is None else TrackStore(self.connection, self.subjects).alignment(section, version)
 
     def _wait(self, chosen: ColumnElement[bool], what: PassedOver) -> None:
         """Let windows wait again, and forget where they were; those without samples stay as they are."""
@@ -146,8 +140,7 @@ def decode_again(chunks: ChunkStore, record: ChunkRecord, why: str, now_ns: int)
     item = after_failure(None, (SubjectKind.RECORDING, record.digest, STAGE), record.vehicle, error, now_ns)
     QuarantineStore(chunks.connection).put(item)
     reason = Reason(item.code, item.error)
-    again = replace(record, state=ChunkState.STORED, reason=reason, first_ns=None, last_ns=None)
-    chunks.update(again)
+    chunks.update(replace(record, state=ChunkState.STORED, reason=reason, first_ns=None, last_ns=None))
 
 
 def decode_undecoded(chunks: ChunkStore, vehicle: str, why: str, now_ns: int) -> None:

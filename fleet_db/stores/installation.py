@@ -11,15 +11,13 @@ from sqlalchemy import delete, func, insert, select, update
 from estimation.errors import ParameterError, StorageError
 from fleet_db.locks import Subject, serialise
 from fleet_db.records import ChunkState
-from fleet_db.rows import table_of, upsert
+from fleet_db.rows import columns_of, table_of, upsert
 from fleet_db.subjects import Store
 from fleet_db.tables.alerts import AlertEventRow, FeedBranchRow
 from fleet_db.tables.operation import ResultRow, StoredSettingRow
 from fleet_db.tables.recordings import ChunkRow, RawMarkRow
 
 SETTINGS, CHUNKS = table_of(StoredSettingRow), table_of(ChunkRow)
-
-
 LENGTH = "window_length_ns"
 SECOND_NS = 1_000_000_000
 
@@ -29,8 +27,8 @@ class StoredSettingStore(Store):
 
     def get(self, name: str) -> str | None:
         """Return a setting; None where it was never stored."""
-        found: str | None = self.connection.scalar(select(SETTINGS.c.value).where(SETTINGS.c.name == name))
-        return found
+        value: str | None = self.connection.scalar(select(SETTINGS.c.value).where(SETTINGS.c.name == name))
+        return value
 
     def put(self, name: str, value: str, recorded_ns: int) -> None:
         """Store a setting in place of what is there."""
@@ -90,16 +88,15 @@ class FeedBranchStore(Store):
     def all(self) -> Sequence[FeedBranch]:
         """Return the branches, the current one last; StorageError: somebody has emptied the database."""
         statement = select(BRANCHES.c.identity, BRANCHES.c.after_sequence).order_by(BRANCHES.c.branch_id)
-        found = [FeedBranch(row.identity, row.after_sequence) for row in self.connection.execute(statement)]
-        if not found:
+        branches = [FeedBranch(*row) for row in self.connection.execute(statement)]
+        if not branches:
             raise StorageError("the database has no identity: its table feed_branches is empty")
-        return found
+        return branches
 
     def begin(self, now_ns: int) -> FeedBranch:
         """Begin a branch behind the newest event, in the transaction that restores a database, and return it."""
         branch = FeedBranch(uuid.uuid4().hex, self.newest_sequence())
-        row = {"identity": branch.identity, "after_sequence": branch.after_sequence, "began_ns": now_ns}
-        self.connection.execute(insert(BRANCHES).values(**row))
+        self.connection.execute(insert(BRANCHES).values(**columns_of(branch), began_ns=now_ns))
         return branch
 
     def newest_sequence(self) -> int:
@@ -132,7 +129,6 @@ class RecordedTimeStore(Store):
         if now_ns < (self.connection.scalar(measured) or 0) - MOST_BEHIND_NS:
             return 0
         serialise(self.connection, Subject.GEOMETRIES)
-        superseded = update(RESULTS).where(RESULTS.c.superseded_ns > now_ns).values(superseded_ns=now_ns)
-        self.connection.execute(superseded)
+        self.connection.execute(update(RESULTS).where(RESULTS.c.superseded_ns > now_ns).values(superseded_ns=now_ns))
         recorded = update(RESULTS).where(RESULTS.c.recorded_ns > now_ns).values(recorded_ns=now_ns)
         return self.connection.execute(recorded).rowcount

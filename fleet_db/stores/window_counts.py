@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import starmap
@@ -36,9 +36,9 @@ from estimation.values.windows import (
     WindowMark,
     WindowState,
 )
-from fleet_db.due import BATCH, DUE, IS_PENDING, PLACED, is_due, list_due
+from fleet_db.due import DUE, IS_PENDING, PLACED, is_due, list_due
 from fleet_db.records import ChunkState
-from fleet_db.rows import by_wheelset, equal, given, replace_all, stored_reason, table_of, value_of_row
+from fleet_db.rows import batches, by_wheelset, equal, given, replace_all, stored_reason, table_of, value_of_row
 from fleet_db.stores.window_rows import implausible_reason, keys_given, spans_given
 from fleet_db.stores.windows import WindowStore
 from fleet_db.tables.operation import WorklistEntryRow
@@ -142,10 +142,8 @@ def _counted(row: Row[Any], **given: object) -> CountedWindows:
 def refused_by_code(connection: Connection, since_ns: Mapping[str, int | None]) -> dict[str, dict[ReasonCode, int]]:
     """Return how many of the newest windows since a time (None: ever) are refused, by serial and code, most first."""
     refusals: dict[str, dict[ReasonCode, int]] = {serial: {} for serial in since_ns}
-    asked = list(since_ns.items())
-    for first in range(0, len(asked), SERIALS_AT_ONCE):
-        some = starmap(_newest_refused, asked[first : first + SERIALS_AT_ONCE])
-        newest = union_all(*some).subquery()
+    for some in batches(list(since_ns.items()), SERIALS_AT_ONCE):
+        newest = union_all(*starmap(_newest_refused, some)).subquery()
         counted = select(newest.c.wheelset, newest.c.reason_code, func.count().label("windows"))
         refused = counted.where(newest.c.state == WindowState.REFUSED.value, newest.c.reason_code.is_not(None))
         for row in connection.execute(refused.group_by(newest.c.wheelset, newest.c.reason_code)):
@@ -266,8 +264,8 @@ class PlausibilityStore:
     def readings_around(self, spans: Sequence[ReadingSpan]) -> Mapping[ReadingSpan, Sequence[MileageReading]]:
         """Return mileages in spans (wheelset, first, last start), one before and one after each, oldest first."""
         readings: dict[ReadingSpan, list[MileageReading]] = {span: [] for span in spans}
-        for first in range(0, len(spans), SPANS):
-            for row in self.connection.execute(_around(spans[first : first + SPANS])):
+        for some in batches(spans, SPANS):
+            for row in self.connection.execute(_around(some)):
                 readings[row.of_wheelset, row.from_ns, row.to_ns].append(_reading(row))
         return readings
 
@@ -292,7 +290,10 @@ class PlausibilityStore:
         They are refused; those that are believed again wait to be estimated. What has no samples any more stays.
         """
         rows, marks = [], []
-        for row in self._standing(sorted(verdicts)):
+        names = ("wheelset", "start_ns", "implausible", "implausible_code", "samples_purged_ns")
+        standing = select(*(WINDOWS.c[name] for name in names)).where(keys_given(WINDOWS))
+        keys = batches(sorted(verdicts))
+        for row in (row for some in keys for row in self.connection.execute(standing, {"keys": some}).all()):
             key = (row.wheelset, row.start_ns)
             reason = verdicts[key]
             if reason == implausible_reason(row):
@@ -309,12 +310,6 @@ class PlausibilityStore:
         for wheelset in {mark.wheelset for mark in marks}:
             self.windows.subjects.windows(wheelset)
         return len(marks)
-
-    def _standing(self, keys: Sequence[WindowKey]) -> Iterator[Row[Any]]:
-        names = ("wheelset", "start_ns", "implausible", "implausible_code", "samples_purged_ns")
-        standing = select(*(WINDOWS.c[name] for name in names)).where(keys_given(WINDOWS))
-        for first in range(0, len(keys), BATCH):
-            yield from self.connection.execute(standing, {"keys": keys[first : first + BATCH]}).all()
 
     def left_out(self, wheelset: str, from_ns: int) -> Mapping[ReasonCode, int]:
         """Return how many windows of a wheelset that start at or after a time are not believed, by code."""

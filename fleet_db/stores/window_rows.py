@@ -41,8 +41,9 @@ from estimation.values.windows import (
     WindowRecord,
     WindowState,
 )
-from fleet_db.due import BATCH, estimated, list_due, list_to_estimate, list_waiting
+from fleet_db.due import estimated, list_due, list_to_estimate, list_waiting
 from fleet_db.rows import (
+    batches,
     columns_of,
     nan_if_null,
     null_if_nan,
@@ -161,9 +162,8 @@ def wait_again(subjects: Subjects, chosen: ColumnElement[bool], what: PassedOver
 
 def remove_tables(connection: Connection, subjects: Subjects, keys: Sequence[WindowKey]) -> None:
     """Remove the bin tables of some windows, where there are any."""
-    for first in range(0, len(keys), BATCH):
-        rows = connection.execute(TABLED, {"keys": keys[first : first + BATCH]})
-        tabled = [(row.wheelset, row.start_ns) for row in rows]
+    for some in batches(keys):
+        tabled = [(row.wheelset, row.start_ns) for row in connection.execute(TABLED, {"keys": some})]
         list_for_sums(connection, tabled)
         if tabled:
             connection.execute(delete(TABLES).where(keys_given(TABLES)), {"keys": tabled})
@@ -174,8 +174,8 @@ def remove_tables(connection: Connection, subjects: Subjects, keys: Sequence[Win
 def list_for_sums(connection: Connection, keys: Sequence[WindowKey]) -> None:
     """List windows whose bin table or its mileage is another, or is about to be removed: they are summed again."""
     tabled = exists().where(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns)
-    for first in range(0, len(keys), BATCH):
-        list_due(connection, DueStage.SUMS, and_(keys_given(WINDOWS), tabled), keys=keys[first : first + BATCH])
+    for some in batches(keys):
+        list_due(connection, DueStage.SUMS, and_(keys_given(WINDOWS), tabled), keys=some)
 
 
 def pass_over(connection: Connection, chosen: ColumnElement[bool], what: PassedOver) -> int:
@@ -254,11 +254,8 @@ OF_WINDOWS = select(POSITIONS).where(keys_given(POSITIONS))
 
 def positions_of(connection: Connection, keys: Sequence[WindowKey]) -> Mapping[WindowKey, WindowPosition]:
     """Return by wheelset and start where those of some windows were that have been looked at."""
-    positions = {}
-    for first in range(0, len(keys), BATCH):
-        for row in connection.execute(OF_WINDOWS, {"keys": keys[first : first + BATCH]}):
-            positions[row.wheelset, row.start_ns] = value_of_row(WindowPosition, row)
-    return positions
+    rows = (row for some in batches(keys) for row in connection.execute(OF_WINDOWS, {"keys": some}))
+    return {(row.wheelset, row.start_ns): value_of_row(WindowPosition, row) for row in rows}
 
 
 def put_positions(
@@ -275,8 +272,8 @@ def put_positions(
 def forget_positions(connection: Connection, keys: Sequence[WindowKey]) -> set[str | None]:
     """Forget where some windows were; return the sections that they are on."""
     sections: set[str | None] = set()
-    for first in range(0, len(keys), BATCH):
-        given = {"keys": keys[first : first + BATCH]}
-        sections.update(connection.scalars(select(WINDOWS.c.track_section).where(keys_given(WINDOWS)), given))
-        connection.execute(delete(POSITIONS).where(keys_given(POSITIONS)), given)
+    on = select(WINDOWS.c.track_section).where(keys_given(WINDOWS))
+    for some in batches(keys):
+        sections.update(connection.scalars(on, {"keys": some}))
+        connection.execute(delete(POSITIONS).where(keys_given(POSITIONS)), {"keys": some})
     return sections
