@@ -58,36 +58,44 @@ def list_alerts(
     del filters["fleet_alert_id"], filters["open_only"]
     now_ns = asked.services.clock.now_ns()
     with asked.read() as unit:
-        found = _found(unit.alerts, choice, sort, asked.after(filters), asked.limit + 1)
-        if not found:
+        outlines = _outlines(unit.alerts, choice, sort, asked.after(filters), asked.limit + 1)
+        if not outlines:
             require_known(unit, fleet=fleet, wheelset=wheelset, fleet_alert=fleet_alert)
-        places = {one.alert_id: (one.vehicle, one.axle) for one in found}
+        places = {outline.alert_id: {"vehicle": outline.vehicle, "axle": outline.axle} for outline in outlines}
 
         def made(numbers: Sequence[int]) -> Mapping[int, alerts.AlertRow]:
-            records = unit.alerts.some(numbers)
-            return {number: alerts.alert_row(record, now_ns, places[number]) for number, record in records.items()}
+            records = unit.alerts.some(numbers).items()
+            return {key: alerts.alert(record, now_ns, alerts.AlertRow, **places[key]) for key, record in records}
 
         def payloads(numbers: Sequence[int]) -> Mapping[int, bytes]:
             return {number: payload_of(row) for number, row in made(numbers).items()}
 
-        keys = {one.alert_id: _key(one, now_ns) for one in found[: asked.limit]}
+        keys = {outline.alert_id: _key(outline, now_ns) for outline in outlines[: asked.limit]}
         rows = made(list(keys)) if wants_table(asked.request) else {}
         texts = {} if rows else asked.services.cache.get_or_make_all(keys, payloads)
+    worst = sort is alerts.AlertSort.WORST
     return asked.payloads(
         filters,
-        found,
-        lambda one: [one.severity.value, one.alert_id] if sort is alerts.AlertSort.WORST else one.alert_id,
-        lambda one: texts[one.alert_id],
-        lambda one: rows[one.alert_id],
+        outlines,
+        lambda outline: [outline.severity.value, outline.alert_id] if worst else outline.alert_id,
+        lambda outline: texts[outline.alert_id],
+        lambda outline: rows[outline.alert_id],
     )
 
 
-def _key(one: AlertOutline, now_ns: int) -> Hashable:
-    shown = alerts.display_state(one, now_ns)
-    return ("alert", one.alert_id, one.version, one.last_seen_ns, shown, one.vehicle, one.axle)
+def _key(outline: AlertOutline, now_ns: int) -> Hashable:
+    place = (outline.vehicle, outline.axle)
+    return (
+        "alert",
+        outline.alert_id,
+        outline.version,
+        outline.last_seen_ns,
+        alerts.display_state(outline, now_ns),
+        *place,
+    )
 
 
-def _found(
+def _outlines(
     store: AlertStore, choice: AlertChoice, sort: alerts.AlertSort, after: object, limit: int
 ) -> Sequence[AlertOutline]:
     """Return the alerts behind a place; the worst first, each severity is a list of its own, newest first."""
@@ -95,13 +103,13 @@ def _found(
         number = cursors.number_of(after)
         return store.outlines(choice, number, limit, newest_first=sort is alerts.AlertSort.NEWEST)
     worst, number = _place(after)
-    found: list[AlertOutline] = []
-    for one in reversed(list(Severity)[: list(Severity).index(worst) + 1]):
-        if choice.severity in {None, one} and len(found) < limit:
-            of_one = replace(choice, severity=one)
-            found += store.outlines(of_one, number, limit - len(found), newest_first=True)
+    outlines: list[AlertOutline] = []
+    for severity in reversed(list(Severity)[: list(Severity).index(worst) + 1]):
+        if choice.severity in {None, severity} and len(outlines) < limit:
+            of_severity = replace(choice, severity=severity)
+            outlines += store.outlines(of_severity, number, limit - len(outlines), newest_first=True)
         number = None
-    return found
+    return outlines
 
 
 def _place(after: object) -> tuple[Severity, int | None]:
@@ -124,8 +132,8 @@ def list_alert_events(request: Request, services: ServicesDep, alert_id: Number)
     """List everything that happened to one alert, oldest first."""
     with services.storage.read() as unit:
         unit.alerts.get(alert_id)
-        found = unit.alerts.events(alert_id)
-    return answer(request, alerts.Events(items=[alerts.event(record) for record in found]))
+        events = unit.alerts.events(alert_id)
+    return answer(request, alerts.Events(items=[alerts.event(event) for event in events]))
 
 
 actions_router = APIRouter(

@@ -51,6 +51,15 @@ class Page(Representation, Generic[ItemT]):
     next: str | None = Field(description="The path of the next page; the same as Link rel=next.")
 
 
+_CONICITY: dict[str, pydantic.JsonValue] = {
+    "value": 0.182,
+    "std": 0.006,
+    "interval_95": [0.17, 0.194],
+    "n_windows": 12.0,
+}
+_CONICITY |= {"status": "estimated", "reason": None, "reason_code": None}
+
+
 class Uncertain(Representation):
     """A number with its uncertainty; null means unknown, and `reason` and `reason_code` explain why."""
 
@@ -62,21 +71,7 @@ class Uncertain(Representation):
     reason: str | None
     reason_code: ReasonCode | None
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "value": 0.182,
-                    "std": 0.006,
-                    "interval_95": [0.17, 0.194],
-                    "n_windows": 12.0,
-                    "status": "estimated",
-                    "reason": None,
-                    "reason_code": None,
-                }
-            ]
-        }
-    )
+    model_config = ConfigDict(json_schema_extra={"examples": [_CONICITY]})
 
 
 def finite(value: float | None, scale: float = 1.0) -> float | None:
@@ -91,10 +86,10 @@ def finite_list(values: Sequence[float] | FloatArray, scale: float = 1.0) -> lis
     """Return every value as :func:`finite` does."""
     with np.errstate(over="ignore"):  # beyond all floats is no finite number
         scaled = np.asarray(values, np.float64) * scale
-    found: list[float | None] = scaled.tolist()
+    listed: list[float | None] = scaled.tolist()
     for place in np.flatnonzero(~np.isfinite(scaled)):
-        found[place] = None
-    return found
+        listed[place] = None
+    return listed
 
 
 def why(reason: Reason | None) -> dict[str, Any]:
@@ -170,7 +165,7 @@ def _field_of(key: str, hint: Any) -> FieldOf:  # noqa: ANN401 - a type
     while get_origin(hint) in {Annotated, Union, types.UnionType}:
         if get_origin(hint) is Annotated:
             hint, *metadata = get_args(hint)
-            served = next((one for one in metadata if isinstance(one, Served)), served)
+            served = next((item for item in metadata if isinstance(item, Served)), served)
         else:
             (hint,) = (part for part in get_args(hint) if part is not types.NoneType)
             nullable = True
@@ -217,13 +212,6 @@ def _single(hint: Any, field: FieldOf) -> tuple[Any, Convert]:  # noqa: ANN401 -
 MODELS: dict[type, type[Derived]] = {}  # the model of each value that has one
 
 
-def _served_fields(of: type, without: Collection[str], also: Collection[str]) -> list[FieldOf]:
-    properties = [
-        _field_of(name, get_type_hints(getattr(of, name).fget, include_extras=True)["return"]) for name in also
-    ]
-    return [field for field in (*fields_of(of), *properties) if field.key not in without]
-
-
 def _path(template: str, value: object) -> str:
     return re.sub(r"{(\w+)}", lambda field: segment(str(getattr(value, field[1]))), template)
 
@@ -252,11 +240,14 @@ class Derived(Representation):
         super().__init_subclass__(**kwargs)
         if of is None:
             return
-        own, derived, makers = inspect.get_annotations(cls), {}, dict(cls.makers)
-        for field in _served_fields(of, without, also):
+        annotated, derived, makers = inspect.get_annotations(cls), {}, dict(cls.makers)
+        properties = {name: get_type_hints(getattr(of, name).fget, include_extras=True)["return"] for name in also}
+        for field in (*fields_of(of), *(_field_of(name, hint) for name, hint in properties.items())):
+            if field.key in without:
+                continue
             kind, convert = (str, text_of) if field.hint is Reason else served_type(field)
             makers[field.name] = field.key, convert
-            if field.name in own and hasattr(cls, field.name):
+            if field.name in annotated and hasattr(cls, field.name):
                 continue
             is_nullable = field.nullable or not field.served.finite or field.hint is Reason
             derived[field.name] = kind | None if is_nullable else kind
@@ -267,7 +258,7 @@ class Derived(Representation):
                 if field.name != "reason":
                     setattr(cls, f"{field.name}_code", Field(description="Its code."))
         cls.paths = links or cls.paths
-        places, named = columns.split(), derived | own | ({"links": Links} if links else {})
+        places, named = columns.split(), derived | annotated | ({"links": Links} if links else {})
         cls.__annotations__ = {name: named[name] for name in sorted(named, key=places.index)} if places else named
         cls.makers = makers
         MODELS.setdefault(of, cls)
@@ -373,14 +364,17 @@ def measured_profiles(record: MeasuredProfiles) -> MeasuredProfilesRecord:
     )
 
 
+_OF_WHEELSET = (
+    *("geometry", "trend", "contact", "windows", "mountings", "reprofilings", "measured-profiles", "intervals"),
+    *("data-quality", "state", "creep-forces"),
+)
+
+
 def wheelset(record: WheelsetRecord) -> Wheelset:
     """Return the representation of a wheelset, with paths to everything known of it."""
     own = f"/v1/wheelsets/{segment(record.serial)}"
-    links = {name: f"{own}/{name}" for name in ("geometry", "trend", "contact", "windows", "mountings", "reprofilings")}
-    links |= {"measured_profiles": f"{own}/measured-profiles", "intervals": f"{own}/intervals"}
-    links["data_quality"] = f"{own}/data-quality"
-    links |= {"state": f"{own}/state", "creep_forces": f"{own}/creep-forces"}
-    links = {"self": own, "fleet": f"/v1/fleets/{segment(record.fleet)}", **links}
+    links = {"self": own, "fleet": f"/v1/fleets/{segment(record.fleet)}"}
+    links |= {name.replace("-", "_"): f"{own}/{name}" for name in _OF_WHEELSET}
     links["alerts"] = f"/v1/alerts?wheelset={segment(record.serial)}"
     if record.mounting is not None:
         links["vehicle"] = f"/v1/vehicles/{segment(record.mounting.vehicle)}"

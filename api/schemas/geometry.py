@@ -255,14 +255,13 @@ class DataQuality(Representation):
 
 def interval(record: GeometryRecord) -> Interval:
     """Return the representation of what was estimated from one stretch of mileage."""
-    found = record.geometry
     return Interval.made(
         record,
         interval=record.interval or 0,
-        n_windows=found.windows,
-        status=found.status,
-        **why(found.reason),
-        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
+        n_windows=record.geometry.windows,
+        status=record.geometry.status,
+        **why(record.geometry.reason),
+        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(record.geometry)),
     )
 
 
@@ -270,12 +269,12 @@ def data_quality(serial: str, found: WindowCounts, waiting: Sequence[ReasonOfWin
     """Return the representation of the windows of a wheelset over time."""
     stretches: dict[int, Counts] = {}
     total: Counts = Counter()
-    for one in found.counts:
-        stretches.setdefault(one.from_ns, Counter())[one.state, one.code] = one.windows
-        if one.state is not WindowState.PENDING:
-            total[one.state, one.code] += one.windows
-    for item in waiting:
-        total[item.state, code_of(item.reason)] += item.windows
+    for count in found.counts:
+        stretches.setdefault(count.from_ns, Counter())[count.state, count.code] = count.windows
+        if count.state is not WindowState.PENDING:
+            total[count.state, count.code] += count.windows
+    for windows in waiting:
+        total[windows.state, code_of(windows.reason)] += windows.windows
     own = f"/v1/wheelsets/{segment(serial)}"
     return DataQuality(
         wheelset=serial,

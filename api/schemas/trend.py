@@ -72,14 +72,8 @@ class TrendProvenance(Derived, of=TrendRecord, without=("wheelset", "baseline", 
 
 
 _OF_NOW = (
-    "limit",
-    "distance_to_limit_km",
-    "date_of_limit_ns",
-    "probability_over_limit",
-    "not_comparable",
-    "few_behind",
-    "ahead_km",
-    "over_ahead",
+    *("limit", "distance_to_limit_km", "date_of_limit_ns", "probability_over_limit", "not_comparable", "few_behind"),
+    *("ahead_km", "over_ahead"),
 )
 
 
@@ -167,8 +161,8 @@ def no_trend(
     """Return the representation of a wheelset that has no trend."""
     unknown = Estimate.unknown(reason)
     nothing = refresh((), math.nan, quantity=QUANTITY)
-    found = replace(nothing, reason=reason, slope_per_1000_km=unknown, slope_per_year=unknown, fitted=unknown)
-    return _trend(serial, baseline, found, current, now, without)
+    nothing = replace(nothing, reason=reason, slope_per_1000_km=unknown, slope_per_year=unknown, fitted=unknown)
+    return _trend(serial, baseline, nothing, current, now, without)
 
 
 def _trend(
@@ -212,6 +206,5 @@ def _trend(
 
 def table(trend_: Trend) -> tuple[Sequence[str], list[Sequence[object]]]:
     """Return the points as a header and rows."""
-    points = trend_.points
     header = ["mileage_km", "measured_at", "value_1", "std_1"]
-    return header, list(zip(points.mileage_km, points.measured_at, points.value_1, points.std_1, strict=True))
+    return header, list(zip(*(getattr(trend_.points, name) for name in header), strict=True))
