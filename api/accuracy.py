@@ -48,7 +48,7 @@ def placed_comparisons(unit: SqlUnitOfWork, reader: ComparisonReader, keys: Sequ
 def _of_wheelset(
     unit: SqlUnitOfWork, reader: ComparisonReader, serial: str, wanted: set[int], classes: dict[str, str]
 ) -> Iterator[tuple[int, PlacedComparison]]:
-    measurements = [one for one in unit.registry.measured_profiles(serial) if one.at_ns in wanted]
+    measurements = [measured for measured in unit.registry.measured_profiles(serial) if measured.at_ns in wanted]
     mountings = unit.registry.mountings(serial)
     for comparison in reader.of_wheelset(unit.registry.wheelset(serial), measurements):
         record = comparison.estimate.record
@@ -63,8 +63,8 @@ def _of_wheelset(
 
 def _vehicle_at(mountings: Sequence[Mounting], at_ns: int) -> str | None:
     """Return the vehicle that a wheelset was mounted on, or had been last: profiles are measured in the depot too."""
-    before = [one for one in mountings if one.from_ns <= at_ns]
-    return max(before, key=lambda one: one.from_ns).vehicle if before else None
+    before = [mounting for mounting in mountings if mounting.from_ns <= at_ns]
+    return max(before, key=lambda mounting: mounting.from_ns).vehicle if before else None
 
 
 MOST_KEPT = 2048  # each takes some 8 kB

@@ -87,9 +87,9 @@ def _cells(annotation: Any, path: tuple[str, ...], fields: tuple[str, ...]) -> I
     elif isinstance(kind, type) and issubclass(kind, _PLAIN):
         yield Column(name, fields)
     elif kind in {list, tuple} and all(
-        isinstance(_known(one)[0], type) and issubclass(_known(one)[0], _PLAIN)
-        for one in arguments
-        if one is not Ellipsis
+        isinstance(_known(argument)[0], type) and issubclass(_known(argument)[0], _PLAIN)
+        for argument in arguments
+        if argument is not Ellipsis
     ):
         yield Column(name, fields, lambda values: "; ".join(map(str, values)))
     else:
@@ -102,7 +102,7 @@ def _known(annotation: Any) -> tuple[Any, tuple[Any, ...]]:  # noqa: ANN401 - an
     if origin is Annotated:
         return _known(arguments[0])
     if origin in {Union, UnionType}:
-        present = [one for one in arguments if one is not NoneType]
+        present = [argument for argument in arguments if argument is not NoneType]
         return _known(present[0]) if len(present) == 1 else (None, ())
     return (annotation, ()) if origin is None else (origin, arguments)
 

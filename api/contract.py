@@ -47,7 +47,9 @@ def _contract_of(operation: Mapping[str, Any]) -> OperationContract:
     offered = [media_type for response in succeeded for media_type in response.get("content", {})]
     asked = {entry["name"]: entry["schema"] for entry in operation.get("parameters", ()) if entry["in"] == "query"}
     lists = [
-        name for name, of in asked.items() if any(one.get("type") == "array" for one in (of, *of.get("anyOf", ())))
+        name
+        for name, schema in asked.items()
+        if any(part.get("type") == "array" for part in (schema, *schema.get("anyOf", ())))
     ]
     return OperationContract(
         tuple(media_type for media_type in offered if media_type != PROBLEM_MEDIA_TYPE),

@@ -264,4 +264,4 @@ def readable(event: Event) -> str:
     line = f"{event['recorded_at']}  {event['event']:<12}  {alert['id']:>6}  {alert['severity']:<8}  {alert['kind']}"
     line = f"{line}  {subject}" + (f"  by {event['actor']}" if event["actor"] != "treadwatch" else "")
     line += f"  {event['note']}" if event["note"] else ""
-    return "".join(one if one.isprintable() else repr(one)[1:-1] for one in line)
+    return "".join(character if character.isprintable() else repr(character)[1:-1] for character in line)

@@ -114,21 +114,21 @@ def fault_of(error: BaseException) -> Fault:
 
 def short_trace(error: BaseException, clean: Callable[[str], str] = str) -> str:
     """Return a trace without local variables, bounded in depth and characters, the error itself first."""
-    parts, one, seen = [], error, set[int]()
+    parts, raised, seen = [], error, set[int]()
     for _ in range(CAUSES):
-        seen.add(id(one))
-        parts += [f"{_heading(one, clean)}\n", *traceback.extract_tb(one.__traceback__, limit=-FRAMES).format()]
-        behind = one.__cause__ or (None if one.__suppress_context__ else one.__context__)
+        seen.add(id(raised))
+        parts += [f"{_heading(raised, clean)}\n", *traceback.extract_tb(raised.__traceback__, limit=-FRAMES).format()]
+        behind = raised.__cause__ or (None if raised.__suppress_context__ else raised.__context__)
         if behind is None or id(behind) in seen:
             break
         parts.append("from ")
-        one = behind
+        raised = behind
     return "".join(parts)[:TRACE_CHARACTERS].rstrip()
 
 
 def _heading(error: BaseException, clean: Callable[[str], str]) -> str:
     heading = f"{type(error).__module__}.{type(error).__qualname__}: {error}"
-    inside = "".join(f"\n  {type(one).__qualname__}: {one}" for one in getattr(error, "exceptions", ())[:CAUSES])
+    inside = "".join(f"\n  {type(inner).__qualname__}: {inner}" for inner in getattr(error, "exceptions", ())[:CAUSES])
     return clean(heading)[:MESSAGE_CHARACTERS] + clean(inside)[:MESSAGE_CHARACTERS]
 
 
@@ -197,8 +197,8 @@ class Redactor:
     def _forms(self) -> tuple[str, ...]:
         forms: set[str] = set()
         for secret in self.secrets:
-            for one in {secret, unquote(secret)}:
-                forms |= {one, quote(one, safe=""), quote_plus(one), json.dumps(one)[1:-1], repr(one)[1:-1]}
+            for form in {secret, unquote(secret)}:
+                forms |= {form, quote(form, safe=""), quote_plus(form), json.dumps(form)[1:-1], repr(form)[1:-1]}
         return tuple(sorted((form for form in forms if len(form) >= _SHORTEST), key=len, reverse=True))
 
     def __call__(self, text: str) -> str:

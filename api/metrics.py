@@ -118,7 +118,7 @@ def upload_measures(services: Services | None) -> list[Metric]:
         return []
     uploads = services.uploads
     ended = {outcome.value: uploads.ended[outcome] for outcome in Taken}
-    limits = (*(one.value for one in Limit), UPLOADS_FULL, NO_STORAGE)
+    limits = (*(limit.value for limit in Limit), UPLOADS_FULL, NO_STORAGE)
     refused = {limit: uploads.refused[limit] for limit in limits}
     text = "Bytes of new chunks that have their receipt."
     measures = [
@@ -149,17 +149,17 @@ def webhook_measures(storage: SqlStorage) -> list[Metric]:
     """Return how many webhooks are in which state, how their attempts ended, and since when the oldest event waits."""
     with storage.read() as unit:
         found = unit.webhooks.counts()
-    in_state = Tally(one.webhook.state for one in found)
+    in_state = Tally(count.webhook.state for count in found)
     states = {state.value: in_state[state] for state in WebhookState}
     attempts = {
-        (str(one.webhook.webhook_id), outcome): count
-        for one in found
-        for outcome, count in (("delivered", one.delivered), ("failed", one.failed))
+        (str(counted.webhook.webhook_id), outcome): count
+        for counted in found
+        for outcome, count in (("delivered", counted.delivered), ("failed", counted.failed))
     }
     return [
         gauge("treadwatch_webhooks", "Webhooks by state.", "state", states),
         counter("treadwatch_webhook_attempts", "Attempts to hand over an event.", "webhook outcome", attempts),
-        _oldest_undelivered(storage, [one.webhook for one in found]),
+        _oldest_undelivered(storage, [counted.webhook for counted in found]),
     ]
 
 
@@ -167,10 +167,11 @@ def _oldest_undelivered(storage: SqlStorage, webhooks: Sequence[Webhook]) -> Met
     """Return since when events wait, also where no process delivers; of active webhooks alone."""
     text = "When the oldest event was recorded that an active webhook has not delivered; 0 where none waits."
     numbers = {}
-    for one in webhooks:
-        if one.state is not WebhookState.ACTIVE:
+    for webhook in webhooks:
+        if webhook.state is not WebhookState.ACTIVE:
             continue
-        with storage.seen_by(one.bound).read() as unit:
-            waits = unit.alerts.feed(one.position, 1, fleets=one.fleets, kinds=one.kinds, severities=one.severities)
-        numbers[str(one.webhook_id)] = waits[0].recorded_ns / 1e9 if waits else 0.0
+        with storage.seen_by(webhook.bound).read() as unit:
+            chosen = {"fleets": webhook.fleets, "kinds": webhook.kinds, "severities": webhook.severities}
+            waits = unit.alerts.feed(webhook.position, 1, **chosen)
+        numbers[str(webhook.webhook_id)] = waits[0].recorded_ns / 1e9 if waits else 0.0
     return gauge("treadwatch_webhook_oldest_undelivered_timestamp_seconds", text, "webhook", numbers)

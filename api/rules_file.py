@@ -153,8 +153,8 @@ def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
     everywhere = _with(book, _Layer(None, None, given, ()), file)
     layers = list(_layers(given, file))
     books = {}
-    fleets = [None, *dict.fromkeys(one.fleet for one in layers if one.fleet is not None)]
-    classes = [None, *dict.fromkeys(one.vehicle_class for one in layers if one.vehicle_class is not None)]
+    fleets = [None, *dict.fromkeys(layer.fleet for layer in layers if layer.fleet is not None)]
+    classes = [None, *dict.fromkeys(layer.vehicle_class for layer in layers if layer.vehicle_class is not None)]
     for scope in product(fleets, classes) if layers else ():
         found = everywhere
         for layer in layers:
@@ -190,8 +190,8 @@ def _schema(book: RuleBook) -> type[InputTable]:
 
 def _layers(given: Any, file: InputFile) -> Iterator[_Layer]:  # noqa: ANN401 - of the schema made above
     """Yield what the file says of classes, of fleets, and of classes in fleets: the later go before the earlier."""
-    classes = [_Layer(None, one.code, one, ("class", i)) for i, one in enumerate(given.classes)]
-    fleets = [_Layer(one.fleet, one.code, one, ("fleet", i)) for i, one in enumerate(given.fleets)]
+    classes = [_Layer(None, of_class.code, of_class, ("class", i)) for i, of_class in enumerate(given.classes)]
+    fleets = [_Layer(of_fleet.fleet, of_fleet.code, of_fleet, ("fleet", i)) for i, of_fleet in enumerate(given.fleets)]
     seen: dict[tuple[str | None, str | None], _Layer] = {}
     for layer in (*classes, *fleets):
         scope = (layer.fleet, layer.vehicle_class)
@@ -200,7 +200,7 @@ def _layers(given: Any, file: InputFile) -> Iterator[_Layer]:  # noqa: ANN401 - 
         seen[scope] = layer
         if layer.vehicle_class is not None and getattr(layer.tables, _ALARM_FLOOD, None) is not None:
             raise file.error("is of a whole fleet: leave `class` out", (*layer.location, _ALARM_FLOOD))
-    yield from sorted(seen.values(), key=lambda one: (one.fleet is not None, one.vehicle_class is not None))
+    yield from sorted(seen.values(), key=lambda layer: (layer.fleet is not None, layer.vehicle_class is not None))
 
 
 def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
@@ -228,8 +228,8 @@ def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
 def resolved(book: RuleBook) -> Mapping[str, RuleBook]:
     """Return the book of every scope that a file names, by the name of the scope."""
     found = {"all fleets and classes": book}
-    for (fleet, vehicle_class), one in book.scoped.items():
+    for (fleet, vehicle_class), rules in book.scoped.items():
         names = [f"{what} {code}" for what, code in (("fleet", fleet), ("class", vehicle_class)) if code is not None]
         if names:
-            found[", ".join(names)] = one
+            found[", ".join(names)] = rules
     return found

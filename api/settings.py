@@ -41,7 +41,7 @@ SECOND_NS = 1_000_000_000
 def known_sections(text: str) -> list[tuple[str, int]]:
     """Return codes of sections, each with the begin of its day, ns UTC, of a text ``S1@2026-03-01,S2@2026-05-17``."""
     found = []
-    for entry in filter(None, (one.strip() for one in text.split(","))):
+    for entry in filter(None, (item.strip() for item in text.split(","))):
         code, at, day = entry.rpartition("@")
         if not at or not code:
             raise ValueError(

@@ -249,7 +249,7 @@ def is_loopback(host: str) -> bool:
 
 def listed(value: str | None) -> list[str]:
     """Return the parts of a setting with commas between them."""
-    return [part for one in (value or "").split(",") if (part := one.strip())]
+    return [part for item in (value or "").split(",") if (part := item.strip())]
 
 
 def _provider(settings: Settings) -> Provider | None:

@@ -214,7 +214,7 @@ def _words(claim: object) -> Sequence[str]:
     """Return the texts of a claim that is a list, or one text with spaces."""
     if isinstance(claim, str):
         return claim.split()
-    return [one for one in claim if isinstance(one, str)] if isinstance(claim, list) else []
+    return [name for name in claim if isinstance(name, str)] if isinstance(claim, list) else []
 
 
 def _published(place: str) -> Mapping[str | None, jwt.PyJWK]:
@@ -223,7 +223,7 @@ def _published(place: str) -> Mapping[str | None, jwt.PyJWK]:
             text = answer.read(LARGEST)
     else:
         text = Path(place).read_bytes()[:LARGEST]
-    keys = [key for one in json.loads(text)["keys"] if (key := _signing_key(one)) is not None]
+    keys = [key for described in json.loads(text)["keys"] if (key := _signing_key(described)) is not None]
     return {key.key_id: key for key in keys}
 
 

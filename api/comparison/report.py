@@ -199,7 +199,9 @@ def _conicity(axes: Axes, study: PairStudy) -> None:
         if found is None:
             continue
         colour, marker = _style(order)
-        rows = [(np.nan,) * 3 if one.value is None else (one.value, one.low, one.high) for one in found.conicity]
+        rows = [
+            (np.nan,) * 3 if value.value is None else (value.value, value.low, value.high) for value in found.conicity
+        ]
         value, low, high = np.array(rows, dtype=np.float64).T
         if name == SHIPPED:
             axes.fill_between(

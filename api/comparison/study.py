@@ -56,7 +56,7 @@ class TrueWheelset(FrozenArrays):
 def read_truth(path: Path) -> tuple[TrueWheelset, ...]:
     """Return what is true of every wheelset in the first campaign of a simulation, in the order of their serials."""
     wheelsets = json.loads(path.read_text(encoding="utf-8"))["wheelsets"]
-    found = [_wheelset(item["serial"], one) for item in wheelsets for one in item["campaigns"] if one["campaign"] == 1]
+    found = [_wheelset(item["serial"], run) for item in wheelsets for run in item["campaigns"] if run["campaign"] == 1]
     return tuple(sorted(found, key=lambda item: item.serial))
 
 
@@ -232,16 +232,17 @@ def _scored(
         if not any(found.values()):
             return
         pairs = [(found[truth.serial], truth) for truth in truths]
-        compared = [[] if one is None else [e for e in conicity_errors(one, truth) if e] for one, truth in pairs]
+        errors = [[] if found is None else conicity_errors(found, truth) for found, truth in pairs]
+        compared = [[error for error in of_wheelset if error] for of_wheelset in errors]
         score = Score(
             pair=pair,
             track=track,
             estimator=item.name,
-            by_wheelset=tuple(float(np.mean([abs(e) for e, _ in one])) if one else float("nan") for one in compared),
+            by_wheelset=tuple(float(np.mean([abs(e) for e, _ in each])) if each else float("nan") for each in compared),
             wheelsets=len(truths),
             amplitudes=sum(len(truth.amplitude) for truth in truths),
-            estimated=sum(len(one) for one in compared),
-            covered=sum(inside for one in compared for _, inside in one),
+            estimated=sum(map(len, compared)),
+            covered=sum(inside for each in compared for _, inside in each),
             seconds=seconds,
         )
         yield score, found

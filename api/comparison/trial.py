@@ -222,6 +222,6 @@ def _weighted(
     """Yield weight and motion of the windows that have samples, oldest first; the newest has weight 1."""
     together = [member for part in parts for member in members(unit, found.rules, part)]
     ordered = sorted(together, key=lambda member: member.start_ns)
-    newest_km = max((part.roll_up for part in parts), key=lambda one: one.last_ns).last_km
+    newest_km = max((part.roll_up for part in parts), key=lambda roll_up: roll_up.last_ns).last_km
     for member, moved in replayed(unit, ordered, used.assumed.windows):
         yield 0.5 ** ((newest_km - member.mileage_km) / found.rules.half_life_km), moved

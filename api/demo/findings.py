@@ -209,16 +209,17 @@ def _by_signature(
 
 
 def _true_friction(scenario: Scenario) -> str:
-    stretches = [f"{one.friction:.2f} at {one.begin:g} to {one.end:g} m" for one in scenario.running.stretches]
-    return ", ".join([*stretches, f"{scenario.running.creep.friction:.2f} elsewhere"])
+    running = scenario.running
+    parts = [f"{stretch.friction:.2f} at {stretch.begin:g} to {stretch.end:g} m" for stretch in running.stretches]
+    return ", ".join([*parts, f"{running.creep.friction:.2f} elsewhere"])
 
 
 def _low(service: ServiceAddress, section: str) -> str:
     found = get(service, _path("track-sections", section, "adhesion"))
     parts = []
     for stretch in found["low_stretches"]:
-        inside = [one for one in found["places"] if stretch["from_m"] <= one["from_m"] < stretch["to_m"]]
-        known = [one["friction_1"]["value"] for one in inside if one["friction_1"]["value"] is not None]
+        inside = [place for place in found["places"] if stretch["from_m"] <= place["from_m"] < stretch["to_m"]]
+        known = [place["friction_1"]["value"] for place in inside if place["friction_1"]["value"] is not None]
         parts.append(f"{stretch['from_m']:g} to {stretch['to_m']:g} m, friction {min(known):.2f} to {max(known):.2f}")
     return f"track {section}: alert of low adhesion in the feed, at {'; '.join(parts)}"
 
@@ -247,7 +248,7 @@ def _section_line(service: ServiceAddress, section: dict[str, Any]) -> str:
     if newest["source"] == AlignmentSource.RECORDED:
         verdict = f", {report['recording']}" if report and report["recording"] else ""
         return f"{head}: alignment on file, version {newest['version']}{verdict}"
-    filed = {one["status"] for one in versions if one["source"] == AlignmentSource.RECORDED}
+    filed = {version["status"] for version in versions if version["source"] == AlignmentSource.RECORDED}
     how = "the surveyed alignment is not used" if Status.ESTIMATED in filed else "not surveyed"
     how = "the gauge alone is on file" if filed == {Status.UNESTIMATED} else how
     return f"{head}: {how}; the fleet has found its alignment, {_alignment_words(newest, report)}"
@@ -259,7 +260,8 @@ def _alignment_words(newest: dict[str, Any], report: dict[str, Any] | None) -> s
         words.append(f"std {newest['alignment_std_mm']:.2f} mm at wavelengths of up to {newest['cut_off_m']:g} m")
     if report is not None and report["covered_1"] is not None:
         words.append(f"known along {report['covered_1']:.0%}")
-    offsets = [abs(one["offset_m"]) for one in (report or {}).get("journeys", []) if one["used"] and one["offset_m"]]
+    used = [journey for journey in (report or {}).get("journeys", []) if journey["used"]]
+    offsets = [abs(journey["offset_m"]) for journey in used if journey["offset_m"]]
     if offsets:
         words.append(f"positions of the last journeys put right by up to {max(offsets):.1f} m")
     return ", ".join(words)

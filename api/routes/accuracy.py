@@ -327,11 +327,11 @@ def table(rows: Sequence[MeasurementRow]) -> tuple[Sequence[str], list[Sequence[
 
 def _row(row: PlacedComparison) -> MeasurementRow:
     found = row.comparison
-    one = found.measurement
+    measured = found.measurement
     return MeasurementRow(
-        wheelset=one.wheelset,
-        measured_at=to_rfc3339(one.at_ns),
-        mileage_km=one.mileage_km,
+        wheelset=measured.wheelset,
+        measured_at=to_rfc3339(measured.at_ns),
+        mileage_km=measured.mileage_km,
         vehicle_class=row.vehicle_class,
         track_sections=list(row.sections),
         outcome=row.outcome,
@@ -340,8 +340,8 @@ def _row(row: PlacedComparison) -> MeasurementRow:
         estimated_1=uncertain(found.at_limit.estimated),
         **why(found.reason),
         links={
-            "wheelset": f"/v1/wheelsets/{segment(one.wheelset)}",
-            "comparison": _comparison_path(one.wheelset, one.at_ns),
+            "wheelset": f"/v1/wheelsets/{segment(measured.wheelset)}",
+            "comparison": _comparison_path(measured.wheelset, measured.at_ns),
         },
     )
 

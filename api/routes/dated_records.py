@@ -157,7 +157,7 @@ def mount_wheelset(asked: ChangeDep, serial: Serial, body: NewMounting) -> Respo
     source = BodySource({"from": "mounted_from", "wheelset": ""})
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> common.MountingPeriod:
-        if any(one.from_ns == body.mounted_from for one in unit.registry.mountings(serial)):
+        if any(mounting.from_ns == body.mounted_from for mounting in unit.registry.mountings(serial)):
             raise _conflict(serial, "is mounted from this time on file")
         change.enter(unit, decision, RegistryContents(mountings=(mounted,)), source)
         return common.MountingPeriod.made(mounted)
@@ -235,7 +235,7 @@ def add_reprofiling(asked: ChangeDep, serial: Serial, body: NewReprofiling) -> R
     record = Reprofiling(serial, body.reprofiled_at, body.mileage_km, body.note)
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> common.ReprofilingRecord:
-        if any(one.at_ns == record.at_ns for one in unit.registry.wheelset(serial).reprofilings):
+        if any(reprofiling.at_ns == record.at_ns for reprofiling in unit.registry.wheelset(serial).reprofilings):
             reason = "a reprofiling of this wheelset was recorded at the same time; void it to enter another"
             raise ConflictError(reason, kind="wheelset", key=serial)
         change.enter(unit, decision, RegistryContents(reprofilings=(record,)), BodySource({"at": "reprofiled_at"}))
@@ -266,7 +266,7 @@ def add_measured_profiles(asked: ChangeDep, serial: Serial, body: NewMeasuredPro
     record = MeasuredProfiles(serial, body.measured_at, body.mileage_km, left, right, 1e-3 * body.std_mm)
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> common.MeasuredProfilesRecord:
-        if any(one.at_ns == record.at_ns for one in unit.registry.measured_profiles(serial)):
+        if any(measured.at_ns == record.at_ns for measured in unit.registry.measured_profiles(serial)):
             reason = "profiles of this wheelset were measured at the same time on file; void them to enter others"
             raise ConflictError(reason, kind="wheelset", key=serial)
         change.enter(unit, decision, RegistryContents(measured_profiles=(record,)), BodySource({"at": "measured_at"}))

@@ -88,7 +88,7 @@ def profile_contact(found: WheelContact | Reason) -> ProfileContact:
         status=Status.ESTIMATED,
         reason=None,
         reason_code=None,
-        rails=[Rails.made(one) for one in found.rails],
+        rails=[Rails.made(share) for share in found.rails],
         curve=_curve(found),
         zero_crossing_mm=finite(found.zero_crossing, MM),
         conicity_by_amplitude=[

@@ -94,20 +94,20 @@ def _unknown(state: WorklistState) -> Reason | None:
 
 
 def _turning_plan_line(line: PlanLine, row: WorklistRow) -> TurningPlanLine:
-    one, state = line.candidate, row.state
+    wheelset, state = line.candidate, row.state
     return TurningPlanLine(
-        vehicle=one.vehicle,
+        vehicle=wheelset.vehicle,
         visit=line.visit,
         turn_by=None if line.turn_by_ns is None else to_rfc3339(line.turn_by_ns),
-        axle=one.axle,
-        bogie=one.bogie,
-        wheelset=one.serial,
+        axle=wheelset.axle,
+        bogie=wheelset.bogie,
+        wheelset=wheelset.serial,
         cause=line.cause,
         reason=line.reason,
         urgency=state.urgency,
         distance_to_limit_km=distance_forecast(state.distance_to_limit_km, state.forecast_reason),
         date_of_limit=date_forecast(state.date_of_limit_ns, state.forecast_reason),
-        radius_mm=None if one.radii is None else finite(min(one.radii.wheels), _TO_MM),
+        radius_mm=None if wheelset.radii is None else finite(min(wheelset.radii.wheels), _TO_MM),
         radius_after_mm=finite(line.radius_after, _TO_MM),
         not_checked=list(line.not_checked),
     )
@@ -162,7 +162,7 @@ def plan_reprofiling(
     candidates = [candidate(row, nominal_radii=nominal_radii) for row in rows.values()]
     now_ns = services.clock.now_ns()
     lines = turning_plan(
-        [one for one in candidates if one is not None],
+        [wheelset for wheelset in candidates if wheelset is not None],
         limits,
         now_ns,
         round(horizon_days * DAY_NS),

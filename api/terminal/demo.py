@@ -79,8 +79,8 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
     shown = bar(console, "receiving and estimating, campaign by campaign", "{task.fields[what]}")
     with closing(open_store(settings)) as storage, shown as progress:
         contents = [read_registry(fleet.report.registry) for fleet in fleets]
-        for one in contents:
-            _register(storage, one, clock.now_ns())
+        for registry in contents:
+            _register(storage, registry, clock.now_ns())
         context = replace(job_context(settings, storage), clock=clock)
         length_s = settings.window_length_s
         receiver = Receiver(storage, raw_store(settings), default_catalogue(), clock, window_length_s=length_s)
@@ -90,9 +90,9 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
         tally = _Tally()
         for end_ns, received in campaigns:
             clock.now = max(clock.now, end_ns)
-            for one in contents:
+            for registry in contents:
                 with storage.write() as unit:
-                    for reprofiling in one.reprofilings:
+                    for reprofiling in registry.reprofilings:
                         if reprofiling.at_ns <= clock.now:
                             unit.registry.add_reprofiling(reprofiling)
             progress.update(task, what="receiving")
@@ -148,8 +148,8 @@ def _register(storage: SqlStorage, contents: RegistryContents, known_since_ns: i
     with storage.write() as unit:
         for fleet in contents.fleets:
             unit.registry.add_fleet(fleet)
-        for one in contents.classes:
-            unit.registry.add_vehicle_class(one, known_since_ns)
+        for vehicle_class in contents.classes:
+            unit.registry.add_vehicle_class(vehicle_class, known_since_ns)
         for vehicle in contents.vehicles:
             unit.registry.add_vehicle(vehicle)
         for wheelset in contents.wheelsets:

@@ -87,7 +87,7 @@ def print_each(settings: Settings) -> None:
         table = Table("wheelset", "runs under", "windows", "last data", "why", "what to do")
         for item in found.wheelsets:
             why, wheelset = item.why, item.row.wheelset
-            shown = [f"{one.windows} {one.state.value}: {one.reason}" for one in why.windows[:SHOWN]]
+            shown = [f"{windows.windows} {windows.state.value}: {windows.reason}" for windows in why.windows[:SHOWN]]
             table.add_row(
                 wheelset.serial,
                 "" if wheelset.mounting is None else f"{wheelset.mounting.vehicle}, axle {wheelset.mounting.axle}",
@@ -104,9 +104,9 @@ def summary_lines(found: FleetReasons) -> list[str]:
     if not found.wheelsets:
         return []
     head = f"{len(found.wheelsets)} of {found.mounted} mounted wheelsets have no conicity at 3 mm"
-    windows = together(one for item in found.wheelsets for one in item.why.windows)
+    windows = together(windows for item in found.wheelsets for windows in item.why.windows)
     lines = [f"{head}; their newest windows, at most {found.most:,} of each:" if windows else f"{head}:"]
-    lines += [f"  {line_of(one)}" for one in windows[:NAMED]]
+    lines += [f"  {line_of(counted)}" for counted in windows[:NAMED]]
     return lines + [f"  {line}" for line in _without_windows(found.wheelsets)]
 
 
@@ -125,11 +125,11 @@ def _without_windows(wheelsets: Iterable[Unestimated]) -> list[str]:
     return lines
 
 
-def line_of(one: WindowsOfReason) -> str:
+def line_of(windows: WindowsOfReason) -> str:
     """Return windows of one reason as a line: how many, why, and what to do."""
-    code = "" if one.reason is None else f" {one.reason.code.value}: {one.reason}"
-    remedy = "" if one.reason is None or not one.reason.code.remedy else f". {one.reason.code.remedy}"
-    return f"{one.windows} {one.state.value}{code}{remedy}"
+    code = "" if windows.reason is None else f" {windows.reason.code.value}: {windows.reason}"
+    remedy = "" if windows.reason is None or not windows.reason.code.remedy else f". {windows.reason.code.remedy}"
+    return f"{windows.windows} {windows.state.value}{code}{remedy}"
 
 
 def run_jobs_once(name: str | None, settings: Settings) -> bool:
@@ -190,4 +190,4 @@ def summary(runs: Sequence[JobRun]) -> Table:
 def _counts(counts: Mapping[str, int]) -> str:
     why = ", ".join(f"{count} {code.value}" for code, count in refusals(counts).items())
     named = [f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if not name.startswith(REFUSED)]
-    return ", ".join(f"{one}: {why}" if why and one.endswith(" refused") else one for one in named)
+    return ", ".join(f"{count}: {why}" if why and count.endswith(" refused") else count for count in named)

@@ -80,7 +80,7 @@ def ingest_and_report(
         vehicles = {outcome.record.vehicle for _, outcome in outcomes if isinstance(outcome, ChunkReceipt)}
         with storage.read() as unit:
             reasons = WindowReasons(unit).waiting(vehicles=sorted(vehicles)) if vehicles else ()
-    print_outcomes(outcomes, console, [line_of(one) for one in reasons])
+    print_outcomes(outcomes, console, [line_of(windows) for windows in reasons])
 
 
 def print_outcomes(outcomes: Sequence[Outcome], console: Console, waiting: Sequence[str] = ()) -> None:

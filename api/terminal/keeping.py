@@ -73,9 +73,9 @@ def purge_and_report() -> None:
     settings = load_settings()
     with closing(open_store(settings)) as storage:
         done = purge(storage, raw_store(settings), retention_of(settings), SystemClock().now_ns(), lambda: None)
-    for one in done:
-        size = f", {one.item_bytes:,} bytes" if one.item_bytes else ""
-        typer.echo(f"{one.kind.value.replace('_', ' ')}: {one.items:,} deleted{size}")
+    for purged in done:
+        size = f", {purged.item_bytes:,} bytes" if purged.item_bytes else ""
+        typer.echo(f"{purged.kind.value.replace('_', ' ')}: {purged.items:,} deleted{size}")
 
 
 def _list(what: str, lines: tuple[str, ...]) -> None:

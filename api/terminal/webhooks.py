@@ -31,9 +31,9 @@ def add_and_print(
 ) -> None:
     """Make a webhook; print its secret alone on standard output."""
     for given, known, option in ((kinds, LIMIT_UNITS, "--kind"), (severities, list(Severity), "--severity")):
-        for one in given:
-            if one not in known:
-                raise ParameterError(f"{one!r} is none of {', '.join(known)}", field=option)
+        for value in given:
+            if value not in known:
+                raise ParameterError(f"{value!r} is none of {', '.join(known)}", field=option)
     if len(description) > MOST_CHARACTERS or not description.isprintable():
         raise ParameterError(f"must be one line of at most {MOST_CHARACTERS} characters", field="--description")
     sender = sender_of(load_settings())
@@ -53,7 +53,7 @@ def webhook_list() -> str:
     """Return all webhooks, one a line."""
     with reading() as unit:
         found, waiting = unit.webhooks.page(None, None), unit.webhooks.waiting()
-    return columns([WEBHOOK_HEAD, *(_webhook_row(one, waiting.get(one.webhook_id)) for one in found)])
+    return columns([WEBHOOK_HEAD, *(_webhook_row(webhook, waiting.get(webhook.webhook_id)) for webhook in found)])
 
 
 def try_and_print(number: int) -> bool:

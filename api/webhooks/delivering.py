@@ -189,11 +189,11 @@ class Deliveries:
             active, waiting = unit.webhooks.active(), unit.webhooks.waiting()
             newest = unit.feed_branches.newest_sequence()
         return [
-            one.webhook_id
-            for one in active
-            if one.position < newest
-            and _is_due(waiting.get(one.webhook_id), now_ns)
-            and self._looked.get(one.webhook_id) != (one.revision, one.position, newest)
+            webhook.webhook_id
+            for webhook in active
+            if webhook.position < newest
+            and _is_due(waiting.get(webhook.webhook_id), now_ns)
+            and self._looked.get(webhook.webhook_id) != (webhook.revision, webhook.position, newest)
         ]
 
     async def _deliver(self, webhook_id: int) -> None:
