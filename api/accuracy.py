@@ -35,14 +35,14 @@ def placed_comparisons(unit: SqlUnitOfWork, reader: ComparisonReader, keys: Sequ
     for serial, at_ns in keys:
         times[serial].add(at_ns)
     classes: dict[str, str] = {}
-    found: dict[tuple[str, int], PlacedComparison] = {}
+    rows: dict[tuple[str, int], PlacedComparison] = {}
     unreadable: dict[str, Reason] = {}
     for serial, wanted in times.items():
         try:
-            found |= {(serial, at_ns): row for at_ns, row in _of_wheelset(unit, reader, serial, wanted, classes)}
+            rows |= {(serial, at_ns): row for at_ns, row in _of_wheelset(unit, reader, serial, wanted, classes)}
         except DamagedError as error:
             unreadable[serial] = Reason(code_of_error(error), first_line(error))
-    return Placed([found[key] for key in keys if key in found], unreadable)
+    return Placed([rows[key] for key in keys if key in rows], unreadable)
 
 
 def _of_wheelset(
@@ -84,12 +84,12 @@ class ContactCache:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key]
-        found = wheel_contact(wheels, rails)
+        contact = wheel_contact(wheels, rails)
         with self._lock:
-            self._kept[key] = found
+            self._kept[key] = contact
             while len(self._kept) > MOST_KEPT:
                 self._kept.popitem(last=False)
-        return found
+        return contact
 
 
 def _digest(wheels: WheelPair, rails: Sequence[RailShare]) -> str:

@@ -264,17 +264,17 @@ class RepresentationCache:
     ) -> Mapping[int, bytes]:
         """Return what is kept of several under one name each, and make and keep what is missing, all at once."""
         with self._lock:
-            found = {number: self._held[key] for number, key in keys.items() if key in self._held}
-            for number in found:
+            kept = {number: self._held[key] for number, key in keys.items() if key in self._held}
+            for number in kept:
                 self._held.move_to_end(keys[number])
-        missing = [number for number in keys if number not in found]
+        missing = [number for number in keys if number not in kept]
         if missing:
             made = make(missing)
             with self._lock:
                 for number, representation in made.items():
                     self._keep(keys[number], representation)
-            found |= made
-        return found
+            kept |= made
+        return kept
 
     def _keep(self, key: Hashable, made: bytes) -> None:
         if key in self._held or len(made) > self.limit_bytes:

@@ -171,21 +171,21 @@ class AskedList(Asked):
     def numbered(
         self,
         filters: Filters,
-        found: Iterable[RecordT],
+        records: Iterable[RecordT],
         key: Callable[[RecordT], int],
         represent: Callable[[RecordT], BaseModel],
     ) -> Response:
         """Return a page of all records, in the order of a number."""
         after = self.after_number(filters)
-        rows = [record for record in sorted(found, key=key) if after is None or key(record) > after]
+        rows = [record for record in sorted(records, key=key) if after is None or key(record) > after]
         return self.page(filters, rows[: self.limit + 1], key, represent)
 
     def named(
-        self, found: Iterable[RecordT], key: Callable[[RecordT], str], represent: Callable[[RecordT], BaseModel]
+        self, records: Iterable[RecordT], key: Callable[[RecordT], str], represent: Callable[[RecordT], BaseModel]
     ) -> Response:
         """Return a page of all records, in the order of their names."""
         after = self.after_text({})
-        rows = [record for record in sorted(found, key=key) if after is None or key(record) > after]
+        rows = [record for record in sorted(records, key=key) if after is None or key(record) > after]
         return self.page({}, rows[: self.limit + 1], key, represent)
 
 

@@ -101,7 +101,7 @@ Accepted = Annotated[str, Depends(media_type)]
 
 
 def _ranges(accept: str) -> list[tuple[str, float]]:
-    found = []
+    weights = []
     for part in accept.split(","):
         name, *parameters = (piece.strip() for piece in part.split(";"))
         weight = 1.0
@@ -113,8 +113,8 @@ def _ranges(accept: str) -> list[tuple[str, float]]:
                 except ValueError:
                     weight = 0.0
         if name:
-            found.append((name.lower(), weight))
-    return found
+            weights.append((name.lower(), weight))
+    return weights
 
 
 def _quality(media_type: str, ranges: Sequence[tuple[str, float]]) -> float:

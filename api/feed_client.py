@@ -193,13 +193,13 @@ class Follower:
 
     def _open_now(self) -> list[Event]:
         """Return the alerts that are open: what a client holds and is not among them is to be dropped."""
-        found: list[Event] = []
+        events: list[Event] = []
         path: str | None = "/v1/alerts?open=true&limit=1000"
         while path is not None:
             page = _checked(self.http.get(path))
-            found += page["items"]
+            events += page["items"]
             path = page["next"]
-        return found
+        return events
 
 
 LONGEST_CURSOR = 4096

@@ -294,8 +294,8 @@ def _bounded(_logger: object, _name: str, event: EventDict) -> EventDict:
 
 
 def _error(given: object) -> BaseException | None:
-    found = sys.exc_info()[1] if given is True else given[1] if isinstance(given, tuple) else given
-    return found if isinstance(found, BaseException) else None
+    error = sys.exc_info()[1] if given is True else given[1] if isinstance(given, tuple) else given
+    return error if isinstance(error, BaseException) else None
 
 
 def _fault(record: logging.LogRecord) -> Fault | None:

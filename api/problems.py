@@ -268,9 +268,9 @@ def allowed_methods(operations: Iterable[tuple[str, str]], path: str, named: str
         methods.setdefault(template, set()).add(method)
     fitting = [template for template in methods if compile_path(template)[0].match(path)]
     if fitting:
-        found = methods[min(fitting, key=lambda template: template.count("{"))]
+        allowed = methods[min(fitting, key=lambda template: template.count("{"))]
     else:
-        found = {name.strip() for name in named.split(",") if name.strip()}
-    if HTTPMethod.GET in found:
-        found = {*found, HTTPMethod.HEAD.value}
-    return ", ".join(sorted(found))
+        allowed = {name.strip() for name in named.split(",") if name.strip()}
+    if HTTPMethod.GET in allowed:
+        allowed = {*allowed, HTTPMethod.HEAD.value}
+    return ", ".join(sorted(allowed))

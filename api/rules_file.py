@@ -60,12 +60,12 @@ def changed(value: _Value, given: BaseModel | None) -> _Value:
     """
     if given is None:
         return value
-    found = dict(_set_fields(value, given))
+    fields_set = dict(_set_fields(value, given))
     if isinstance(value, AlertDelays):
         for evaluations, km in _EITHER:
-            if evaluations in found:
-                found.setdefault(km, 0.0)
-    return replace(value, **found)  # type: ignore[type-var]  # a dataclass
+            if evaluations in fields_set:
+                fields_set.setdefault(km, 0.0)
+    return replace(value, **fields_set)  # type: ignore[type-var]  # a dataclass
 
 
 def both_units(given: BaseModel | None) -> str | None:
@@ -76,7 +76,7 @@ def both_units(given: BaseModel | None) -> str | None:
 
 
 def _set_fields(value: Any, given: BaseModel) -> Mapping[str, Any]:  # noqa: ANN401 - any dataclass or its type
-    found: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     hints = get_type_hints(value if isinstance(value, type) else type(value))
     for name in given.model_fields_set:
         item = getattr(given, name)
@@ -85,8 +85,8 @@ def _set_fields(value: Any, given: BaseModel) -> Mapping[str, Any]:  # noqa: ANN
         elif isinstance(item, list):
             element = get_args(hints[name])[0]
             item = tuple(element(**_set_fields(element, entry)) for entry in item)
-        found[name] = float(item) if hints[name] is float else item
-    return found
+        settings[name] = float(item) if hints[name] is float else item
+    return settings
 
 
 _RELATIONS = {"<=": (operator.le, "is above"), ">=": (operator.ge, "is below")}
@@ -156,11 +156,11 @@ def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
     fleets = [None, *dict.fromkeys(layer.fleet for layer in layers if layer.fleet is not None)]
     classes = [None, *dict.fromkeys(layer.vehicle_class for layer in layers if layer.vehicle_class is not None)]
     for scope in product(fleets, classes) if layers else ():
-        found = everywhere
+        of_scope = everywhere
         for layer in layers:
             if layer.holds(*scope):
-                found = _with(found, layer, file)
-        books[scope] = found
+                of_scope = _with(of_scope, layer, file)
+        books[scope] = of_scope
     return replace(everywhere, name=getattr(given, "name", None) or "", scoped=books)
 
 
@@ -207,7 +207,7 @@ def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
     rules = []
     for rule in book.rules:
         table = getattr(layer.tables, rule.kind)
-        found = changed(rule, table)
+        of_table = changed(rule, table)
         if table is not None:
             twice = both_units(getattr(table, "delays", None))
             if twice is not None:
@@ -215,21 +215,21 @@ def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
                     f"a delay is in evaluations or in kilometres: leave {twice.replace('delay_km', 'evaluations')} out"
                 )
                 raise file.error(reason, (*layer.location, rule.kind, "delays", twice))
-            wrong = contradiction(found)
+            wrong = contradiction(of_table)
             if wrong is not None:
                 where, reason = wrong
                 scope = f", for {layer.named}" if layer.named else ""
                 raise file.error(reason + scope, (*layer.location, rule.kind, *where))
-        rules.append(found)
+        rules.append(of_table)
     flood = changed(book.alarm_flood, getattr(layer.tables, _ALARM_FLOOD, None))
     return replace(book, rules=tuple(rules), alarm_flood=flood)
 
 
 def resolved(book: RuleBook) -> Mapping[str, RuleBook]:
     """Return the book of every scope that a file names, by the name of the scope."""
-    found = {"all fleets and classes": book}
+    books = {"all fleets and classes": book}
     for (fleet, vehicle_class), rules in book.scoped.items():
         names = [f"{what} {code}" for what, code in (("fleet", fleet), ("class", vehicle_class)) if code is not None]
         if names:
-            found[", ".join(names)] = rules
-    return found
+            books[", ".join(names)] = rules
+    return books

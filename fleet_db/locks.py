@@ -197,7 +197,7 @@ class UnendedLeases:
     def ended(self, leases: Sequence[UnendedLease]) -> None:
         """Forget those that have been ended."""
         with self._lock:
-            self._left = [one for one in self._left if one not in leases]
+            self._left = [lease for lease in self._left if lease not in leases]
 
 
 DECODING = 0x7472_6463  # "trdc": ours among the advisory locks of a database, one number a vehicle

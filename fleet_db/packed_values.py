@@ -204,10 +204,10 @@ def unpack_rolling_sums(blob: bytes, *, where: str) -> tuple[RollingSums, ...]:
     return tuple(RollingSums(*both) for both in zip(arrays["products"], arrays["noise"], strict=True))
 
 
-def pack_window_adhesion(found: WindowAdhesion) -> bytes:
+def pack_window_adhesion(creep: WindowAdhesion) -> bytes:
     """Return the creep of a window as one blob."""
-    scalars, _ = fields_of(found, without={"sums"})
-    arrays = {} if found.sums is None else fields_of(found.sums)[1]
+    scalars, _ = fields_of(creep, without={"sums"})
+    arrays = {} if creep.sums is None else fields_of(creep.sums)[1]
     return pack(WINDOW_ADHESION, scalars, arrays)
 
 
@@ -218,14 +218,14 @@ def unpack_window_adhesion(blob: bytes, *, where: str) -> WindowAdhesion:
     return value_of(WindowAdhesion, scalars, {}, sums=sums)
 
 
-def pack_window_damper(found: WindowDamper) -> bytes:
+def pack_window_damper(damper: WindowDamper) -> bytes:
     """Return what a window says as one blob; the products are symmetric, and half of them is kept."""
-    scalars, _ = fields_of(found, without={"sums"})
-    if found.sums is None:
+    scalars, _ = fields_of(damper, without={"sums"})
+    if damper.sums is None:
         return pack(WINDOW_DAMPER, scalars, {})
-    products = found.sums.products
+    products = damper.sums.products
     rows, columns = np.tril_indices(products.shape[-1])
-    scalars |= {"samples": float(found.sums.samples).hex(), "curved": found.sums.curved}
+    scalars |= {"samples": float(damper.sums.samples).hex(), "curved": damper.sums.curved}
     return pack(WINDOW_DAMPER, scalars, {"products": products[:, rows, columns]})
 
 

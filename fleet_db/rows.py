@@ -67,12 +67,12 @@ def _given(table: Table, key: Sequence[object]) -> dict[str, object]:
 def upsert(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:
     """Make the row with the primary key of ``values`` hold ``values``; return whether anything changed."""
     key = key_of(table, values)
-    found = connection.execute(_by_key(table), key).mappings().first()
-    if found is None and insert_new(connection, table, values):
+    stored = connection.execute(_by_key(table), key).mappings().first()
+    if stored is None and insert_new(connection, table, values):
         return True
-    if found is None:  # another transaction has stored it since the look-up
-        found = connection.execute(_by_key(table), key).mappings().one()
-    if all(found[name] == value for name, value in values.items()):
+    if stored is None:  # another transaction has stored it since the look-up
+        stored = connection.execute(_by_key(table), key).mappings().one()
+    if all(stored[name] == value for name, value in values.items()):
         return False
     replace(connection, table, values)
     return True
@@ -137,10 +137,10 @@ def batches(items: Sequence[V], size: int = 500) -> Iterator[Sequence[V]]:
 
 def by_wheelset(rows: Iterable[Any], value: Callable[[Any], V]) -> dict[str, list[V]]:
     """Return the values of rows by their wheelset, in their order."""
-    found: dict[str, list[V]] = {}
+    values: dict[str, list[V]] = {}
     for row in rows:
-        found.setdefault(row.wheelset, []).append(value(row))
-    return found
+        values.setdefault(row.wheelset, []).append(value(row))
+    return values
 
 
 def null_if_nan(value: float | None) -> float | None:

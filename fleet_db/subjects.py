@@ -184,8 +184,8 @@ class ReadOnce:
         known = self._of_kind(kind)
         missing = [key for key in dict.fromkeys(keys) if key not in known]
         if missing:
-            found = read(missing)
-            known.update((key, found.get(key)) for key in missing)
+            read_now = read(missing)
+            known.update((key, read_now.get(key)) for key in missing)
         return {key: known[key] for key in keys if known[key] is not None}
 
     def renew(self, version: str | None) -> None:

@@ -271,10 +271,10 @@ def known_caller(scope: types.Scope) -> Caller | None:
 
 
 async def _caller_of(request: Request) -> Caller:
-    found = known_caller(request.scope)
-    if found is None:
+    caller = known_caller(request.scope)
+    if caller is None:
         raise LookupError("the request did not pass api.access.gate")
-    return found
+    return caller
 
 
 CallerDep = Annotated[Caller, Depends(_caller_of)]

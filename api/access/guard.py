@@ -185,7 +185,7 @@ HTTPS_ONLY = "max-age=31536000"
 
 def security_headers(*, https: bool, shared: bool) -> Mapping[str, str]:
     """Return the headers of an answer."""
-    found = {
+    headers = {
         "X-Content-Type-Options": "nosniff",
         "Referrer-Policy": "no-referrer",
         "Content-Security-Policy": PAGE_POLICY,
@@ -193,8 +193,8 @@ def security_headers(*, https: bool, shared: bool) -> Mapping[str, str]:
         "Cross-Origin-Resource-Policy": "cross-origin" if shared else "same-origin",
     }
     if https:
-        found["Strict-Transport-Security"] = HTTPS_ONLY
-    return found
+        headers["Strict-Transport-Security"] = HTTPS_ONLY
+    return headers
 
 
 IN_WORDS = "open to everyone who reaches this address"

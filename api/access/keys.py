@@ -27,8 +27,8 @@ def _new_token() -> str:
 
 def prefix_of(token: str) -> str | None:
     """Return the prefix of a key; None where it has not the form of one."""
-    found = _FORM.fullmatch(token)
-    return None if found is None else found["prefix"]
+    form = _FORM.fullmatch(token)
+    return None if form is None else form["prefix"]
 
 
 def digest_of(token: str) -> str:

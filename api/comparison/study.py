@@ -60,13 +60,13 @@ def read_truth(path: Path) -> tuple[TrueWheelset, ...]:
     return tuple(sorted(found, key=lambda item: item.serial))
 
 
-def conicity_errors(found: WheelsetGeometry, truth: TrueWheelset) -> list[tuple[float, bool] | None]:
+def conicity_errors(geometry: WheelsetGeometry, truth: TrueWheelset) -> list[tuple[float, bool] | None]:
     """Return error and whether the 95 % interval holds the truth at each amplitude of the truth; None: no estimate."""
     compared: list[tuple[float, bool] | None] = []
     for amplitude, true in zip(truth.amplitude, truth.conicity, strict=True):
-        at = int(np.argmin(np.abs(found.amplitude - amplitude)))
-        estimate = found.conicity[at]
-        same = bool(np.isclose(found.amplitude[at], amplitude, rtol=0.0, atol=1e-9))
+        at = int(np.argmin(np.abs(geometry.amplitude - amplitude)))
+        estimate = geometry.conicity[at]
+        same = bool(np.isclose(geometry.amplitude[at], amplitude, rtol=0.0, atol=1e-9))
         if not same or estimate.value is None or estimate.low is None or estimate.high is None:
             compared.append(None)
         else:
@@ -190,9 +190,9 @@ def study(scenario: Scenario, cache: Path, progress: Progress = no_progress) -> 
                 if track is TrackInformation.FLEET:
                     track_seconds = time.perf_counter() - began
                 run_jobs(context, jobs[1:], show)
-                for score, found in _scored(storage, context, scenario.pair, track, truths, show):
+                for score, of_wheelsets in _scored(storage, context, scenario.pair, track, truths, show):
                     scores.append(score)
-                    if (geometry := found[shown.serial]) is not None:
+                    if (geometry := of_wheelsets[shown.serial]) is not None:
                         geometries[track, score.estimator] = geometry
                 if sum(score.track is track for score in scores) < len(estimators()):
                     unestimated[track] = _why(storage, truths)
@@ -227,12 +227,12 @@ def _scored(
     for done, item in enumerate(every):
         progress(f"track {track}: {item.title}", done, len(every))
         began = time.perf_counter()
-        found = {truth.serial: geometry_by(storage, context, truth.serial, item.name) for truth in truths}
+        geometries = {truth.serial: geometry_by(storage, context, truth.serial, item.name) for truth in truths}
         seconds = time.perf_counter() - began
-        if not any(found.values()):
+        if not any(geometries.values()):
             return
-        pairs = [(found[truth.serial], truth) for truth in truths]
-        errors = [[] if found is None else conicity_errors(found, truth) for found, truth in pairs]
+        pairs = [(geometries[truth.serial], truth) for truth in truths]
+        errors = [[] if estimate is None else conicity_errors(estimate, truth) for estimate, truth in pairs]
         compared = [[error for error in of_wheelset if error] for of_wheelset in errors]
         score = Score(
             pair=pair,
@@ -245,7 +245,7 @@ def _scored(
             covered=sum(inside for each in compared for _, inside in each),
             seconds=seconds,
         )
-        yield score, found
+        yield score, geometries
 
 
 def _why(storage: Storage, truths: Sequence[TrueWheelset]) -> str:

@@ -132,26 +132,26 @@ ALERTS = ("open alerts",)
 TITLE = "Wheel-rail wear of the fleet, from the REST API; the most urgent first"
 
 
-def tables(found: list[WheelsetLine], console: Console) -> list[Table]:
+def tables(wheelsets: list[WheelsetLine], console: Console) -> list[Table]:
     """Return one table where the console is wide enough for it, else one each of estimates, outlook and alerts."""
     parts = [
-        (TITLE, ESTIMATE, [_estimate_cells(line) for line in found]),
-        ("and what it leads to", OUTLOOK, [[line.slope_per_1000_km, line.distance] for line in found]),
-        ("and what was raised", ALERTS, [[line.alerts] for line in found]),
+        (TITLE, ESTIMATE, [_estimate_cells(line) for line in wheelsets]),
+        ("and what it leads to", OUTLOOK, [[line.slope_per_1000_km, line.distance] for line in wheelsets]),
+        ("and what was raised", ALERTS, [[line.alerts] for line in wheelsets]),
     ]
     heads = [name for _, head, _ in parts for name in head]
     joined = [[cell for cells in row for cell in cells] for row in zip(*(rows for _, _, rows in parts), strict=True)]
-    whole = _table(TITLE, heads, joined, found)
+    whole = _table(TITLE, heads, joined, wheelsets)
     if Measurement.get(console, console.options.update(max_width=1000), whole).maximum <= console.width:
         return [whole]
-    return [_table(title, head, rows, found) for title, head, rows in parts]
+    return [_table(title, head, rows, wheelsets) for title, head, rows in parts]
 
 
-def _table(title: str, head: Sequence[str], rows: list[list[str]], found: list[WheelsetLine]) -> Table:
+def _table(title: str, head: Sequence[str], rows: list[list[str]], wheelsets: list[WheelsetLine]) -> Table:
     result = Table("wheelset", title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for name in head:
         result.add_column(name, justify="left" if name in ALERTS else "right")
-    for line, row in zip(found, rows, strict=True):
+    for line, row in zip(wheelsets, rows, strict=True):
         result.add_row(line.serial, *row)
     return result
 
@@ -175,9 +175,9 @@ def second_opinions(
 ) -> Iterator[SecondOpinion]:
     """Ask the REST API for a fleet's wheelsets without a geometry, and for the low adhesion that it found."""
     for row in _wheelsets(service, scenario.fleet_code):
-        found = _by_signature(service, row["serial"], true)
-        if found is not None:
-            yield found
+        said = _by_signature(service, row["serial"], true)
+        if said is not None:
+            yield said
     for alert in get(service, "/v1/alerts?kind=low_adhesion&open=true&limit=1000")["items"]:
         if alert["track_section"] == scenario.section.code:
             yield (f"{_low(service, scenario.section.code)}; true {_true_friction(scenario)}", None)
@@ -215,10 +215,10 @@ def _true_friction(scenario: Scenario) -> str:
 
 
 def _low(service: ServiceAddress, section: str) -> str:
-    found = get(service, _path("track-sections", section, "adhesion"))
+    friction = get(service, _path("track-sections", section, "adhesion"))
     parts = []
-    for stretch in found["low_stretches"]:
-        inside = [place for place in found["places"] if stretch["from_m"] <= place["from_m"] < stretch["to_m"]]
+    for stretch in friction["low_stretches"]:
+        inside = [place for place in friction["places"] if stretch["from_m"] <= place["from_m"] < stretch["to_m"]]
         known = [place["friction_1"]["value"] for place in inside if place["friction_1"]["value"] is not None]
         parts.append(f"{stretch['from_m']:g} to {stretch['to_m']:g} m, friction {min(known):.2f} to {max(known):.2f}")
     return f"track {section}: alert of low adhesion in the feed, at {'; '.join(parts)}"

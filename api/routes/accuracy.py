@@ -132,8 +132,8 @@ class ProfileComparison(Representation):
     links: Links
 
 
-def _profile_comparison(found: Comparison) -> ProfileComparison:
-    measured, record = found.measurement, found.estimate.record
+def _profile_comparison(comparison: Comparison) -> ProfileComparison:
+    measured, record = comparison.measurement, comparison.estimate.record
     own = f"/v1/wheelsets/{segment(measured.wheelset)}"
     return ProfileComparison(
         wheelset=measured.wheelset,
@@ -144,13 +144,13 @@ def _profile_comparison(found: Comparison) -> ProfileComparison:
         estimated_wheels=NotEstimated(
             status=Status.UNESTIMATED, reason=NOT_OBSERVABLE.text, reason_code=NOT_OBSERVABLE.code
         ),
-        measured=profile_contact(found.contact),
-        estimate=None if record is None else _estimate(found, record),
-        **why(found.reason),
-        independent=found.independent,
-        measured_at_bins=_at_bins(found),
+        measured=profile_contact(comparison.contact),
+        estimate=None if record is None else _estimate(comparison, record),
+        **why(comparison.reason),
+        independent=comparison.independent,
+        measured_at_bins=_at_bins(comparison),
         conicity_by_amplitude=[
-            ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3)) for pair in found.conicity
+            ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3)) for pair in comparison.conicity
         ],
         links={
             "self": _comparison_path(measured.wheelset, measured.at_ns),
@@ -166,27 +166,27 @@ def _comparison_path(serial: str, at_ns: int) -> str:
 
 
 def _measures(wheel: Profile) -> WheelMeasures:
-    cause, found = None, WearMeasures(*[np.nan] * 4)
+    cause, measures = None, WearMeasures(*[np.nan] * 4)
     try:
-        found = wear_measures(wheel)
+        measures = wear_measures(wheel)
     except ProfileError as error:
         cause = Reason(ReasonCode.PROFILE_INCOMPLETE, str(error))
-    return WheelMeasures.made(found, profile=wheel.name, **why(cause))
+    return WheelMeasures.made(measures, profile=wheel.name, **why(cause))
 
 
-def _estimate(found: Comparison, record: GeometryRecord) -> EstimateOfDate:
+def _estimate(comparison: Comparison, record: GeometryRecord) -> EstimateOfDate:
     return EstimateOfDate.made(
         record,
         status=record.geometry.status,
-        **why(found.estimate.reason or record.geometry.reason),
-        mileage_apart_km=finite(record.mileage_km - found.measurement.mileage_km),
+        **why(comparison.estimate.reason or record.geometry.reason),
+        mileage_apart_km=finite(record.mileage_km - comparison.measurement.mileage_km),
         n_windows=record.geometry.windows,
         bins=bin_table(record.geometry),
     )
 
 
-def _at_bins(found: Comparison) -> MeasuredAtBins | None:
-    record, contact = found.estimate.record, found.contact
+def _at_bins(comparison: Comparison) -> MeasuredAtBins | None:
+    record, contact = comparison.estimate.record, comparison.contact
     if record is None or not isinstance(contact, WheelContact) or not np.isfinite(contact.zero_crossing):
         return None
     geometry, x = record.geometry, contact.displacement
@@ -288,18 +288,18 @@ class Accuracy(Representation):
     links: Links
 
 
-def _accuracy(found: FleetAccuracy, placed: Placed, on_file: int, links: Mapping[str, str]) -> Accuracy:
+def _accuracy(accuracy: FleetAccuracy, placed: Placed, on_file: int, links: Mapping[str, str]) -> Accuracy:
     return Accuracy(
         amplitude_mm=LIMIT_AMPLITUDE * MM,
         on_file=on_file,
         considered=len(placed.rows),
-        coverage=CoverageOfGroup.made(found.at_limit),
+        coverage=CoverageOfGroup.made(accuracy.at_limit),
         coverage_by_amplitude=[
-            CoverageAtAmplitude.made(pair, amplitude_mm=round(a * MM, 3)) for a, pair in found.by_amplitude.items()
+            CoverageAtAmplitude.made(pair, amplitude_mm=round(a * MM, 3)) for a, pair in accuracy.by_amplitude.items()
         ],
-        coverage_by_vehicle_class=[CoverageOfKey.made(pair, key=k) for k, pair in found.by_vehicle_class.items()],
-        coverage_by_track_section=[CoverageOfKey.made(pair, key=k) for k, pair in found.by_section.items()],
-        not_compared=[NotCompared(reason_code=code, measurements=n) for code, n in found.not_compared.items()],
+        coverage_by_vehicle_class=[CoverageOfKey.made(pair, key=k) for k, pair in accuracy.by_vehicle_class.items()],
+        coverage_by_track_section=[CoverageOfKey.made(pair, key=k) for k, pair in accuracy.by_section.items()],
+        not_compared=[NotCompared(reason_code=code, measurements=n) for code, n in accuracy.not_compared.items()],
         measurements=[_row(row) for row in placed.rows],
         unreadable=[
             Unreadable(wheelset=serial, reason=reason.text, reason_code=reason.code)
@@ -326,8 +326,8 @@ def table(rows: Sequence[MeasurementRow]) -> tuple[Sequence[str], list[Sequence[
 
 
 def _row(row: PlacedComparison) -> MeasurementRow:
-    found = row.comparison
-    measured = found.measurement
+    comparison = row.comparison
+    measured = comparison.measurement
     return MeasurementRow(
         wheelset=measured.wheelset,
         measured_at=to_rfc3339(measured.at_ns),
@@ -335,10 +335,10 @@ def _row(row: PlacedComparison) -> MeasurementRow:
         vehicle_class=row.vehicle_class,
         track_sections=list(row.sections),
         outcome=row.outcome,
-        independent=found.independent,
-        measured_1=uncertain(found.at_limit.measured),
-        estimated_1=uncertain(found.at_limit.estimated),
-        **why(found.reason),
+        independent=comparison.independent,
+        measured_1=uncertain(comparison.at_limit.measured),
+        estimated_1=uncertain(comparison.at_limit.estimated),
+        **why(comparison.reason),
         links={
             "wheelset": f"/v1/wheelsets/{segment(measured.wheelset)}",
             "comparison": _comparison_path(measured.wheelset, measured.at_ns),

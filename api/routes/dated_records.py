@@ -140,8 +140,8 @@ def list_mountings(asked: AskedListDep, serial: Serial) -> Response:
     """List where the wheelset ran, oldest first."""
     with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found = unit.registry.mountings(serial)
-    return asked.numbered({"wheelset": serial}, found, lambda record: record.from_ns, common.MountingPeriod.made)
+        mountings = unit.registry.mountings(serial)
+    return asked.numbered({"wheelset": serial}, mountings, lambda record: record.from_ns, common.MountingPeriod.made)
 
 
 @router.post("/{serial}/mountings", response_model=common.MountingPeriod, **_CHANGE)
@@ -220,8 +220,8 @@ def _conflict(serial: str, why: str) -> ConflictError:
 def list_reprofilings(asked: AskedListDep, serial: Serial) -> Response:
     """List the wheelset's visits to the lathe, oldest first."""
     with asked.read() as unit:
-        found = unit.registry.wheelset(serial).reprofilings
-    return asked.numbered({"wheelset": serial}, found, lambda record: record.at_ns, common.ReprofilingRecord.made)
+        visits = unit.registry.wheelset(serial).reprofilings
+    return asked.numbered({"wheelset": serial}, visits, lambda record: record.at_ns, common.ReprofilingRecord.made)
 
 
 @router.post("/{serial}/reprofilings", response_model=common.ReprofilingRecord, **_CHANGE)
@@ -251,8 +251,8 @@ def list_measured_profiles(asked: AskedListDep, serial: Serial) -> Response:
     """List when the profiles of the wheelset's wheels were measured, oldest first."""
     with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found = unit.registry.measured_profiles(serial)
-    return asked.numbered({"wheelset": serial}, found, lambda record: record.at_ns, common.measured_profiles)
+        measured = unit.registry.measured_profiles(serial)
+    return asked.numbered({"wheelset": serial}, measured, lambda record: record.at_ns, common.measured_profiles)
 
 
 @router.post("/{serial}/measured-profiles", response_model=common.MeasuredProfilesRecord, **_CHANGE)
@@ -290,8 +290,8 @@ def list_sensor_changes(asked: AskedListDep, code: Code) -> Response:
     """List when sensors of the vehicle were exchanged or calibrated, oldest first."""
     with asked.read() as unit:
         unit.registry.vehicle(code)
-        found = unit.sensor_changes.list(code)
-    return asked.numbered({"vehicle": code}, found, lambda record: record.at_ns, SensorChangeRecord.made)
+        changes = unit.sensor_changes.list(code)
+    return asked.numbered({"vehicle": code}, changes, lambda record: record.at_ns, SensorChangeRecord.made)
 
 
 @vehicles_router.post("/{code}/sensor-changes", response_model=SensorChangeRecord, **_CHANGE)

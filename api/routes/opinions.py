@@ -116,15 +116,15 @@ class WheelsetRails(_WheelPart, of=WheelsFinding, without=("amplitude", "part"))
     links: Links
 
 
-def section_rails(found: Result[RailsFinding]) -> SectionRails:
-    """Return the representation of what was found of a section's rails."""
-    assert found.value is not None
-    record, own = found.value, f"/v1/track-sections/{segment(found.subject)}"
+def section_rails(result: Result[RailsFinding]) -> SectionRails:
+    """Return the representation of what was result of a section's rails."""
+    assert result.value is not None
+    record, own = result.value, f"/v1/track-sections/{segment(result.subject)}"
     no_trend = record.no_trend if record.trend is None else None
     return SectionRails.made(
         record,
-        **provenance(found),
-        section=found.subject,
+        **provenance(result),
+        section=result.subject,
         periods=[_period(part, record.amplitude) for part in record.periods],
         trend_reason=text_of(no_trend),
         trend_reason_code=code_of(no_trend),
@@ -132,10 +132,10 @@ def section_rails(found: Result[RailsFinding]) -> SectionRails:
     )
 
 
-def wheelset_rails(found: Result[WheelsFinding], geometry: GeometryRecord | None) -> WheelsetRails:
+def wheelset_rails(result: Result[WheelsFinding], geometry: GeometryRecord | None) -> WheelsetRails:
     """Return the representation of a wheelset's wheels, beside its geometry."""
-    assert found.value is not None
-    record, part, own = found.value, found.value.part, f"/v1/wheelsets/{segment(found.subject)}"
+    assert result.value is not None
+    record, part, own = result.value, result.value.part, f"/v1/wheelsets/{segment(result.subject)}"
     rows = []
     for amplitude, apart in zip(record.amplitude, part.conicity, strict=True):
         beside = ((ConicityMethod.WHEEL_AND_RAIL_APART, apart), (ConicityMethod.GEOMETRY, _at(geometry, amplitude)))
@@ -145,8 +145,8 @@ def wheelset_rails(found: Result[WheelsFinding], geometry: GeometryRecord | None
     return WheelsetRails.made(
         record,
         **_WheelPart.parts(part),
-        **provenance(found),
-        wheelset=found.subject,
+        **provenance(result),
+        wheelset=result.subject,
         baseline=part.wheel.baseline,
         geometry_baseline=None if geometry is None else geometry.baseline,
         interval=part.wheel.interval,
@@ -220,12 +220,12 @@ class SectionAdhesion(Derived, of=FrictionValue, without=("certain_stretches",))
     links: Links
 
 
-def section_adhesion(found: FrictionValue) -> SectionAdhesion:
+def section_adhesion(friction: FrictionValue) -> SectionAdhesion:
     """Return the representation of the friction of a section."""
-    own = f"/v1/track-sections/{segment(found.track_section)}"
+    own = f"/v1/track-sections/{segment(friction.track_section)}"
     return SectionAdhesion.made(
-        found,
-        low_stretches=[Stretch(**dict(zip(("from_m", "to_m"), ends, strict=True))) for ends in found.low_stretches],
+        friction,
+        low_stretches=[Stretch(**dict(zip(("from_m", "to_m"), ends, strict=True))) for ends in friction.low_stretches],
         links={"self": f"{own}/adhesion", "section": own, "alerts": "/v1/alerts?kind=low_adhesion"},
     )
 

@@ -148,17 +148,17 @@ def section(record: TrackSectionRecord) -> TrackSection:
     return TrackSection.made(record, coordinates=line)
 
 
-def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackReport | None) -> Alignment:
+def alignment(columns: TrackAlignment, record: AlignmentRecord, made_by: TrackReport | None) -> Alignment:
     """Return the representation of an alignment."""
-    unknown: list[float | None] = [None] * len(found.s)
+    unknown: list[float | None] = [None] * len(columns.s)
     return Alignment.made(
         record,
-        position_m=[float(s) for s in found.s],
-        alignment_mm=finite_list(found.alignment, MM),
-        alignment_std_mm=finite_list(found.alignment_std, MM),
-        gauge_deviation_mm=finite_list(found.gauge_deviation, MM) if found.gauge_known else unknown,
-        gauge_deviation_std_mm=finite_list(found.gauge_deviation_std, MM) if found.gauge_known else unknown,
-        passes=[int(n) for n in found.passes],
+        position_m=[float(s) for s in columns.s],
+        alignment_mm=finite_list(columns.alignment, MM),
+        alignment_std_mm=finite_list(columns.alignment_std, MM),
+        gauge_deviation_mm=finite_list(columns.gauge_deviation, MM) if columns.gauge_known else unknown,
+        gauge_deviation_std_mm=finite_list(columns.gauge_deviation_std, MM) if columns.gauge_known else unknown,
+        passes=[int(n) for n in columns.passes],
         report=None if made_by is None else report(made_by),
     )
 
@@ -264,10 +264,10 @@ def get_alignment(asked: AskedDep, code: Code, version: Version = None) -> Respo
     with asked.read() as unit:
         unit.tracks.section(code)
         what = code if version is None else f"{code} version {version}"
-        found = present(unit.tracks.alignment(code, version), "alignment of track section", what)
-        (record,) = unit.tracks.versions(code, found.version - 1, 1)
-        report = _seen(unit, unit.tracks.report(code, found.version))
-    return asked.answer(alignment(found, record, report))
+        columns = present(unit.tracks.alignment(code, version), "alignment of track section", what)
+        (record,) = unit.tracks.versions(code, columns.version - 1, 1)
+        report = _seen(unit, unit.tracks.report(code, columns.version))
+    return asked.answer(alignment(columns, record, report))
 
 
 @router.get("/{code}/alignments", response_model=Page[AlignmentSummary], responses=described(400, 404))

@@ -152,23 +152,23 @@ def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEsti
     return _geometry(serial, baseline, WheelsetGeometry(**parts, reason=reason), without)
 
 
-def _geometry(serial: str, baseline: int, found: WheelsetGeometry, without: WithoutEstimate | None) -> Geometry:
-    reason = found.reason if without is None else without.reason
+def _geometry(serial: str, baseline: int, estimate: WheelsetGeometry, without: WithoutEstimate | None) -> Geometry:
+    reason = estimate.reason if without is None else without.reason
     own = f"/v1/wheelsets/{segment(serial)}"
     of_record = ("mileage_km", "measured_from", "measured_to", "recorded_at", "windows_left_out", "provenance")
     return Geometry.made(
-        found,
+        estimate,
         **dict.fromkeys(of_record, None),
         wheelset=serial,
         **why(reason),
         unestimated_because=unestimated_because(without),
         baseline=baseline,
-        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
+        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(estimate)),
         conicity_by_amplitude=[
             ConicityAtAmplitude(amplitude_mm=float(amplitude) * MM, equivalent_conicity_1=uncertain(conicity))
-            for amplitude, conicity in zip(found.amplitude, found.conicity, strict=True)
+            for amplitude, conicity in zip(estimate.amplitude, estimate.conicity, strict=True)
         ],
-        bins=bin_table(found),
+        bins=bin_table(estimate),
         links={"self": f"{own}/geometry", "wheelset": own, "trend": f"{own}/trend", "windows": f"{own}/windows"},
     )
 
@@ -180,17 +180,17 @@ def _left_out(record: GeometryRecord) -> dict[str, int] | None:
     return {code: count for code, count in stored.items() if isinstance(count, int)}
 
 
-def bin_table(found: WheelsetGeometry) -> Bins:
+def bin_table(estimate: WheelsetGeometry) -> Bins:
     """Return the bin table of an estimate."""
-    edges = [float(edge) * MM for edge in found.bin_edges]
+    edges = [float(edge) * MM for edge in estimate.bin_edges]
     return Bins(
         lower_mm=edges[:-1],
         upper_mm=edges[1:],
-        samples_1=finite_list(found.samples),
-        rolling_radius_sum_mm=_column(found.rolling_radius_sum, MM),
-        rolling_radius_difference_mm=_column(found.rolling_radius_difference, MM),
-        contact_angle_sum_rad=_column(found.contact_angle_sum, 1.0),
-        contact_angle_difference_rad=_column(found.contact_angle_difference, 1.0),
+        samples_1=finite_list(estimate.samples),
+        rolling_radius_sum_mm=_column(estimate.rolling_radius_sum, MM),
+        rolling_radius_difference_mm=_column(estimate.rolling_radius_difference, MM),
+        contact_angle_sum_rad=_column(estimate.contact_angle_sum, 1.0),
+        contact_angle_difference_rad=_column(estimate.contact_angle_difference, 1.0),
     )
 
 
@@ -265,11 +265,11 @@ def interval(record: GeometryRecord) -> Interval:
     )
 
 
-def data_quality(serial: str, found: WindowCounts, waiting: Sequence[ReasonOfWindows]) -> DataQuality:
+def data_quality(serial: str, counted: WindowCounts, waiting: Sequence[ReasonOfWindows]) -> DataQuality:
     """Return the representation of the windows of a wheelset over time."""
     stretches: dict[int, Counts] = {}
     total: Counts = Counter()
-    for count in found.counts:
+    for count in counted.counts:
         stretches.setdefault(count.from_ns, Counter())[count.state, count.code] = count.windows
         if count.state is not WindowState.PENDING:
             total[count.state, count.code] += count.windows
@@ -282,7 +282,7 @@ def data_quality(serial: str, found: WindowCounts, waiting: Sequence[ReasonOfWin
         over_time=[
             QualityOfTime(
                 measured_from=to_rfc3339(from_ns),
-                measured_to=to_rfc3339(from_ns + found.stretch_ns),
+                measured_to=to_rfc3339(from_ns + counted.stretch_ns),
                 windows_by_reason=_by_reason(counts),
             )
             for from_ns, counts in stretches.items()

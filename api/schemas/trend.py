@@ -168,7 +168,7 @@ def no_trend(
 def _trend(
     serial: str,
     baseline: int,
-    found: WearTrend,
+    wear: WearTrend,
     current: GeometryRecord | None,
     now: LimitNow | MileageNow | None,
     without: WithoutEstimate | None,
@@ -176,16 +176,16 @@ def _trend(
     of_profile = None if current is None or current.baseline != baseline else current
     if not isinstance(now, LimitNow):
         unknown = Estimate.unknown(REPROFILED if baseline else NO_GEOMETRY)
-        now = limit_now(None if of_profile is None else of_profile.geometry, found, found.limit, now, unknown)
+        now = limit_now(None if of_profile is None else of_profile.geometry, wear, wear.limit, now, unknown)
     own = f"/v1/wheelsets/{segment(serial)}"
     return Trend.made(
-        found,
+        wear,
         wheelset=serial,
-        **why(found.reason if without is None else without.reason),
+        **why(wear.reason if without is None else without.reason),
         unestimated_because=unestimated_because(without),
         baseline=baseline,
         recorded_at=None,
-        points=TrendPoints.made(found),
+        points=TrendPoints.made(wear),
         current_1=uncertain(now.conicity),
         current_mileage_km=None if of_profile is None else finite(of_profile.mileage_km),
         limit_1=now.limit,

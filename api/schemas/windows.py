@@ -99,12 +99,12 @@ class UnestimatedBecause(Derived, of=WithoutEstimate, without=("reason",)):
     what_to_do: str | None = Field(description="Null where there is nothing to do but to wait.")
 
 
-def unestimated_because(found: WithoutEstimate | None) -> UnestimatedBecause | None:
+def unestimated_because(without: WithoutEstimate | None) -> UnestimatedBecause | None:
     """Return the representation of why nothing is estimated; None where something is."""
-    if found is None:
+    if without is None:
         return None
-    counts = {state.value: found.count(state) for state in WindowState}
-    return UnestimatedBecause.made(found, windows=found.counted, **counts, what_to_do=found.what_to_do or None)
+    counts = {state.value: without.count(state) for state in WindowState}
+    return UnestimatedBecause.made(without, windows=without.counted, **counts, what_to_do=without.what_to_do or None)
 
 
 OF_SECTION = {ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.WAITS_FOR_POSITION}

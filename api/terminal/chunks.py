@@ -71,8 +71,8 @@ def work(*, once: bool) -> None:
 def scrub_and_report(mb_per_s: float | None, *, resume: bool) -> None:
     """Read every raw file again, print what is damaged or missing, and exit 1 where anything is."""
 
-    def print_fault(found: ScrubFault) -> None:
-        typer.echo(f"recording {found.file.digest[:12]} of vehicle {found.file.vehicle}: {found.fault}")
+    def print_fault(fault: ScrubFault) -> None:
+        typer.echo(f"recording {fault.file.digest[:12]} of vehicle {fault.file.vehicle}: {fault.fault}")
 
     settings = load_settings()
     plan = ScrubPlan(None if mb_per_s is None else mb_per_s * MEGABYTE, resume)

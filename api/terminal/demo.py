@@ -168,11 +168,11 @@ def _by_campaign(fleet: Simulated) -> list[tuple[int, list[Recording]]]:
     campaigns: defaultdict[int, list[Recording]] = defaultdict(list)
     for recording in fleet.report.recordings:
         campaigns[recording.campaign].append(recording)
-    scenario, found = fleet.scenario, []
+    scenario, visits = fleet.scenario, []
     for campaign in sorted(campaigns):  # from 1
         last_ns = max(scenario.start_ns(vehicle, campaign - 1) for vehicle in scenario.vehicles)
-        found.append((last_ns + round(scenario.sessions.duration * 1e9) + HOUR_NS, campaigns[campaign]))
-    return found
+        visits.append((last_ns + round(scenario.sessions.duration * 1e9) + HOUR_NS, campaigns[campaign]))
+    return visits
 
 
 START_S = 30.0
@@ -300,11 +300,11 @@ def _print_findings(service: ServiceAddress, fleets: Sequence[Simulated], consol
     covered: list[bool] = []
     for number, fleet in enumerate(fleets):
         truth = fleet.report.truth
-        found = lines(service, truth, fleet.scenario.fleet_code)
+        wheelsets = lines(service, truth, fleet.scenario.fleet_code)
         if number == 0:
-            for table in tables(found, console):
+            for table in tables(wheelsets, console):
                 console.print(table)
-        covered += [line.covers for line in found if line.covers is not None]
+        covered += [line.covers for line in wheelsets if line.covers is not None]
         for text, covers in second_opinions(service, fleet.scenario, true_campaigns(truth)):
             console.print(text, highlight=False)
             covered += [] if covers is None else [covers]

@@ -80,12 +80,12 @@ def _why(reasons: WindowReasons, row: WorklistRow, most: int) -> WithoutEstimate
 def print_each(settings: Settings) -> None:
     """Print of every mounted wheelset without an estimate why it has none, and what to do."""
     with closing(open_store(settings)) as storage, storage.read() as unit:
-        found = fleet_reasons(unit)
-    for line in summary_lines(found) or ["every mounted wheelset has a conicity at 3 mm"]:
+        reasons = fleet_reasons(unit)
+    for line in summary_lines(reasons) or ["every mounted wheelset has a conicity at 3 mm"]:
         typer.echo(line)
-    if found.wheelsets:
+    if reasons.wheelsets:
         table = Table("wheelset", "runs under", "windows", "last data", "why", "what to do")
-        for item in found.wheelsets:
+        for item in reasons.wheelsets:
             why, wheelset = item.why, item.row.wheelset
             shown = [f"{windows.windows} {windows.state.value}: {windows.reason}" for windows in why.windows[:SHOWN]]
             table.add_row(
@@ -99,25 +99,25 @@ def print_each(settings: Settings) -> None:
         Console().print(table)
 
 
-def summary_lines(found: FleetReasons) -> list[str]:
+def summary_lines(reasons: FleetReasons) -> list[str]:
     """Return why wheelsets have no estimate, all together: a line a reason; none where all have one."""
-    if not found.wheelsets:
+    if not reasons.wheelsets:
         return []
-    head = f"{len(found.wheelsets)} of {found.mounted} mounted wheelsets have no conicity at 3 mm"
-    windows = together(windows for item in found.wheelsets for windows in item.why.windows)
-    lines = [f"{head}; their newest windows, at most {found.most:,} of each:" if windows else f"{head}:"]
+    head = f"{len(reasons.wheelsets)} of {reasons.mounted} mounted wheelsets have no conicity at 3 mm"
+    windows = together(windows for item in reasons.wheelsets for windows in item.why.windows)
+    lines = [f"{head}; their newest windows, at most {reasons.most:,} of each:" if windows else f"{head}:"]
     lines += [f"  {line_of(counted)}" for counted in windows[:NAMED]]
-    return lines + [f"  {line}" for line in _without_windows(found.wheelsets)]
+    return lines + [f"  {line}" for line in _without_windows(reasons.wheelsets)]
 
 
 def _without_windows(wheelsets: Iterable[Unestimated]) -> list[str]:
     """Return a line for those wheelsets, of which no window says why, for which there is the same to do."""
-    found: dict[tuple[ReasonCode, str], list[Unestimated]] = {}
+    alike: dict[tuple[ReasonCode, str], list[Unestimated]] = {}
     for item in wheelsets:
         if not item.why.windows:
-            found.setdefault((item.why.reason.code, item.why.what_to_do), []).append(item)
+            alike.setdefault((item.why.reason.code, item.why.what_to_do), []).append(item)
     lines = []
-    for (code, to_do), items in sorted(found.items(), key=lambda pair: -len(pair[1]))[:NAMED]:
+    for (code, to_do), items in sorted(alike.items(), key=lambda pair: -len(pair[1]))[:NAMED]:
         what = "without a window" if code in WITHOUT_GEOMETRY else code.value
         lines.append(
             f"{len(items)} {what}, such as {items[0].row.wheelset.serial}: {items[0].why.reason}. {to_do}".rstrip()

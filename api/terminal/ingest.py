@@ -102,7 +102,7 @@ def recordings_of(places: Iterable[Path], vehicle: str | None) -> tuple[list[tup
 
     Files in folders whose names contain no vehicle come second, with why they are left out.
     """
-    found: list[tuple[Path, str]] = []
+    recordings: list[tuple[Path, str]] = []
     unnamed: list[Outcome] = []
     for place in places:
         if place.is_dir():
@@ -111,14 +111,14 @@ def recordings_of(places: Iterable[Path], vehicle: str | None) -> tuple[list[tup
                 raise InputError(f"holds no recording ({', '.join(SUFFIXES)})", file=place)
             for path in inside:
                 try:
-                    found.append((path, vehicle or vehicle_in_name(path)))
+                    recordings.append((path, vehicle or vehicle_in_name(path)))
                 except InputError as error:
                     unnamed.append((path, error))
         elif place.exists():
-            found.append((place, vehicle or vehicle_in_name(place)))
+            recordings.append((place, vehicle or vehicle_in_name(place)))
         else:
             raise InputError("does not exist", file=place)
-    return found, unnamed
+    return recordings, unnamed
 
 
 def _say_left_out(places: Iterable[Path], console: Console) -> None:
@@ -224,7 +224,7 @@ def _nanoseconds(moment: datetime | None, field: str) -> int | None:
     if moment is None:
         return None
     since = (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)) - EPOCH
-    found = (since.days * 86_400_000_000 + since.seconds * 1_000_000 + since.microseconds) * 1000
-    if not EARLIEST_NS <= found <= LATEST_NS:
+    time_ns = (since.days * 86_400_000_000 + since.seconds * 1_000_000 + since.microseconds) * 1000
+    if not EARLIEST_NS <= time_ns <= LATEST_NS:
         raise ParameterError(f"{moment.year} is outside the years that can be stored; leave it out", field=field)
-    return found
+    return time_ns

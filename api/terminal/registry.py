@@ -143,8 +143,8 @@ def check_and_report(file: Path, confirmed: Sequence[Rule]) -> None:
 def export_and_report(file: Path) -> None:
     """Write the registry as a file, and print how much it holds."""
     with reading() as unit:
-        found = write_export(file, unit)
-    typer.echo(f"wrote {file}: {found.records:,} records, {len(found.files):,} files beside it")
+        export = write_export(file, unit)
+    typer.echo(f"wrote {file}: {export.records:,} records, {len(export.files):,} files beside it")
 
 
 def refusal_lines(error: RegistryRefusedError) -> list[str]:

@@ -66,8 +66,8 @@ def _settings_table(settings: _Settings, shipped: _Settings) -> Table:
 
 
 def _settings(book: RuleBook) -> _Settings:
-    found = {(rule.kind, name): value for rule in book.rules for name, value in _flat(rule)}
-    return found | {("alarm_flood", name): value for name, value in _flat(book.alarm_flood)}
+    settings = {(rule.kind, name): value for rule in book.rules for name, value in _flat(rule)}
+    return settings | {("alarm_flood", name): value for name, value in _flat(book.alarm_flood)}
 
 
 def _flat(value: object, prefix: str = "") -> Iterator[tuple[str, str]]:
@@ -105,15 +105,15 @@ def replay(from_: str, to: str | None, file: Path | None, fleet: str | None) -> 
     with closing(open_store(settings)) as storage:
         with storage.read() as unit:
             _check_codes(unit, tried or in_force, fleet, console)
-        found = _replayed(storage, (in_force, tried or in_force), span, fleet)
+        changed = _replayed(storage, (in_force, tried or in_force), span, fleet)
     print_line(console, f"{to_rfc3339(span[0])} to {to_rfc3339(span[1])}")
     print_line(console, f"rules in force: {in_force.version}")
     if tried is None:
-        console.print(_alerts_table([change for changes in found.values() for change in changes]))
+        console.print(_alerts_table([change for changes in changed.values() for change in changes]))
     else:
         print_line(console, f"rules tried:    {tried.version}")
-        console.print(_summary(found))
-        listed = [change for changes in found.values() for change in changes if change.change is not Change.SAME]
+        console.print(_summary(changed))
+        listed = [change for changes in changed.values() for change in changes if change.change is not Change.SAME]
         console.print(_alerts_table(listed) if listed else "no alert differs")
     console.print(
         f"not replayed: {', '.join(NOT_REPLAYED)}, rejected recordings, grouping into fleet alerts; low_adhesion "
@@ -149,31 +149,31 @@ def _replayed(
     with storage.read() as unit:
         serials = [wheelset.serial for wheelset in unit.registry.wheelsets() if fleet in (None, wheelset.fleet)]
         sections = [section.code for section in unit.tracks.sections()]
-    found: dict[str, Sequence[Difference]] = {}
+    changed: dict[str, Sequence[Difference]] = {}
     with bar(Console(stderr=True), "replaying the rules") as progress:
         for serial in progress.track(serials):
             with storage.read() as unit:
                 history = history_of(unit, serial)
             before = replayed(history, books[0], span)
             after = before if books[1] is books[0] else replayed(history, books[1], span)
-            found[serial] = differences(before, after)
+            changed[serial] = differences(before, after)
         for section in sections:
             with storage.read() as unit:
                 before = _of_fleet(section_replayed(unit, section, books[0], span), fleet)
                 same = books[1] is books[0]
                 after = before if same else _of_fleet(section_replayed(unit, section, books[1], span), fleet)
             for code in sorted({alert.fleet for alert in (*before, *after)}):
-                found[f"{section} {code}"] = differences(_of_fleet(before, code), _of_fleet(after, code))
-    return found
+                changed[f"{section} {code}"] = differences(_of_fleet(before, code), _of_fleet(after, code))
+    return changed
 
 
 def _of_fleet(alerts: Sequence[Alert], fleet: str | None) -> list[Alert]:
     return [alert for alert in alerts if fleet in (None, alert.fleet)]
 
 
-def _summary(found: Mapping[str, Sequence[Difference]]) -> Table:
+def _summary(changed: Mapping[str, Sequence[Difference]]) -> Table:
     counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
-    for change in (change for changes in found.values() for change in changes):
+    for change in (change for changes in changed.values() for change in changes):
         kind = _either(change).kind
         counts[kind][change.change] += 1
         counts[kind]["in force"] += change.before is not None

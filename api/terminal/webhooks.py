@@ -52,8 +52,8 @@ def add_and_print(
 def webhook_list() -> str:
     """Return all webhooks, one a line."""
     with reading() as unit:
-        found, waiting = unit.webhooks.page(None, None), unit.webhooks.waiting()
-    return columns([WEBHOOK_HEAD, *(_webhook_row(webhook, waiting.get(webhook.webhook_id)) for webhook in found)])
+        webhooks, waiting = unit.webhooks.page(None, None), unit.webhooks.waiting()
+    return columns([WEBHOOK_HEAD, *(_webhook_row(webhook, waiting.get(webhook.webhook_id)) for webhook in webhooks)])
 
 
 def try_and_print(number: int) -> bool:

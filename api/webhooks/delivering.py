@@ -199,12 +199,12 @@ class Deliveries:
     async def _deliver(self, webhook_id: int) -> None:
         try:
             while not self._ending:
-                found = await asyncio.to_thread(self._next, webhook_id)
-                if found is None:
+                due = await asyncio.to_thread(self._next, webhook_id)
+                if due is None:
                     return
                 async with self._places:
-                    outcome = await self._send(found)
-                if not await asyncio.to_thread(self._store, found, outcome):
+                    outcome = await self._send(due)
+                if not await asyncio.to_thread(self._store, due, outcome):
                     return
         except NotFoundError:
             return  # deleted meanwhile
@@ -244,21 +244,21 @@ class Deliveries:
             with self.storage.write() as unit:
                 unit.webhooks.passed(webhook, newest)
 
-    async def _send(self, found: _Next) -> Outcome:
+    async def _send(self, due: _Next) -> Outcome:
         """Return what came back; what fails here is a failure of the attempt, and is tried again as any other."""
         try:
-            identity = found.delivery.event_id
-            body = cloud_event(found.branches, identity, found.event)
-            headers = signed_headers(found.secrets, identity, self.clock.now_ns(), body)
-            return await self.sender.send(found.webhook.url, headers, body)
+            identity = due.delivery.event_id
+            body = cloud_event(due.branches, identity, due.event)
+            headers = signed_headers(due.secrets, identity, self.clock.now_ns(), body)
+            return await self.sender.send(due.webhook.url, headers, body)
         except Exception:  # noqa: BLE001 - one webhook must not end the others
-            _log.exception("webhook %d: an event could not be sent", found.webhook.webhook_id)
+            _log.exception("webhook %d: an event could not be sent", due.webhook.webhook_id)
             return Outcome(None, Failure.NOT_SENT, "the service could not send it; the log says why", None, 0.0)
 
-    def _store(self, found: _Next, outcome: Outcome) -> bool:
+    def _store(self, due: _Next, outcome: Outcome) -> bool:
         """Store what came back; return whether more may be sent at once."""
-        webhook, now_ns = found.webhook, self.clock.now_ns()
-        verdict = after_attempt(found.delivery, outcome, self.schedule, now_ns, self.chance())
+        webhook, now_ns = due.webhook, self.clock.now_ns()
+        verdict = after_attempt(due.delivery, outcome, self.schedule, now_ns, self.chance())
         with self.storage.write() as unit:
             counted = unit.webhooks.attempted(webhook, verdict.delivery, verdict.disabled)
         if counted:

@@ -131,16 +131,16 @@ class Targets:
         port = _port(url)
         loop = asyncio.get_running_loop()
         try:
-            found = await loop.run_in_executor(self._threads, _look_up, url.raw_host.decode("ascii"), port)
+            addresses = await loop.run_in_executor(self._threads, _look_up, url.raw_host.decode("ascii"), port)
         except (OSError, UnicodeError):
             raise RefusedTargetError(Failure.UNKNOWN_HOST, "the host has no address") from None
-        check(url, found, self.networks)
-        return Target(url, tuple(found))
+        check(url, addresses, self.networks)
+        return Target(url, tuple(addresses))
 
 
 def _look_up(host: str, port: int) -> list[Address]:
-    found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    return list(dict.fromkeys(ipaddress.ip_address(str(entry[4][0]).partition("%")[0]) for entry in found))
+    entries = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    return list(dict.fromkeys(ipaddress.ip_address(str(entry[4][0]).partition("%")[0]) for entry in entries))
 
 
 def _port(url: httpx.URL) -> int:

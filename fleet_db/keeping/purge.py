@@ -323,8 +323,8 @@ def replaced_within_a_day(connection: Connection, from_ns: int, before_ns: int) 
     """Return the numbers of results that another of the same part followed on the same day, UTC."""
     end_of_day = RESULTS.c.recorded_ns - RESULTS.c.recorded_ns % DAY_NS + DAY_NS
     within = (RESULTS.c.recorded_ns >= from_ns, RESULTS.c.recorded_ns < before_ns)
-    found = select(RESULTS.c.result_id).where(*within, RESULTS.c.superseded_ns < end_of_day)
-    return list(connection.scalars(found.order_by(RESULTS.c.result_id)))
+    replaced = select(RESULTS.c.result_id).where(*within, RESULTS.c.superseded_ns < end_of_day)
+    return list(connection.scalars(replaced.order_by(RESULTS.c.result_id)))
 
 
 EVERY_S = 86_400.0
@@ -340,4 +340,4 @@ def _run(
     retention: Retention, raw: RawStore, storage_of: Callable[[JobContext], SqlStorage], context: JobContext
 ) -> Mapping[str, int]:
     done = purge(storage_of(context), raw, retention, context.clock.now_ns(), partial(context.checkpoint, 0, 0))
-    return {one.kind.value: one.items for one in done}
+    return {purged.kind.value: purged.items for purged in done}

@@ -182,7 +182,7 @@ class BinTableStore:
         return {(row.of_wheelset, row.from_ns, row.to_ns): _tabled([row])[0] for row in self._of_spans(asked, chosen)}
 
     def _some_tabled(self, spans: Collection[TabledSpan]) -> Mapping[TabledSpan, Sequence[TabledWindow]]:
-        found: dict[TabledSpan, list[TabledWindow]] = {span: [] for span in spans}
+        windows: dict[TabledSpan, list[TabledWindow]] = {span: [] for span in spans}
         for limit in sorted({span[3] for span in spans}):
             asked = spans_given(span[:3] for span in spans if span[3] == limit)
             behind = TABLES.alias("behind")
@@ -190,16 +190,16 @@ class BinTableStore:
             left_out = following.limit(1).offset(limit).correlate(asked).scalar_subquery()
             before = or_(left_out.is_(None), TABLES.c.start_ns < left_out)
             for row in self._of_spans(asked, and_(*_within(TABLES, asked), before)):
-                found[row.of_wheelset, row.from_ns, row.to_ns, limit] += _tabled([row])
-        return found
+                windows[row.of_wheelset, row.from_ns, row.to_ns, limit] += _tabled([row])
+        return windows
 
     def _of_spans(self, asked: FromClause, chosen: ColumnElement[bool]) -> Sequence[Row[Any]]:
         statement = WITHOUT_TABLES.add_columns(*asked.c).join(asked, asked.c.of_wheelset == TABLES.c.wheelset)
         return self.connection.execute(statement.where(chosen).order_by(TABLES.c.wheelset, TABLES.c.start_ns)).all()
 
     def _packed(self, keys: Collection[WindowKey]) -> Mapping[WindowKey, bytes]:
-        own = tuple_(TABLES.c.wheelset, TABLES.c.start_ns).in_(sorted(keys))
-        rows = self.connection.execute(select(TABLES.c.wheelset, TABLES.c.start_ns, TABLES.c.packed).where(own))
+        of_keys = tuple_(TABLES.c.wheelset, TABLES.c.start_ns).in_(sorted(keys))
+        rows = self.connection.execute(select(TABLES.c.wheelset, TABLES.c.start_ns, TABLES.c.packed).where(of_keys))
         return {(row.wheelset, row.start_ns): row.packed for row in rows}
 
     def note_running(self, mileages: Mapping[str, Mapping[int, float]]) -> None:

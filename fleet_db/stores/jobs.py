@@ -120,8 +120,8 @@ class WorkClaimStore(Store):
 
     def forget(self, lease: int, stage: str, keys: Collection[str]) -> int:
         """Forget claims that are still under a lease; return how many."""
-        own = (CLAIMS.c.lease_id == lease, CLAIMS.c.stage == stage, CLAIMS.c.key.in_(sorted(keys)))
-        return self.connection.execute(delete(CLAIMS).where(*own)).rowcount
+        claimed = (CLAIMS.c.lease_id == lease, CLAIMS.c.stage == stage, CLAIMS.c.key.in_(sorted(keys)))
+        return self.connection.execute(delete(CLAIMS).where(*claimed)).rowcount
 
     def end(self, lease: int) -> None:
         """End a lease in order, if it is still there: what was claimed under it is forgotten."""
@@ -139,9 +139,11 @@ class WorkClaimStore(Store):
             self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease.number))
         begun = tuple_(CLAIMS.c.key, CLAIMS.c.begun_ns).in_(sorted(lease.begun_ns.items()))
         of_nobody = or_(CLAIMS.c.lease_id.is_(None), CLAIMS.c.lease_id == lease.number)
-        own = (CLAIMS.c.stage == lease.stage, of_nobody, begun)
-        self.connection.execute(delete(CLAIMS).where(*own, CLAIMS.c.attempts == 1))
-        self.connection.execute(update(CLAIMS).where(*own).values(attempts=CLAIMS.c.attempts - 1, lease_id=None))
+        begun_since = (CLAIMS.c.stage == lease.stage, of_nobody, begun)
+        self.connection.execute(delete(CLAIMS).where(*begun_since, CLAIMS.c.attempts == 1))
+        self.connection.execute(
+            update(CLAIMS).where(*begun_since).values(attempts=CLAIMS.c.attempts - 1, lease_id=None)
+        )
 
     def forgive(self, holder: str) -> None:
         """End the leases of a worker that was ended for no reason of its work: that does not count against it."""

@@ -71,8 +71,8 @@ class AdhesionStore(RaisingStore):
 
     def looked_at(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, str]:
         """Return digests of the samples that the creep of windows was found from."""
-        own = tuple_(OF_WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns).in_(keys)
-        rows = self.connection.execute(select(*OF_WINDOWS.primary_key, OF_WINDOWS.c.content_digest).where(own))
+        of_keys = tuple_(OF_WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns).in_(keys)
+        rows = self.connection.execute(select(*OF_WINDOWS.primary_key, OF_WINDOWS.c.content_digest).where(of_keys))
         return {(row.wheelset, row.start_ns): row.content_digest for row in rows}
 
     def list_waiting(self, wheelset: str) -> None:
@@ -85,13 +85,13 @@ class AdhesionStore(RaisingStore):
         old = (WINDOWS.c.track_section == section, WINDOWS.c.start_ns < before_ns)
         list_due(self.connection, FRICTION, and_(*old, kept))
 
-    def put_all(self, found: Sequence[WindowAdhesion]) -> None:
+    def put_all(self, creeps: Sequence[WindowAdhesion]) -> None:
         """Store the creep of windows; earlier ones are replaced. Their sections pool them then."""
-        put_rows(self.connection, OF_WINDOWS, [_values(creep) for creep in found])
-        keys = [(creep.wheelset, creep.start_ns) for creep in found]
+        put_rows(self.connection, OF_WINDOWS, [_values(creep) for creep in creeps])
+        keys = [(creep.wheelset, creep.start_ns) for creep in creeps]
         if keys:
             list_due(self.connection, FRICTION, tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys))
-        for creep in found:
+        for creep in creeps:
             self.subjects.raised(SubjectKind.SECTION, creep.track_section, CREEP)
             self.subjects.raised(SubjectKind.VEHICLE, creep.vehicle, CREEP)
 
@@ -100,9 +100,9 @@ class AdhesionStore(RaisingStore):
 
         A window whose samples are others by now is left out until it has been looked at again.
         """
-        own = (OF_WINDOWS.c.wheelset == wheelset, OF_WINDOWS.c.content_digest == WINDOWS.c.content_digest)
+        of_windows = (OF_WINDOWS.c.wheelset == wheelset, OF_WINDOWS.c.content_digest == WINDOWS.c.content_digest)
         chosen = select(OF_WINDOWS).select_from(OF_WINDOWS.join(WINDOWS, SAME))
-        chosen = chosen.where(*own, *given(after_ns, OF_WINDOWS.c.start_ns.__gt__))
+        chosen = chosen.where(*of_windows, *given(after_ns, OF_WINDOWS.c.start_ns.__gt__))
         return self._windows(chosen.limit(limit))
 
     def of_section(self, section: str, from_ns: int, to_ns: int) -> Sequence[WindowAdhesion]:
@@ -129,23 +129,23 @@ class AdhesionStore(RaisingStore):
         replace_all(self.connection, OF_WINDOWS, [_values(replace(creep, sums=None)) for creep in with_sums])
         return len(with_sums)
 
-    def put_section(self, found: SectionAdhesion, code_version: str, made_with: str) -> bool:
+    def put_section(self, friction: SectionAdhesion, code_version: str, made_with: str) -> bool:
         """Store a section's friction; of hours that end within these, those that reach back furthest stay: no gaps."""
-        values = {name: getattr(found, name) for name in ("track_section", "to_ns", "from_ns")}
-        values |= {"code_version": code_version, "made_with": made_with, "packed": pack_value(found)}
-        before = row_of(self.connection, OF_SECTIONS, found.track_section, found.to_ns)
+        values = {name: getattr(friction, name) for name in ("track_section", "to_ns", "from_ns")}
+        values |= {"code_version": code_version, "made_with": made_with, "packed": pack_value(friction)}
+        before = row_of(self.connection, OF_SECTIONS, friction.track_section, friction.to_ns)
         if before is not None and all(before[name] == value for name, value in values.items() if name != "made_with"):
             if before["made_with"] != made_with:
                 replace_row(self.connection, OF_SECTIONS, values)
             return False
         within = (
-            OF_SECTIONS.c.track_section == found.track_section,
-            OF_SECTIONS.c.to_ns >= found.from_ns,
-            OF_SECTIONS.c.to_ns < found.to_ns,
+            OF_SECTIONS.c.track_section == friction.track_section,
+            OF_SECTIONS.c.to_ns >= friction.from_ns,
+            OF_SECTIONS.c.to_ns < friction.to_ns,
         )
         first = select(func.min(OF_SECTIONS.c.to_ns)).where(*within).scalar_subquery()
         self.connection.execute(delete(OF_SECTIONS).where(*within, OF_SECTIONS.c.to_ns > first))
-        self.subjects.raised(SubjectKind.SECTION, found.track_section, FRICTION)
+        self.subjects.raised(SubjectKind.SECTION, friction.track_section, FRICTION)
         return upsert(self.connection, OF_SECTIONS, values)
 
     def made_with(self, sections: Sequence[str]) -> Mapping[str, tuple[int, str]]:
@@ -241,12 +241,12 @@ class DamperStore:
     connection: Connection
     results: ResultStore
 
-    def put_all(self, found: Sequence[WindowDamper]) -> None:
+    def put_all(self, dampers: Sequence[WindowDamper]) -> None:
         """Store what windows say of dampers; what they said before is replaced."""
         plain = ("vehicle", "first_axle", "start_ns", "wheelset", "content_digest")
         rows = [
             {**{name: getattr(damper, name) for name in plain}, "packed": pack_window_damper(damper)}
-            for damper in found
+            for damper in dampers
         ]
         put_rows(self.connection, DAMPERS, rows)
 
@@ -258,15 +258,15 @@ class DamperStore:
 
     def newest(self, vehicle: str, first_axle: int, limit: int) -> Sequence[WindowDamper]:
         """Return what the newest windows of a running gear that are there unchanged say, newest first."""
-        own = (DAMPERS.c.vehicle == vehicle, DAMPERS.c.first_axle == first_axle)
-        statement = select(DAMPERS).select_from(DAMPERS.join(WINDOWS, SAME_DAMPER)).where(*own)
+        of_gear = (DAMPERS.c.vehicle == vehicle, DAMPERS.c.first_axle == first_axle)
+        statement = select(DAMPERS).select_from(DAMPERS.join(WINDOWS, SAME_DAMPER)).where(*of_gear)
         rows = self.connection.execute(statement.order_by(DAMPERS.c.start_ns.desc()).limit(limit))
         return [unpack_window_damper(row.packed, where=f"damper of {vehicle} axle {first_axle}") for row in rows]
 
     def forget(self, vehicle: str, first_axle: int, before_ns: int) -> int:
         """Remove what windows of a running gear say that began before a time; return of how many."""
-        own = (DAMPERS.c.vehicle == vehicle, DAMPERS.c.first_axle == first_axle)
-        return self.connection.execute(delete(DAMPERS).where(*own, DAMPERS.c.start_ns < before_ns)).rowcount
+        of_gear = (DAMPERS.c.vehicle == vehicle, DAMPERS.c.first_axle == first_axle)
+        return self.connection.execute(delete(DAMPERS).where(*of_gear, DAMPERS.c.start_ns < before_ns)).rowcount
 
     def of_vehicle(self, vehicle: str) -> Sequence[GearDamper]:
         """Return the dampers of a vehicle by axle."""
