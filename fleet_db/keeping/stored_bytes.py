@@ -284,12 +284,9 @@ def _running(connection: Connection, windows: int, hours_per_day: float | None) 
     chosen = serials[:: max(len(serials) // LOOKED_AT_WHEELSETS, 1)]
     lengths, rates = [], []
     for serial in chosen:
-        of_wheelset = WINDOWS.c.wheelset == serial
+        its_own = WINDOWS.c.wheelset == serial
         last = connection.execute(
-            select(WINDOWS.c.start_ns, WINDOWS.c.length_ns)
-            .where(of_wheelset)
-            .order_by(WINDOWS.c.start_ns.desc())
-            .limit(1)
+            select(WINDOWS.c.start_ns, WINDOWS.c.length_ns).where(its_own).order_by(WINDOWS.c.start_ns.desc()).limit(1)
         ).one()
         first = connection.scalar(select(func.min(WINDOWS.c.start_ns)).where(of_wheelset)) or 0
         from_ns = max(first, last.start_ns - RATE_DAYS * DAY_NS)

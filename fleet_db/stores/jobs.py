@@ -139,8 +139,8 @@ class WorkClaimStore(Store):
             self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease.number))
         begun = tuple_(CLAIMS.c.key, CLAIMS.c.begun_ns).in_(sorted(lease.begun_ns.items()))
         of_nobody = or_(CLAIMS.c.lease_id.is_(None), CLAIMS.c.lease_id == lease.number)
-        begun_since = (CLAIMS.c.stage == lease.stage, of_nobody, begun)
-        self.connection.execute(delete(CLAIMS).where(*begun_since, CLAIMS.c.attempts == 1))
+        late = (CLAIMS.c.stage == lease.stage, of_nobody, begun)
+        self.connection.execute(delete(CLAIMS).where(*late, CLAIMS.c.attempts == 1))
         self.connection.execute(
             update(CLAIMS).where(*begun_since).values(attempts=CLAIMS.c.attempts - 1, lease_id=None)
         )
