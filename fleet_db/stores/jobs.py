@@ -141,9 +141,7 @@ class WorkClaimStore(Store):
         of_nobody = or_(CLAIMS.c.lease_id.is_(None), CLAIMS.c.lease_id == lease.number)
         late = (CLAIMS.c.stage == lease.stage, of_nobody, begun)
         self.connection.execute(delete(CLAIMS).where(*late, CLAIMS.c.attempts == 1))
-        self.connection.execute(
-            update(CLAIMS).where(*begun_since).values(attempts=CLAIMS.c.attempts - 1, lease_id=None)
-        )
+        self.connection.execute(update(CLAIMS).where(*late).values(attempts=CLAIMS.c.attempts - 1, lease_id=None))
 
     def forgive(self, holder: str) -> None:
         """End the leases of a worker that was ended for no reason of its work: that does not count against it."""
