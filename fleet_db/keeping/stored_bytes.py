@@ -288,9 +288,9 @@ def _running(connection: Connection, windows: int, hours_per_day: float | None) 
         last = connection.execute(
             select(WINDOWS.c.start_ns, WINDOWS.c.length_ns).where(its_own).order_by(WINDOWS.c.start_ns.desc()).limit(1)
         ).one()
-        first = connection.scalar(select(func.min(WINDOWS.c.start_ns)).where(of_wheelset)) or 0
+        first = connection.scalar(select(func.min(WINDOWS.c.start_ns)).where(its_own)) or 0
         from_ns = max(first, last.start_ns - RATE_DAYS * DAY_NS)
-        count = connection.scalar(select(func.count()).where(of_wheelset, WINDOWS.c.start_ns >= from_ns)) or 0
+        count = connection.scalar(select(func.count()).where(its_own, WINDOWS.c.start_ns >= from_ns)) or 0
         days = max((last.start_ns + last.length_ns - from_ns) / DAY_NS, 1.0)
         lengths.append(last.length_ns / HOUR_NS)
         rates.append(count * last.length_ns / HOUR_NS / days)
