@@ -30,7 +30,6 @@ from api.page import routes as page
 from api.routes import (
     access,
     accuracy,
-    alert_feed,
     alerts,
     chunks,
     dated_records,
@@ -39,7 +38,6 @@ from api.routes import (
     health,
     jobs,
     opinions,
-    plans,
     recordings,
     registry_assets,
     registry_decisions,
@@ -58,7 +56,7 @@ RESOURCES = (
     vehicles.fleets_router,
     vehicles.router,
     worklist.router,
-    plans.router,
+    worklist.plans_router,
     dated_records.router,
     dated_records.vehicles_router,
     registry_assets.router,
@@ -67,7 +65,7 @@ RESOURCES = (
     opinions.router,
     design_contact.router,
     accuracy.router,
-    alert_feed.router,  # before the alerts, whose path it would be taken for
+    alerts.feed_router,  # before the alerts, whose path it would be taken for
     alerts.router,
     alerts.actions_router,
     jobs.router,
