@@ -52,7 +52,7 @@ class EstimatedAgain:
     subjects: tuple[str, ...] = ()  # codes of the vehicles, or the wheelset, of which something is
     windows: int = 0  # how many of their windows; 0 where only geometries are
     from_ns: int | None = None  # start of the oldest of their windows, on the vehicle's clock; None where there is none
-    sections: tuple[str, ...] = ()  # codes of the sections whose alignment is estimated from the begin
+    sections: tuple[str, ...] = ()  # codes of the sections that they helped to align
 
 
 NOTHING_AGAIN = EstimatedAgain()

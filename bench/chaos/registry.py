@@ -20,6 +20,7 @@ from bench.report import BenchRow
 from bench.small_fleets import Workload, deployed, small_fleet
 from estimation.jobs.job import JobContext
 from estimation.values.registry import Mounting, Reprofiling
+from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
@@ -106,6 +107,16 @@ def other_radius(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
     return []
 
 
+def other_class(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
+    """Enter another yaw stiffness for the class of the vehicles."""
+    was = unit.registry.vehicle_class(unit.registry.vehicle(VEHICLE).vehicle_class)
+    assert was is not None
+    parameters = was.vehicle_class.parameters
+    stiffer = replace(parameters, yaw_stiffness=parameters.yaw_stiffness * float(rng.uniform(1.2, 2.0)))
+    unit.registry.add_vehicle_class(replace(was.vehicle_class, parameters=stiffer), 1)
+    return [lambda unit: _class_again(unit, was.vehicle_class)]
+
+
 def other_offsets(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:
     """Enter axles at other places."""
     was = unit.registry.vehicle(VEHICLE)
@@ -127,6 +138,10 @@ def no_section(unit: SqlUnitOfWork, rng: np.random.Generator) -> list[Undo]:  # 
     return [lambda unit: _restored(unit, key)]
 
 
+def _class_again(unit: SqlUnitOfWork, right: VehicleClass) -> None:
+    unit.registry.add_vehicle_class(right, 2)
+
+
 def _restored(unit: SqlUnitOfWork, key: RecordKey) -> None:
     unit.corrections.restore(key, UNDONE)
 
@@ -139,6 +154,7 @@ MISTAKES = (
     ended_early,
     forgotten,
     other_radius,
+    other_class,
     other_offsets,
     other_number,
     no_section,

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
 from sqlalchemy import ColumnElement, Connection, and_, delete, exists, func, select
 
 from estimation.errors import ConflictError
-from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import SubjectKind, after_failure
-from estimation.values.track import AlignmentSource, TrackAlignment
 from estimation.values.windows import PassedOver
 from estimation.vehicle.vehicle_class import ClassOnFile, same_motion
 from fleet_db.due import positions_forgotten
@@ -20,8 +17,6 @@ from fleet_db.records import NOTHING_AGAIN, ChunkRecord, ChunkState, EstimatedAg
 from fleet_db.rows import table_of
 from fleet_db.stores.chunks import ChosenChunks, ChunkStore
 from fleet_db.stores.stage_marks import QuarantineStore
-from fleet_db.stores.track_epochs import EpochStore
-from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.window_rows import wait_again
 from fleet_db.subjects import Subjects
 from fleet_db.tables.track import TrackVersionRow, WindowPositionRow
@@ -37,7 +32,6 @@ class Again:
 
     connection: Connection
     subjects: Subjects
-    recorded_ns: int | None  # our time; None: that of the version that a section is restarted from
 
     def class_changed(
         self, vehicles: Sequence[str], before: ClassOnFile | None, after: ClassOnFile | None
@@ -50,11 +44,11 @@ class Again:
         return NOTHING_AGAIN if before.digest == after.digest else self.geometries(vehicles)
 
     def vehicles(self, codes: Sequence[str]) -> EstimatedAgain:
-        """Let all windows of some vehicles wait again, and start the sections again that they helped to align."""
+        """Let all windows of some vehicles wait again, and the epochs in which they helped to align a section."""
         return self._windows(tuple(codes), WINDOWS.c.vehicle.in_(codes))
 
     def wheelset(self, serial: str) -> EstimatedAgain:
-        """Let all windows of a wheelset wait again, and start the sections again that it helped to align."""
+        """Let all windows of a wheelset wait again, and the epochs in which it helped to align a section."""
         return self._windows((f"wheelset {serial}",), WINDOWS.c.wheelset == serial)
 
     def mounting(self, serial: str, from_ns: int, to_ns: int | None, *, there: bool) -> None:
@@ -67,11 +61,9 @@ class Again:
         windows, from_ns = self.connection.execute(
             select(func.count(), func.min(WINDOWS.c.start_ns)).where(chosen)
         ).one()
-        sections = self._aligned_by(chosen)
+        sections = tuple(self._aligned_by(chosen))
         self._wait(chosen, PassedOver.CLASS_CHANGED)
-        for section in sections:
-            self._restart(section)
-        return EstimatedAgain(names, int(windows), from_ns, tuple(sections))
+        return EstimatedAgain(names, int(windows), from_ns, sections)
 
     def geometries(self, codes: Sequence[str]) -> EstimatedAgain:
         """Return that only the geometries of the wheelsets of some vehicles are estimated again."""
@@ -86,42 +78,12 @@ class Again:
         statement = select(WINDOWS.c.track_section).where(chosen, of_fleet, placed).distinct()
         return sorted(self.connection.scalars(statement))
 
-    def _restart(self, section: str) -> None:
-        """Put the newest registered alignment of a section in force again; where there is none, none is known."""
-        tracks = TrackStore(self.connection, self.subjects)
-        now, before = tracks.alignment(section), tracks.in_force(section)
-        assert now is not None
-        assert before is not None
-        recorded_ns = before.recorded_ns if self.recorded_ns is None else self.recorded_ns
-        if recorded_ns is not None:  # a registered one is in force as it is
-            version = tracks.registered(section)
-            registered = None if version is None else tracks.alignment(section, version)
-            tracks.add_alignment(registered or _unknown(now), recorded_ns=recorded_ns)
-        EpochStore(self.connection, self.subjects).start_again(section)
-        self._wait(WINDOWS.c.track_section == section, PassedOver.SUPERSEDED)
-
     def _wait(self, chosen: ColumnElement[bool], what: PassedOver) -> None:
         """Let windows wait again, and forget where they were; those without samples stay as they are."""
         with_samples = WINDOWS.c.samples_purged_ns.is_(None)
         positions_forgotten(self.subjects, and_(chosen, with_samples))
         self.connection.execute(delete(POSITIONS).where(exists().where(OF_WINDOW, chosen, with_samples)))
         wait_again(self.subjects, chosen, what)
-
-
-def _unknown(alignment: TrackAlignment) -> TrackAlignment:
-    nothing = np.full(len(alignment.s), np.nan)
-    zero = np.zeros(len(alignment.s))
-    return replace(
-        alignment,
-        alignment=nothing,
-        alignment_std=nothing,
-        gauge_deviation=zero,
-        passes=zero.astype(np.int64),
-        status=Status.UNESTIMATED,
-        source=AlignmentSource.FLEET,
-        gauge_known=False,
-        findings=None,
-    )
 
 
 STAGE = "ingest"

@@ -239,7 +239,7 @@ class RegistryStore:
         if taken_out(self.connection, stored):
             RegistryHistoryStore(self.connection, self.subjects).note_return(key, document, self.decision)
         vehicles = [vehicle.code for vehicle in self.vehicles_of_class(vehicle_class.code)]
-        return Again(self.connection, self.subjects, recorded_ns).class_changed(vehicles, before, stored)
+        return Again(self.connection, self.subjects).class_changed(vehicles, before, stored)
 
     def add_fleet(self, record: FleetRecord) -> None:
         """Add a fleet or change its name."""
@@ -273,7 +273,7 @@ class RegistryStore:
         chunks = ChunkStore(self.connection, self.subjects)
         decode_undecoded(chunks, record.code, f"vehicle {record.code} is of another class now", recorded_ns or 0)
         before, after = self.vehicle_class(was.vehicle_class), self.vehicle_class(record.vehicle_class)
-        return Again(self.connection, self.subjects, recorded_ns).class_changed([record.code], before, after)
+        return Again(self.connection, self.subjects).class_changed([record.code], before, after)
 
     def add_wheelset(self, record: WheelsetRecord, recorded_ns: int | None = None) -> EstimatedAgain:
         """Add a wheelset with what it carries, or change it; return what another nominal radius estimates again."""
@@ -295,7 +295,7 @@ class RegistryStore:
             self.add_reprofiling(reprofiling)
         if was is None or was == record.nominal_radius_m:
             return NOTHING_AGAIN
-        return Again(self.connection, self.subjects, recorded_ns).wheelset(record.serial)
+        return Again(self.connection, self.subjects).wheelset(record.serial)
 
     def take_out(self, records: Sequence[Mounting]) -> dict[tuple[str, int], Mounting]:
         """Remove the mountings that others of the same wheelset and start will replace; return them by those."""
@@ -333,7 +333,7 @@ class RegistryStore:
             StaleSpanStore(self.connection).add(vehicle, from_ns, to_ns, f"mounting of wheelset {record.wheelset}")
             # windows that stay as they are may be of a mounting with another way round now
             there = _still_there(was, now, from_ns, to_ns)
-            Again(self.connection, self.subjects, recorded_ns).mounting(record.wheelset, from_ns, to_ns, there=there)
+            Again(self.connection, self.subjects).mounting(record.wheelset, from_ns, to_ns, there=there)
         list_due(self.connection, DueStage.MILEAGES, WINDOWS.c.wheelset == record.wheelset)
         if now is not None:
             key = RecordKey(RecordKind.MOUNTING, now.wheelset, now.from_ns)

@@ -132,7 +132,8 @@ def _scale(row: dict[str, Any], found: Compared) -> None:
             found.holds(f"{serial} {name} is 0 at {over}", truth=over is not None and over >= probability)
     conicity, limit = state["conicity_1"], state["limit_1"]
     if urgency == Urgency.UNKNOWN and conicity["value"] is not None and limit is not None and not state["alerts"]:
-        found.holds(f"{serial} is unknown far below its limit", truth=conicity["interval_95"][1] >= limit)
+        near = conicity["interval_95"][1] >= SCALE.far_below_share * limit
+        found.holds(f"{serial} is unknown near its limit only", truth=near)
 
 
 def _table(client: httpx.Client, rows: dict[str, dict[str, Any]], found: Compared) -> None:

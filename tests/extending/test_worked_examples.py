@@ -49,10 +49,14 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("example", ["alert_rule", "stage", "number", "estimator", "log_format", "profile_format"])
+@pytest.mark.parametrize(
+    "example",
+    ["alert_rule", "stage", "window_table", "window_number", "number", "estimator", "log_format", "profile_format"],
+)
 def test_the_example_works(extended: Path, tmp_path: Path, example: str) -> None:
     # the packages of the copy go before those beside the benches, which the tests' own helpers use
-    path = os.pathsep.join(map(str, (extended, ROOT / "tests" / "estimation", ROOT / "tests" / "api", ROOT)))
+    beside = [ROOT / "tests" / name for name in ("estimation", "fleet_db", "api")]
+    path = os.pathsep.join(map(str, (extended, *beside, ROOT)))
     command = [sys.executable, str(USES / f"use_{example}.py"), str(tmp_path)]
     done = subprocess.run(
         command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=False

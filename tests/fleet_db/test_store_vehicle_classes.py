@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import stored_values as make
 from due_geometries import due_geometries, see_geometries
@@ -12,8 +11,8 @@ from sqlalchemy import text
 
 from bench.put_values import put_table
 from estimation.errors import DamagedError
-from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.runs import Facet, StageInputs, SubjectKind
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import WindowPosition, WindowState
 from estimation.vehicle.vehicle_class import (
@@ -158,32 +157,25 @@ def test_a_wheelset_of_another_radius_than_before_is_estimated_again_alone(fleet
     assert pending(fleet) == {"WS-1": [WindowState.ESTIMATED] * 2, "WS-2": [WindowState.PENDING]}
 
 
-@pytest.mark.parametrize("surveyed", [True, False])
-def test_a_section_that_the_vehicles_helped_to_align_begins_again(fleet: SqlStorage, *, surveyed: bool) -> None:
+def test_a_section_that_the_vehicles_helped_to_align_is_due_and_its_alignment_stays_until_then(
+    fleet: SqlStorage,
+) -> None:
     of_fleet = replace(make.alignment(2), source=AlignmentSource.FLEET, cutoff_wavelength=100.0)
     with fleet.write() as unit:
         unit.registry.add_vehicle_class(COACH, 100)
         unit.registry.add_vehicle_class(replace(COACH, code="other"), 100)
         unit.registry.add_vehicle(replace(unit.registry.vehicle("V-2"), vehicle_class="other"))
-        if surveyed:
-            unit.tracks.add_alignment(make.alignment(1))
         unit.tracks.add_alignment(of_fleet, recorded_ns=150)
     estimated(fleet)
     with fleet.write() as unit:
+        before = unit.tracks.in_force("S-7")
         assert unit.registry.add_vehicle_class(STIFFER, 200).sections == ("S-7",)
-        now, record = unit.tracks.alignment("S-7"), unit.tracks.in_force("S-7")
-        assert unit.tracks.position("WS-2", make.window(2).start_ns) is None
-    assert now is not None
-    assert record is not None
-    assert record.recorded_ns == 200
-    if surveyed:
-        assert (record.source, record.version) == (AlignmentSource.RECORDED, 3)
-        assert np.array_equal(now.alignment, make.alignment(1).alignment)
-    else:
-        assert (record.source, record.status) == (AlignmentSource.FLEET, Status.UNESTIMATED)
-        assert np.isnan(now.alignment).all()
-        assert not now.gauge_known
-    assert pending(fleet) == {"WS-1": [WindowState.PENDING] * 2, "WS-2": [WindowState.PENDING]}
+        assert unit.tracks.in_force("S-7") == before
+        assert unit.tracks.position("WS-1", make.START) is None
+        assert unit.tracks.position("WS-2", make.window(2).start_ns) is not None
+        inputs = StageInputs("alignment", SubjectKind.SECTION, (Facet.WINDOWS,), "")
+        assert set(unit.marks.due(inputs, 300)) == {"S-7"}
+    assert pending(fleet) == {"WS-1": [WindowState.PENDING] * 2, "WS-2": [WindowState.ESTIMATED]}
 
 
 def test_windows_that_were_refused_for_want_of_a_class_wait_again(fleet: SqlStorage) -> None:
