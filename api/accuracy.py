@@ -13,7 +13,6 @@ from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
 from estimation.errors import DamagedError
 from estimation.jobs.steps.measured_wheelsets import ComparisonReader
 from estimation.values.reasons import Reason
-from estimation.values.registry import Mounting
 from estimation.values.runs import code_of_error, first_line
 from fleet_db.storage import SqlUnitOfWork
 
@@ -54,17 +53,12 @@ def _of_wheelset(
         record = comparison.estimate.record
         at_ns = comparison.measurement.at_ns
         sections = () if record is None else tuple(sorted(record.track_versions))
-        vehicle = _vehicle_at(mountings, at_ns)
+        before = [mounting for mounting in mountings if mounting.from_ns <= at_ns]  # or was last: in the depot too
+        vehicle = max(before, key=lambda mounting: mounting.from_ns).vehicle if before else None
         if vehicle is not None and vehicle not in classes:
             classes[vehicle] = unit.registry.vehicle(vehicle).vehicle_class
         of_class = None if vehicle is None else classes[vehicle]
         yield at_ns, PlacedComparison(comparison, of_class, sections)
-
-
-def _vehicle_at(mountings: Sequence[Mounting], at_ns: int) -> str | None:
-    """Return the vehicle that a wheelset was mounted on, or had been last: profiles are measured in the depot too."""
-    before = [mounting for mounting in mountings if mounting.from_ns <= at_ns]
-    return max(before, key=lambda mounting: mounting.from_ns).vehicle if before else None
 
 
 MOST_KEPT = 2048  # each takes some 8 kB

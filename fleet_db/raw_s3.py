@@ -25,7 +25,7 @@ from fleet_db.raw import (
     check_size,
     recording_name,
 )
-from fleet_db.s3_bucket import PART_BYTES, ObjectFacts, S3Bucket
+from fleet_db.s3_bucket import PART_BYTES, S3Bucket
 
 AT_ONCE = 8  # recordings of one call that are sent at the same time
 MARK_BYTES = 100
@@ -150,7 +150,7 @@ class S3RawStore(RawStore):
     def _read_back(self, name: str, file: IncomingFile, tags: frozenset[str]) -> None:
         """Raise PassingFaultError unless the object is what was sent: by its ETag, or else by its content."""
         stored = self._bucket.facts(name)
-        if stored is not None and _is_sent(stored, file.size_bytes, tags):
+        if stored is not None and stored.size_bytes == file.size_bytes and stored.e_tag.lower() in tags:
             return
         fault = self.fault(file.digest, file.suffix, file.size_bytes)
         if fault is not None:  # it stays: another process may have put the same recording meanwhile
@@ -182,10 +182,6 @@ class S3RawStore(RawStore):
 def _digest_in(name: str) -> str | None:
     form = _NAME.fullmatch(name)
     return None if form is None or form[1] != form[2][:2] else form[2]
-
-
-def _is_sent(stored: ObjectFacts, size_bytes: int, tags: frozenset[str]) -> bool:
-    return stored.size_bytes == size_bytes and stored.e_tag.lower() in tags
 
 
 def _tags_of(path: Path) -> frozenset[str]:

@@ -227,7 +227,8 @@ def _column_readers(kind: Hashable) -> Mapping[str, Callable[[Any], Any] | None]
 
 
 def _column_reader(hint: Any) -> Callable[[Any], Any] | None:  # noqa: ANN401 - a type as it is declared
-    declared = next((part for part in get_args(hint) if part is not type(None)), hint) if _optional(hint) else hint
+    parts = get_args(hint)
+    declared = next((part for part in parts if part is not type(None)), hint) if type(None) in parts else hint
     plain = get_origin(declared) or declared
     if plain is Reason:
         return stored_reason
@@ -235,10 +236,6 @@ def _column_reader(hint: Any) -> Callable[[Any], Any] | None:  # noqa: ANN401 - 
         return None
     read = Members(plain).__getitem__ if issubclass(plain, Enum) else plain
     return lambda stored: None if stored is None else read(stored)
-
-
-def _optional(hint: Any) -> bool:  # noqa: ANN401 - the same
-    return type(None) in get_args(hint)
 
 
 def reason_columns(reason: Reason | None) -> dict[str, str | None]:

@@ -188,12 +188,8 @@ def reading_engine(engine: Engine) -> Engine:
     if engine.dialect.name != "sqlite":
         return engine
     reading = _sqlite_engine(engine.url)
-    event.listen(reading, "connect", _forbid_writing)
+    event.listen(reading, "connect", lambda connection, _: connection.execute("PRAGMA query_only = ON").close())
     return reading
-
-
-def _forbid_writing(connection: Any, _entry: ConnectionPoolEntry) -> None:  # noqa: ANN401 - the driver's own type
-    connection.execute("PRAGMA query_only = ON").close()
 
 
 def _prepare_sqlite(connection: Any, _entry: ConnectionPoolEntry) -> None:  # noqa: ANN401 - the driver's own type

@@ -147,16 +147,12 @@ def _describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[s
             names = {"X-Request-Id", *_STREAM}
         if status.startswith("2") and method.upper() == HTTPMethod.POST:
             names.add("Idempotency-Replayed")
-        if status == "200" and _is_page(response, schemas):
+        reference = response.get("content", {}).get("application/json", {}).get("schema", {}).get("$ref", "")
+        if status == "200" and _PAGED in schemas.get(reference.rpartition("/")[2], {}).get("properties", {}):
             names.add("Link")
         described = response.setdefault("headers", {})
         for name in sorted(names):
             described.setdefault(name, {"$ref": f"#/components/headers/{name}"})
-
-
-def _is_page(response: Mapping[str, Any], schemas: Mapping[str, Any]) -> bool:
-    reference = response.get("content", {}).get("application/json", {}).get("schema", {}).get("$ref", "")
-    return _PAGED in schemas.get(reference.rsplit("/", maxsplit=1)[-1], {}).get("properties", {})
 
 
 def _describe_tables(app: FastAPI, document: dict[str, Any]) -> None:
@@ -271,7 +267,7 @@ def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
     described["components"]["headers"] = {
         name: {"description": text, "schema": {"type": "string"}} for name, text in RESPONSE_HEADERS.items()
     }
-    describe_properties(described["components"]["schemas"])
+    describe_properties(schemas)
     described["components"]["securitySchemes"] = {KEY: SCHEME}
     for path, operations in described["paths"].items():
         for method, operation in operations.items():

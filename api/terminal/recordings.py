@@ -78,13 +78,5 @@ def _change_line(change: RecordingChange) -> str:
 
 def _quarantine_line(item: Quarantined) -> tuple[str, ...]:
     times = (to_rfc3339(item.first_ns), to_rfc3339(item.last_ns), to_rfc3339(item.due_ns))
-    return (
-        item.kind.value,
-        item.key,
-        item.stage,
-        item.state.value,
-        item.code.value,
-        str(item.attempts),
-        *times,
-        item.error,
-    )
+    place = (item.kind.value, item.key, item.stage)
+    return (*place, item.state.value, item.code.value, str(item.attempts), *times, item.error)

@@ -227,22 +227,17 @@ class Deliveries:
             return None
         with self.storage.seen_by(webhook.bound).read() as unit:
             newest, branches = unit.feed_branches.newest_sequence(), unit.feed_branches.all()
-            events = unit.alerts.feed(
-                webhook.position, 1, fleets=webhook.fleets, kinds=webhook.kinds, severities=webhook.severities
-            )
-        if not events:
-            self._looked_through(webhook, newest)
+            chosen = {"fleets": webhook.fleets, "kinds": webhook.kinds, "severities": webhook.severities}
+            events = unit.alerts.feed(webhook.position, 1, **chosen)
+        if not events:  # up to here there is nothing for it, which the database keeps where that is far
+            self._looked[webhook.webhook_id] = (webhook.revision, webhook.position, newest)
+            if newest - webhook.position >= PASSED_AT_ONCE:
+                with self.storage.write() as unit:
+                    unit.webhooks.passed(webhook, newest)
             return None
         if waiting is None or waiting.sequence != events[0].sequence:
             waiting = begun(webhook, events[0], event_id(webhook.bound, branches, events[0]), now_ns)
         return _Next(webhook, waiting, events[0], branches, secrets)
-
-    def _looked_through(self, webhook: Webhook, newest: int) -> None:
-        """Remember that up to here there is nothing for a webhook; in the database where that is far."""
-        self._looked[webhook.webhook_id] = (webhook.revision, webhook.position, newest)
-        if newest - webhook.position >= PASSED_AT_ONCE:
-            with self.storage.write() as unit:
-                unit.webhooks.passed(webhook, newest)
 
     async def _send(self, due: _Next) -> Outcome:
         """Return what came back; what fails here is a failure of the attempt, and is tried again as any other."""
