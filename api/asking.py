@@ -237,10 +237,10 @@ class AskedChange(Asked):
         return key, hashlib.sha256(orjson.dumps(asked)).hexdigest()
 
     def _earlier(self, unit: SqlUnitOfWork, key: str | None, digest: str) -> Response | None:
-        known = None if key is None else unit.idempotency.get(key)
-        if known is None:
+        stored = None if key is None else unit.idempotency.get(key)
+        if stored is None:
             return None
-        earlier, status, body = known
+        earlier, status, body = stored
         if earlier != digest:
             detail = "this Idempotency-Key was used for another request; use a new one"
             raise ProblemError(422, "idempotency-key-reused", detail)

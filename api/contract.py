@@ -60,17 +60,17 @@ def _contract_of(operation: Mapping[str, Any]) -> OperationContract:
 
 
 def _refuse_unknown_parameters(request: Request, contract: OperationContract) -> None:
-    known = contract.query_parameters
+    parameters = contract.query_parameters
     names = [name for name, _ in request.query_params.multi_items()]
     items = [
         ProblemItem(part="query", pointer=pointer([name]), detail="there is no such parameter")
         for name in dict.fromkeys(names)
-        if name not in known
+        if name not in parameters
     ]
     items += [
         ProblemItem(part="query", pointer=pointer([name]), detail="may be given once only")
         for name in dict.fromkeys(names)
-        if name in known - contract.repeatable and names.count(name) > 1
+        if name in parameters - contract.repeatable and names.count(name) > 1
     ]
     if items:
         detail = f"query {items[0].pointer}: {items[0].detail}"

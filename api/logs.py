@@ -147,9 +147,9 @@ class FaultLedger:
 
     def admits(self, fault: Fault, now_s: float) -> bool:
         """Return whether this occurrence is to be written in full; otherwise it is counted."""
-        known = self._seen.get(fault)
-        if known is not None and now_s - known.full_at_s < FULL_AGAIN_S:
-            known.repeats += 1
+        earlier = self._seen.get(fault)
+        if earlier is not None and now_s - earlier.full_at_s < FULL_AGAIN_S:
+            earlier.repeats += 1
             self._seen.move_to_end(fault)
             return False
         self._seen[fault] = _Seen(now_s, now_s)
@@ -159,11 +159,11 @@ class FaultLedger:
 
     def due(self, now_s: float, after_s: float = SUMMARY_S) -> Iterator[tuple[Fault, int, float]]:
         """Yield the faults to be summed up: which, how often it came back, within how many seconds."""
-        for fault, known in self._seen.items():
-            since_s = now_s - known.written_at_s
-            if known.repeats and since_s >= after_s:
-                yield fault, known.repeats, since_s
-                known.repeats, known.written_at_s = 0, now_s
+        for fault, counted in self._seen.items():
+            since_s = now_s - counted.written_at_s
+            if counted.repeats and since_s >= after_s:
+                yield fault, counted.repeats, since_s
+                counted.repeats, counted.written_at_s = 0, now_s
 
 
 HIDDEN = "***"

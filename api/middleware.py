@@ -91,8 +91,8 @@ class Turn:
 
     def left_s(self, timeout_s: float) -> float:
         """Return how long the answer may still take; while it waits for news, how long until this is asked again."""
-        left = timeout_s - (time.monotonic() - self._began - self._waited_s)
-        return timeout_s if self.waiting else max(0.0, left)
+        left_s = timeout_s - (time.monotonic() - self._began - self._waited_s)
+        return timeout_s if self.waiting else max(0.0, left_s)
 
 
 def turn_of(scope: Scope) -> Turn:

@@ -126,9 +126,9 @@ class Subjects:
         if vehicles:
             following.append(mounted.where(MOUNTINGS.c.vehicle.in_(sorted(vehicles))))
         if trends:
-            own = (BESIDE.c.wheelset.in_(sorted(trends)), BESIDE.c.to_ns.is_(None))
+            lasting = (BESIDE.c.wheelset.in_(sorted(trends)), BESIDE.c.to_ns.is_(None))
             same = (BESIDE.c.vehicle == MOUNTINGS.c.vehicle, BESIDE.c.wheelset != MOUNTINGS.c.wheelset)
-            following.append(mounted.where(WITH_STEP, exists().where(*own, *same)))
+            following.append(mounted.where(WITH_STEP, exists().where(*lasting, *same)))
         if any(kind == "section" and facet == Facet.REGISTRY for kind, _, facet in self._raised):
             following.append(mounted.where(WITH_STEP))
         for statement in following:
@@ -181,12 +181,12 @@ class ReadOnce:
         self, kind: str, keys: Collection[Key], read: Callable[[Collection[Key]], Mapping[Key, Record]]
     ) -> dict[Key, Record]:
         """Return records by key, of which ``read`` reads those that are missing; a key without one is left out."""
-        known = self._of_kind(kind)
-        missing = [key for key in dict.fromkeys(keys) if key not in known]
+        records = self._of_kind(kind)
+        missing = [key for key in dict.fromkeys(keys) if key not in records]
         if missing:
             read_now = read(missing)
-            known.update((key, read_now.get(key)) for key in missing)
-        return {key: known[key] for key in keys if known[key] is not None}
+            records.update((key, read_now.get(key)) for key in missing)
+        return {key: records[key] for key in keys if records[key] is not None}
 
     def renew(self, version: str | None) -> None:
         """Let what others have changed meanwhile be seen; a transaction that writes remembers nothing."""

@@ -91,8 +91,8 @@ class KeyRing:
         if prefix is None:
             return None
         digest = digest_of(token)
-        known = self._known.get(digest)
-        age_s = float("inf") if known is None else time.monotonic() - known.read_s
+        read = self._known.get(digest)
+        age_s = float("inf") if read is None else time.monotonic() - read.read_s
         if age_s >= AGAIN_S:
             reading = self._reading.get(digest)
             if reading is None:
@@ -101,8 +101,8 @@ class KeyRing:
             if age_s >= AT_MOST_S:
                 key = await asyncio.shield(reading)
                 return key if key is not None and key.usable(now_ns) else None
-        assert known is not None
-        return known.key if known.key.usable(now_ns) else None
+        assert read is not None
+        return read.key if read.key.usable(now_ns) else None
 
     def _ended(self, digest: str, task: asyncio.Task[ApiKey | None]) -> None:
         del self._reading[digest]

@@ -236,8 +236,8 @@ def draw_errors(axes: Axes, study: PairStudy) -> None:
             if score.errors:
                 axes.hlines(score.median, x - 0.4 * step, x + 0.4 * step, color=colour, linewidth=2.5)
         if not any(item.errors for item in study.scores if item.track is track):
-            at = axes.get_xaxis_transform()
-            axes.text(place, 0.5, "nothing estimated", transform=at, ha="center", color="dimgrey", fontsize=9)
+            transform = axes.get_xaxis_transform()
+            axes.text(place, 0.5, "nothing estimated", transform=transform, ha="center", color="dimgrey", fontsize=9)
     axes.set_xlim(-0.5, len(tracks) - 0.5)
     axes.set_xticks(range(len(tracks)), [f"track\n{TRACKS[track]}" for track in tracks])
     axes.set_yscale("log")

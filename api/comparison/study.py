@@ -64,9 +64,9 @@ def conicity_errors(geometry: WheelsetGeometry, truth: TrueWheelset) -> list[tup
     """Return error and whether the 95 % interval holds the truth at each amplitude of the truth; None: no estimate."""
     compared: list[tuple[float, bool] | None] = []
     for amplitude, true in zip(truth.amplitude, truth.conicity, strict=True):
-        at = int(np.argmin(np.abs(geometry.amplitude - amplitude)))
-        estimate = geometry.conicity[at]
-        same = bool(np.isclose(geometry.amplitude[at], amplitude, rtol=0.0, atol=1e-9))
+        nearest = int(np.argmin(np.abs(geometry.amplitude - amplitude)))
+        estimate = geometry.conicity[nearest]
+        same = bool(np.isclose(geometry.amplitude[nearest], amplitude, rtol=0.0, atol=1e-9))
         if not same or estimate.value is None or estimate.low is None or estimate.high is None:
             compared.append(None)
         else:
@@ -76,8 +76,8 @@ def conicity_errors(geometry: WheelsetGeometry, truth: TrueWheelset) -> list[tup
 
 def _wheelset(serial: str, facts: dict[str, Any]) -> TrueWheelset:
     conicity = np.array([np.nan if value is None else value for value in facts["equivalent_conicity"]])
-    known = 1e-3 * np.array(facts["amplitude_mm"])
-    chosen = [int(np.argmin(np.abs(known - amplitude))) for amplitude in AMPLITUDES]
+    amplitudes = 1e-3 * np.array(facts["amplitude_mm"])
+    chosen = [int(np.argmin(np.abs(amplitudes - amplitude))) for amplitude in AMPLITUDES]
     return TrueWheelset(
         serial=serial,
         displacement=1e-3 * np.array(facts["lateral_displacement_mm"]),

@@ -157,11 +157,11 @@ def _table(title: str, head: Sequence[str], rows: list[list[str]], wheelsets: li
 
 
 def _estimate_cells(line: WheelsetLine) -> list[str]:
-    known = line.value is not None
+    is_known = line.value is not None
     return [
         "" if line.mileage_km is None else f"{line.mileage_km:,.0f}",
         "" if line.true is None else f"{line.true:.3f}",
-        f"{line.value:.3f} [{line.low:.3f}, {line.high:.3f}]" if known else "unknown",
+        f"{line.value:.3f} [{line.low:.3f}, {line.high:.3f}]" if is_known else "unknown",
         {True: "yes", False: "[red]no[/red]", None: ""}[line.covers],
     ]
 
@@ -219,8 +219,8 @@ def _low(service: ServiceAddress, section: str) -> str:
     parts = []
     for stretch in friction["low_stretches"]:
         inside = [place for place in friction["places"] if stretch["from_m"] <= place["from_m"] < stretch["to_m"]]
-        known = [place["friction_1"]["value"] for place in inside if place["friction_1"]["value"] is not None]
-        parts.append(f"{stretch['from_m']:g} to {stretch['to_m']:g} m, friction {min(known):.2f} to {max(known):.2f}")
+        values = [place["friction_1"]["value"] for place in inside if place["friction_1"]["value"] is not None]
+        parts.append(f"{stretch['from_m']:g} to {stretch['to_m']:g} m, friction {min(values):.2f} to {max(values):.2f}")
     return f"track {section}: alert of low adhesion in the feed, at {'; '.join(parts)}"
 
 
@@ -230,14 +230,14 @@ def track_lines(service: ServiceAddress) -> list[str]:
 
 
 def _section_line(service: ServiceAddress, section: dict[str, Any]) -> str:
-    at = _path("track-sections", section["code"])
+    path = _path("track-sections", section["code"])
     versions: list[dict[str, Any]] = []
-    following: str | None = f"{at}/alignments?limit=1000"
+    following: str | None = f"{path}/alignments?limit=1000"
     while following is not None:
         page = get(service, following)
         versions += page["items"]
         following = page["next"]
-    report = get(service, f"{at}/alignment-report")
+    report = get(service, f"{path}/alignment-report")
     head = f"track {section['code']}, {section['length_m'] / 1000:g} km"
     if not versions:
         reason = f": {report['reason']}" if report and report["reason"] else ""

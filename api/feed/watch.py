@@ -156,12 +156,12 @@ class FeedWatch:
         storage = self._storage()
         if storage is None:
             return
-        known = self._newest
+        newest_known = self._newest
         newest, pages = await run_in_threadpool(_news, storage, tuple(self._channels.values()))
-        if newest < known:  # the database was restored: cursors have to be looked at again
+        if newest < newest_known:  # the database was restored: cursors have to be looked at again
             self.histories += 1
             self._channels.clear()
-        self._newest = newest if newest < known else max(newest, self._newest)
+        self._newest = newest if newest < newest_known else max(newest, self._newest)
         for channel, page in pages:
             channel.take(page)
         if pages or not self._channels:

@@ -38,9 +38,9 @@ class Key(
     scopes: list[Scope] = Field(description="What it allows; each scope stands for itself alone.")
 
     @classmethod
-    def made(cls, value: ApiKey, **own: Any) -> Self:  # noqa: ANN401 - as of every derived class
+    def made(cls, value: ApiKey, **more: Any) -> Self:  # noqa: ANN401 - as of every derived class
         """Return the representation of a key, its scopes in their order."""
-        return super().made(value, scopes=[scope for scope in Scope if scope in value.scopes], **own)
+        return super().made(value, scopes=[scope for scope in Scope if scope in value.scopes], **more)
 
 
 class NewKey(Body):

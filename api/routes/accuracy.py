@@ -134,7 +134,7 @@ class ProfileComparison(Representation):
 
 def _profile_comparison(comparison: Comparison) -> ProfileComparison:
     measured, record = comparison.measurement, comparison.estimate.record
-    own = f"/v1/wheelsets/{segment(measured.wheelset)}"
+    path = f"/v1/wheelsets/{segment(measured.wheelset)}"
     return ProfileComparison(
         wheelset=measured.wheelset,
         measured_at=to_rfc3339(measured.at_ns),
@@ -154,8 +154,8 @@ def _profile_comparison(comparison: Comparison) -> ProfileComparison:
         ],
         links={
             "self": _comparison_path(measured.wheelset, measured.at_ns),
-            "wheelset": own,
-            "measured_profiles": f"{own}/measured-profiles",
+            "wheelset": path,
+            "measured_profiles": f"{path}/measured-profiles",
             "accuracy": "/v1/accuracy",
         },
     )
@@ -192,11 +192,11 @@ def _at_bins(comparison: Comparison) -> MeasuredAtBins | None:
     geometry, x = record.geometry, contact.displacement
     if not np.isfinite(geometry.rolling_radius_difference.value).any():
         return None
-    known = np.isfinite(contact.radius_difference)
-    origin = curve_origin(geometry, x[known], contact.radius_difference[known], contact.zero_crossing)
-    at = geometry.bin_centres + origin.displacement
-    value = np.interp(at, x, contact.radius_difference, left=np.nan, right=np.nan) - origin.difference
-    std = np.interp(at, x, contact.radius_difference_std, left=np.nan, right=np.nan)
+    touching = np.isfinite(contact.radius_difference)
+    origin = curve_origin(geometry, x[touching], contact.radius_difference[touching], contact.zero_crossing)
+    places = geometry.bin_centres + origin.displacement
+    value = np.interp(places, x, contact.radius_difference, left=np.nan, right=np.nan) - origin.difference
+    std = np.interp(places, x, contact.radius_difference_std, left=np.nan, right=np.nan)
     return MeasuredAtBins(
         origin_displacement_mm=origin.displacement * MM,
         origin_radius_difference_mm=origin.difference * MM,
@@ -213,9 +213,9 @@ class Coverage(Derived, of=CoverageCount, also=("fraction",)):
     )
 
     @classmethod
-    def made(cls, value: CoverageCount, **own: Any) -> Self:  # noqa: ANN401 - as of every derived class
+    def made(cls, value: CoverageCount, **more: Any) -> Self:  # noqa: ANN401 - as of every derived class
         """Return the representation of a count."""
-        return super().made(value, fraction_interval_95_1=value.interval_95, **own)
+        return super().made(value, fraction_interval_95_1=value.interval_95, **more)
 
 
 class CoverageOfGroup(Derived, of=CoveragePair):

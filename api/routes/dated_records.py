@@ -189,8 +189,8 @@ def exchange_wheelset(asked: ChangeDep, serial: Serial, body: Exchange) -> Respo
     """
     change = RegistryRequest(asked, body)
     change.visible(lambda unit: unit.registry.wheelset(body.fitted))
-    at = {"to": "exchanged_at", "from": "exchanged_at"}
-    source = BodySource({**at, "wheelset_mileage_km": "fitted_mileage_km", "wheelset": "fitted"})
+    times = {"to": "exchanged_at", "from": "exchanged_at"}
+    source = BodySource({**times, "wheelset_mileage_km": "fitted_mileage_km", "wheelset": "fitted"})
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> ExchangeRecord:
         ended = _ended(unit, serial, body.exchanged_at)

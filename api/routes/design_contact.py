@@ -130,13 +130,13 @@ def get_design_contact(asked: AskedDep, accepted: Accepted, serial: Serial) -> R
         wheelset = unit.registry.wheelset(serial)
         rails = comparison_reader(asked.services, unit).rails(serial, unit.geometries.current(serial))
         design = _design(asked.services, wheelset, rails)
-    own = f"/v1/wheelsets/{segment(wheelset.serial)}"
+    path = f"/v1/wheelsets/{segment(wheelset.serial)}"
     body = DesignContact(
         wheelset=wheelset.serial,
         wheel_profile=wheelset.wheel_profile,
         nominal_radius_mm=wheelset.nominal_radius_m * MM,
         contact=profile_contact(design),
-        links={"self": f"{own}/contact", "wheelset": own, "geometry": f"{own}/geometry"},
+        links={"self": f"{path}/contact", "wheelset": path, "geometry": f"{path}/geometry"},
     )
     return answer_payload(asked.request, table_payload(body, accepted, lambda shown: table(shown.contact)), accepted)
 

@@ -91,7 +91,7 @@ def _run(record: JobRunValue, caller: Caller) -> JobRun:
 
 
 def _job(services: Services, caller: Caller, name: str) -> Job:
-    job, own = services.job(name), f"/v1/jobs/{segment(name)}"
+    job, path = services.job(name), f"/v1/jobs/{segment(name)}"
     with services.storage.read() as unit:
         last = next(iter(unit.jobs.page(name, None, 1)), None)
     return Job(
@@ -100,7 +100,7 @@ def _job(services: Services, caller: Caller, name: str) -> Job:
         every_s=job.every_s,
         last_run=None if last is None else _run(last, caller),
         next_due_at=None if last is None else to_rfc3339(last.started_ns + int(job.every_s * 1e9)),
-        links={"self": own, "runs": f"{own}/runs"},
+        links={"self": path, "runs": f"{path}/runs"},
     )
 
 

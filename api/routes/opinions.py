@@ -117,9 +117,9 @@ class WheelsetRails(_WheelPart, of=WheelsFinding, without=("amplitude", "part"))
 
 
 def section_rails(result: Result[RailsFinding]) -> SectionRails:
-    """Return the representation of what was result of a section's rails."""
+    """Return the representation of what was found of a section's rails."""
     assert result.value is not None
-    record, own = result.value, f"/v1/track-sections/{segment(result.subject)}"
+    record, path = result.value, f"/v1/track-sections/{segment(result.subject)}"
     no_trend = record.no_trend if record.trend is None else None
     return SectionRails.made(
         record,
@@ -128,14 +128,14 @@ def section_rails(result: Result[RailsFinding]) -> SectionRails:
         periods=[_period(part, record.amplitude) for part in record.periods],
         trend_reason=text_of(no_trend),
         trend_reason_code=code_of(no_trend),
-        links={"self": f"{own}/rails", "track_section": own},
+        links={"self": f"{path}/rails", "track_section": path},
     )
 
 
 def wheelset_rails(result: Result[WheelsFinding], geometry: GeometryRecord | None) -> WheelsetRails:
     """Return the representation of a wheelset's wheels, beside its geometry."""
     assert result.value is not None
-    record, part, own = result.value, result.value.part, f"/v1/wheelsets/{segment(result.subject)}"
+    record, part, path = result.value, result.value.part, f"/v1/wheelsets/{segment(result.subject)}"
     rows = []
     for amplitude, apart in zip(record.amplitude, part.conicity, strict=True):
         beside = ((ConicityMethod.WHEEL_AND_RAIL_APART, apart), (ConicityMethod.GEOMETRY, _at(geometry, amplitude)))
@@ -153,9 +153,9 @@ def wheelset_rails(result: Result[WheelsFinding], geometry: GeometryRecord | Non
         by_amplitude=rows,
         status=Status.ESTIMATED if is_known else Status.UNESTIMATED,
         links={
-            "self": f"{own}/rails",
-            "wheelset": own,
-            "geometry": f"{own}/geometry",
+            "self": f"{path}/rails",
+            "wheelset": path,
+            "geometry": f"{path}/geometry",
             **{f"rails:{code}": f"/v1/track-sections/{segment(code)}/rails" for code in part.sections},
         },
     )
@@ -204,9 +204,9 @@ class PlaceFriction(Derived, of=CellFriction, without=("cell", "at_least", "vehi
     at_least_1: float | None = Field(description="Lower end of the 95 % interval; null where nothing is known.")
 
     @classmethod
-    def made(cls, value: CellFriction, **own: Any) -> Self:  # noqa: ANN401 - as of every derived class
+    def made(cls, value: CellFriction, **more: Any) -> Self:  # noqa: ANN401 - as of every derived class
         """Return the representation of a place."""
-        return super().made(value, at_least_1=value.at_least or None, **own)
+        return super().made(value, at_least_1=value.at_least or None, **more)
 
 
 class LeftOutFriction(Derived, of=LeftOut):
@@ -222,11 +222,11 @@ class SectionAdhesion(Derived, of=FrictionValue, without=("certain_stretches",))
 
 def section_adhesion(friction: FrictionValue) -> SectionAdhesion:
     """Return the representation of the friction of a section."""
-    own = f"/v1/track-sections/{segment(friction.track_section)}"
+    path = f"/v1/track-sections/{segment(friction.track_section)}"
     return SectionAdhesion.made(
         friction,
         low_stretches=[Stretch(**dict(zip(("from_m", "to_m"), ends, strict=True))) for ends in friction.low_stretches],
-        links={"self": f"{own}/adhesion", "section": own, "alerts": "/v1/alerts?kind=low_adhesion"},
+        links={"self": f"{path}/adhesion", "section": path, "alerts": "/v1/alerts?kind=low_adhesion"},
     )
 
 
@@ -263,7 +263,7 @@ class SignatureAnswer(_Said, of=SignatureFinding, without=("answer", "signatures
 def signature_answer(result: Result[SignatureFinding], seen: Collection[str]) -> SignatureAnswer:
     """Return the representation of an answer."""
     assert result.value is not None
-    said, own = result.value.answer, f"/v1/wheelsets/{segment(result.subject)}"
+    said, path = result.value.answer, f"/v1/wheelsets/{segment(result.subject)}"
     return SignatureAnswer.made(
         result.value,
         **provenance(result),
@@ -271,7 +271,12 @@ def signature_answer(result: Result[SignatureFinding], seen: Collection[str]) ->
         method=METHOD,
         state=StateOfWear.made(most_likely(said.states)) if said.states else None,
         used_entries=[UsedEntry.made(entry) for entry in said.used if entry.wheelset in seen],
-        links={"self": f"{own}/signature", "wheelset": own, "geometry": f"{own}/geometry", "windows": f"{own}/windows"},
+        links={
+            "self": f"{path}/signature",
+            "wheelset": path,
+            "geometry": f"{path}/geometry",
+            "windows": f"{path}/windows",
+        },
     )
 
 

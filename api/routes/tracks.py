@@ -165,7 +165,7 @@ def alignment(columns: TrackAlignment, record: AlignmentRecord, made_by: TrackRe
 
 def report(record: TrackReport) -> AlignmentReport:
     """Return the representation of what a run found."""
-    own = f"/v1/track-sections/{segment(record.section)}"
+    path = f"/v1/track-sections/{segment(record.section)}"
     report = record.report
     in_force = {} if record.version is None else {"alignment": _path(record.section, record.version)}
     return AlignmentReport.made(
@@ -177,7 +177,7 @@ def report(record: TrackReport) -> AlignmentReport:
         covered_1=_scaled(report.get("covered")),
         convergence=[_convergence(item) for item in _listed(report.get("convergence"))],
         journeys=[_journey(item) for item in _listed(report.get("journeys"))],
-        links={"self": f"{own}/alignment-report", "section": own, **in_force},
+        links={"self": f"{path}/alignment-report", "section": path, **in_force},
         **{name: report.get(name, missing) for name, missing in _AS_STORED.items()},
     )
 

@@ -95,11 +95,11 @@ class VehicleClassRepresentation(Representation):
 def vehicle_class(record: ClassOnFile) -> VehicleClassRepresentation:
     """Return the representation of a version of a class."""
     of_class = record.vehicle_class
-    own = f"/v1/vehicle-classes/{segment(of_class.code)}"
+    path = f"/v1/vehicle-classes/{segment(of_class.code)}"
     version = None if record.version == SHIPPED_VERSION else record.version
-    links = {"self": own}
+    links = {"self": path}
     if version is not None:
-        links["as_recorded"] = f"{own}?version={version}"
+        links["as_recorded"] = f"{path}?version={version}"
     return VehicleClassRepresentation(
         **{name: getattr(of_class, name) for name in ("code", "name", "source", "arrangement")},
         version=version,
@@ -229,13 +229,13 @@ def get_suspension(asked: AskedDep, code: Code) -> Response:
         findings = unit.suspensions.list(code)
         newest = unit.suspensions.newest(usual.recent + usual.most_past)
     change = suspension_changes(newest, usual).get(code)
-    own = f"/v1/vehicles/{segment(code)}"
+    path = f"/v1/vehicles/{segment(code)}"
     return asked.answer(
         Suspension(
             vehicle=code,
             findings=[SuspensionResult.made(finding) for finding in findings],
             change=None if change is None else SuspensionShift.made(change),
-            links={"self": f"{own}/suspension", "vehicle": own},
+            links={"self": f"{path}/suspension", "vehicle": path},
         )
     )
 
@@ -246,8 +246,8 @@ def get_dampers(asked: AskedDep, code: Code) -> Response:
     with asked.read() as unit:
         unit.registry.vehicle(code)
         dampers = [DamperState.made(damper) for damper in unit.dampers.of_vehicle(code)]
-    own = f"/v1/vehicles/{segment(code)}"
-    links = {"self": f"{own}/dampers", "vehicle": own}
+    path = f"/v1/vehicles/{segment(code)}"
+    links = {"self": f"{path}/dampers", "vehicle": path}
     return asked.answer(Dampers(vehicle=code, dampers=dampers, links=links))
 
 

@@ -74,10 +74,10 @@ class Webhook(
     severities: list[Severity] = Field(description=SEVERITIES)
 
     @classmethod
-    def made(cls, value: WebhookRecord, **own: Any) -> Self:  # noqa: ANN401 - as of every derived class
+    def made(cls, value: WebhookRecord, **more: Any) -> Self:  # noqa: ANN401 - as of every derived class
         """Return the representation of a webhook, its severities in their order."""
         severities = [severity for severity in Severity if severity in value.severities]
-        return super().made(value, severities=severities, **own)
+        return super().made(value, severities=severities, **more)
 
 
 class WebhookWithSecret(Webhook):

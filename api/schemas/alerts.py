@@ -144,8 +144,8 @@ def display_state(alert: AlertValue | AlertOutline, now_ns: int) -> DisplayState
 
 
 def _links(record: AlertValue) -> dict[str, str]:
-    own = f"/v1/alerts/{record.alert_id}"
-    links = {"self": own, "events": f"{own}/events"}
+    path = f"/v1/alerts/{record.alert_id}"
+    links = {"self": path, "events": f"{path}/events"}
     if record.track_section is not None:
         return links | {"adhesion": f"/v1/track-sections/{segment(record.track_section)}/adhesion"}
     if record.wheelset is None:

@@ -276,9 +276,9 @@ class Derived(Representation):
         return filled
 
     @classmethod
-    def made(cls, value: Any, **own: Any) -> Self:  # noqa: ANN401 - of the value's class; fields of the model
+    def made(cls, value: Any, **more: Any) -> Self:  # noqa: ANN401 - of the value's class; fields of the model
         """Return the representation of a value, with the fields that are not its own; those win."""
-        return cls(**cls.parts(value, own), **own)
+        return cls(**cls.parts(value, more), **more)
 
 
 def provenance(result: AnyResult) -> dict[str, Any]:
@@ -320,9 +320,9 @@ class Vehicle(
     max_speed_km_h: float = Field(description="Highest permitted speed.", examples=[160.0])
 
     @classmethod
-    def made(cls, value: VehicleRecord, **own: Any) -> Self:  # noqa: ANN401 - fields of the model
+    def made(cls, value: VehicleRecord, **more: Any) -> Self:  # noqa: ANN401 - fields of the model
         """Return the representation of a vehicle, its speed to the last bit as the registry file had it."""
-        return super().made(value, max_speed_km_h=SPEED_IN_FILES.write(value.max_speed_m_s), **own)
+        return super().made(value, max_speed_km_h=SPEED_IN_FILES.write(value.max_speed_m_s), **more)
 
 
 class MountingPeriod(Derived, of=Mounting):
@@ -352,14 +352,14 @@ class Wheelset(Derived, of=WheelsetRecord):
 
 def measured_profiles(record: MeasuredProfiles) -> MeasuredProfilesRecord:
     """Return the representation of a measurement of both wheels."""
-    own = f"/v1/wheelsets/{segment(record.wheelset)}"
+    path = f"/v1/wheelsets/{segment(record.wheelset)}"
     return MeasuredProfilesRecord.made(
         record,
         left=record.left.name,
         right=record.right.name,
         links={
-            "wheelset": own,
-            "comparison": f"{own}/measured-profiles/{segment(to_rfc3339(record.at_ns))}/comparison",
+            "wheelset": path,
+            "comparison": f"{path}/measured-profiles/{segment(to_rfc3339(record.at_ns))}/comparison",
         },
     )
 
@@ -372,9 +372,9 @@ _OF_WHEELSET = (
 
 def wheelset(record: WheelsetRecord) -> Wheelset:
     """Return the representation of a wheelset, with paths to everything known of it."""
-    own = f"/v1/wheelsets/{segment(record.serial)}"
-    links = {"self": own, "fleet": f"/v1/fleets/{segment(record.fleet)}"}
-    links |= {name.replace("-", "_"): f"{own}/{name}" for name in _OF_WHEELSET}
+    path = f"/v1/wheelsets/{segment(record.serial)}"
+    links = {"self": path, "fleet": f"/v1/fleets/{segment(record.fleet)}"}
+    links |= {name.replace("-", "_"): f"{path}/{name}" for name in _OF_WHEELSET}
     links["alerts"] = f"/v1/alerts?wheelset={segment(record.serial)}"
     if record.mounting is not None:
         links["vehicle"] = f"/v1/vehicles/{segment(record.mounting.vehicle)}"

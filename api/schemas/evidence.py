@@ -243,9 +243,9 @@ def _other(stored: Stored, delays: BaseModel | None) -> OtherEvidence:
     texts: dict[str, str] = {}
     times: dict[str, str] = {}
     for name, value in _leaves({key: value for key, value in stored.items() if key != DELAYS}):
-        at = _moment(value) if name.endswith("_ns") else None
-        if at is not None:
-            times[f"{name.removesuffix('_ns')}_at"] = at
+        moment = _moment(value) if name.endswith("_ns") else None
+        if moment is not None:
+            times[f"{name.removesuffix('_ns')}_at"] = moment
         elif isinstance(value, (bool, str)):
             texts[name] = str(value)
         elif not name.endswith("_ns"):

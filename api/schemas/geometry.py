@@ -13,6 +13,7 @@ from api.schemas.common import Derived, Links, Representation, Uncertain, finite
 from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
+from estimation.values.arrays import FloatArray
 from estimation.values.geometry import (
     COMBINATIONS,
     LEFT_OUT,
@@ -111,19 +112,18 @@ class Geometry(Derived, of=WheelsetGeometry, without=_AS_BINS):
 
 
 def _column(values: BinValues, scale: float) -> BinColumn:
-    estimated = [status is BinStatus.ESTIMATED for status in values.status]
-    return BinColumn(
-        value=[finite(v, scale) if known else None for v, known in zip(values.value, estimated, strict=True)],
-        std=[finite(v, scale) if known else None for v, known in zip(values.std, estimated, strict=True)],
-        status=list(values.status),
-    )
+    def served(numbers: FloatArray) -> list[float | None]:
+        pairs = zip(numbers, values.status, strict=True)
+        return [finite(number, scale) if status is BinStatus.ESTIMATED else None for number, status in pairs]
+
+    return BinColumn(value=served(values.value), std=served(values.std), status=list(values.status))
 
 
 def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> Geometry:
     """Return the representation of a geometry estimate; ``without`` is why it holds no number now."""
     shown = _geometry(record.wheelset, record.baseline, record.geometry, without)
-    own = shown.links["self"]
-    shown.links["as_recorded"] = f"{own}?as_of={to_rfc3339(record.recorded_ns)}"
+    here = shown.links["self"]
+    shown.links["as_recorded"] = f"{here}?as_of={to_rfc3339(record.recorded_ns)}"
     for section, versions in sorted(record.track_versions.items()):
         path = f"/v1/track-sections/{segment(section)}/alignment?version={versions[-1]}"
         shown.links[f"alignment:{section}"] = path
@@ -154,7 +154,7 @@ def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEsti
 
 def _geometry(serial: str, baseline: int, estimate: WheelsetGeometry, without: WithoutEstimate | None) -> Geometry:
     reason = estimate.reason if without is None else without.reason
-    own = f"/v1/wheelsets/{segment(serial)}"
+    path = f"/v1/wheelsets/{segment(serial)}"
     of_record = ("mileage_km", "measured_from", "measured_to", "recorded_at", "windows_left_out", "provenance")
     return Geometry.made(
         estimate,
@@ -169,7 +169,7 @@ def _geometry(serial: str, baseline: int, estimate: WheelsetGeometry, without: W
             for amplitude, conicity in zip(estimate.amplitude, estimate.conicity, strict=True)
         ],
         bins=bin_table(estimate),
-        links={"self": f"{own}/geometry", "wheelset": own, "trend": f"{own}/trend", "windows": f"{own}/windows"},
+        links={"self": f"{path}/geometry", "wheelset": path, "trend": f"{path}/trend", "windows": f"{path}/windows"},
     )
 
 
@@ -275,7 +275,7 @@ def data_quality(serial: str, counted: WindowCounts, waiting: Sequence[ReasonOfW
             total[count.state, count.code] += count.windows
     for windows in waiting:
         total[windows.state, code_of(windows.reason)] += windows.windows
-    own = f"/v1/wheelsets/{segment(serial)}"
+    path = f"/v1/wheelsets/{segment(serial)}"
     return DataQuality(
         wheelset=serial,
         total=_by_reason(dict(total.most_common())),
@@ -287,7 +287,7 @@ def data_quality(serial: str, counted: WindowCounts, waiting: Sequence[ReasonOfW
             )
             for from_ns, counts in stretches.items()
         ],
-        links={"self": f"{own}/data-quality", "wheelset": own, "windows": f"{own}/windows"},
+        links={"self": f"{path}/data-quality", "wheelset": path, "windows": f"{path}/windows"},
     )
 
 

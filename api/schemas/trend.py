@@ -144,8 +144,8 @@ def trend(
     """
     recorded_ns = record.recorded_ns if current is None else max(record.recorded_ns, current.recorded_ns)
     shown = _trend(record.wheelset, record.baseline, record.trend, current, now, without)
-    own = shown.links["self"]
-    shown.links["as_recorded"] = f"{own}?as_of={to_rfc3339(recorded_ns)}"
+    path = shown.links["self"]
+    shown.links["as_recorded"] = f"{path}?as_of={to_rfc3339(recorded_ns)}"
     of_record = {"recorded_at": to_rfc3339(record.recorded_ns), "provenance": TrendProvenance.made(record)}
     return shown.model_copy(update=of_record)
 
@@ -177,7 +177,7 @@ def _trend(
     if not isinstance(now, LimitNow):
         unknown = Estimate.unknown(REPROFILED if baseline else NO_GEOMETRY)
         now = limit_now(None if of_profile is None else of_profile.geometry, wear, wear.limit, now, unknown)
-    own = f"/v1/wheelsets/{segment(serial)}"
+    path = f"/v1/wheelsets/{segment(serial)}"
     return Trend.made(
         wear,
         wheelset=serial,
@@ -196,9 +196,9 @@ def _trend(
         date_of_limit=date_forecast(now.date_of_limit_ns, now.forecast_reason),
         provenance=None,
         links={
-            "self": f"{own}/trend",
-            "wheelset": own,
-            "geometry": f"{own}/geometry",
+            "self": f"{path}/trend",
+            "wheelset": path,
+            "geometry": f"{path}/geometry",
             "alerts": f"/v1/alerts?wheelset={segment(serial)}",
         },
     )

@@ -82,11 +82,11 @@ class WindowsByReason(Derived, of=WindowsOfReason):
     what_to_do: str | None = Field(description="Null where there is nothing to do but to wait.")
 
     @classmethod
-    def made(cls, value: WindowsOfReason, **own: Any) -> Self:  # noqa: ANN401 - as of every derived class
+    def made(cls, value: WindowsOfReason, **more: Any) -> Self:  # noqa: ANN401 - as of every derived class
         """Return the representation of windows of one reason."""
         code = code_of(value.reason)
         told = (None, None) if code is None else (code.meaning, code.remedy or None)
-        return super().made(value, meaning=told[0], what_to_do=told[1], **own)
+        return super().made(value, meaning=told[0], what_to_do=told[1], **more)
 
 
 class UnestimatedBecause(Derived, of=WithoutEstimate, without=("reason",)):

@@ -63,9 +63,11 @@ def retry_and_report(kind: SubjectKind | None, key: str | None) -> None:
     with closing(open_store(settings)) as storage:
         with storage.write() as unit:
             items = unit.quarantine.retry(kind, key)
-        own = [item.key for item in items if item.kind is SubjectKind.RECORDING and item.stage == STAGE]
-        failed = _decode(receiver_of(settings, storage, clock), own)
-    typer.echo(f"{len(own)} recordings tried now, {len(items) - len(own)} others at the next run of their job")
+        recordings = [item.key for item in items if item.kind is SubjectKind.RECORDING and item.stage == STAGE]
+        failed = _decode(receiver_of(settings, storage, clock), recordings)
+    typer.echo(
+        f"{len(recordings)} recordings tried now, {len(items) - len(recordings)} others at the next run of their job"
+    )
     _report(failed)
 
 

@@ -139,8 +139,8 @@ def run_jobs_once(name: str | None, settings: Settings) -> bool:
     scheduled = scheduled_jobs(settings)
     jobs = [job for job in scheduled if name in {None, job.name}]
     if not jobs:
-        known = ", ".join(job.name for job in scheduled)
-        raise ParameterError(f"no job {name!r}; there are {known}", field="--job")
+        names = ", ".join(job.name for job in scheduled)
+        raise ParameterError(f"no job {name!r}; there are {names}", field="--job")
     console = Console(stderr=True)
     stopping = threading.Event()
     stop_on_signals(stopping)

@@ -155,8 +155,8 @@ def summary(outcomes: Sequence[Outcome]) -> Table:
     table = Table("vehicle", "recordings", "known before", "frames", "windows changed", "marked and counted")
     receipts = [outcome for _, outcome in outcomes if isinstance(outcome, ChunkReceipt)]
     for vehicle in sorted({receipt.record.vehicle for receipt in receipts}):
-        own = [receipt for receipt in receipts if receipt.record.vehicle == vehicle]
-        fresh = [receipt for receipt in own if not receipt.known]
+        of_vehicle = [receipt for receipt in receipts if receipt.record.vehicle == vehicle]
+        fresh = [receipt for receipt in of_vehicle if not receipt.known]
         counts: Counter[str] = Counter()
         for receipt in fresh:
             counts.update(receipt.record.counts)
@@ -165,10 +165,10 @@ def summary(outcomes: Sequence[Outcome]) -> Table:
         )
         table.add_row(
             vehicle,
-            str(len(own)),
-            str(len(own) - len(fresh)),
+            str(len(of_vehicle)),
+            str(len(of_vehicle) - len(fresh)),
             f"{sum(receipt.record.frames for receipt in fresh):,}",
-            str(sum(receipt.windows_changed for receipt in own)),
+            str(sum(receipt.windows_changed for receipt in of_vehicle)),
             marked,
         )
     return table

@@ -58,10 +58,10 @@ def _at(kind: RecordKind, at: str | None) -> int | None:
 
 def _line(event: RegistryEvent) -> str:
     when = "" if event.recorded_ns is None else to_rfc3339(event.recorded_ns)
-    at = "" if event.at_ns is None else f" {to_rfc3339(event.at_ns)}"
+    moment = "" if event.at_ns is None else f" {to_rfc3339(event.at_ns)}"
     who = f" by {event.actor}" if event.actor else ""
     why = f" ({event.reason})" if event.reason else ""
-    return f"{when} {event.action} {event.kind} {event.subject}{at}{who}{why}: {_text(event.record)}"
+    return f"{when} {event.action} {event.kind} {event.subject}{moment}{who}{why}: {_text(event.record)}"
 
 
 def _text(record: Mapping[str, JsonValue]) -> str:

@@ -50,9 +50,9 @@ def print_rules(book: RuleBook) -> None:
     for scope, of_scope in resolved(book).items():
         if of_scope is book:
             continue
-        own = {key: value for key, value in _settings(of_scope).items() if everywhere.get(key) != value}
+        differing = {key: value for key, value in _settings(of_scope).items() if everywhere.get(key) != value}
         console.print(f"\n{scope}: all of the above but", highlight=False)
-        console.print(_settings_table(own, shipped) if own else "  nothing")
+        console.print(_settings_table(differing, shipped) if differing else "  nothing")
 
 
 def _settings_table(settings: _Settings, shipped: _Settings) -> Table:

@@ -94,7 +94,7 @@ def check(url: httpx.URL, addresses: Sequence[Address], networks: Sequence[Netwo
     if not addresses:
         raise RefusedTargetError(Failure.UNKNOWN_HOST, "the host has no address")
     allowed = [any(_plain(address) in network for network in networks) for address in addresses]
-    if not all(known or is_public(address) for known, address in zip(allowed, addresses, strict=True)):
+    if not all(is_allowed or is_public(address) for is_allowed, address in zip(allowed, addresses, strict=True)):
         text = f"the host has an address that is not public, in none of the networks of {SETTING}"
         raise RefusedTargetError(Failure.REFUSED_ADDRESS, text)
     if url.scheme == "http" and not all(allowed):

@@ -14,7 +14,7 @@ from sqlalchemy import Connection, insert
 
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.fields import JsonValue
-from estimation.values.registry import Mounting, Reprofiling
+from estimation.values.registry import Mounting, Reprofiling, SensorChange
 from estimation.values.track import TrackSectionRecord
 from estimation.vehicle.vehicle_class import (
     SHIPPED_VERSION,
@@ -26,7 +26,7 @@ from estimation.vehicle.vehicle_class import (
 )
 from fleet_db.locks import Subject, serialise
 from fleet_db.records import Decision, RecordAction, RecordKind
-from fleet_db.rows import columns_of, delete_row, present, row_of, table_of
+from fleet_db.rows import columns_of, delete_row, present, row_of, table_of, value_of_row
 from fleet_db.stores.assembled import EARLIEST_NS, LATEST_NS, make_stale
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore, find_class, stands_voided
@@ -36,7 +36,6 @@ from fleet_db.stores.wheelset_events import (
     MOUNTINGS,
     REPROFILINGS,
     SensorChangeStore,
-    sensor_change_of,
     stored_measurement,
 )
 from fleet_db.tables.track import TrackSectionRow
@@ -107,7 +106,7 @@ class CorrectionStore:
         elif kind is RecordKind.SECTION:
             self.tracks.add_section(TrackSectionRecord(**record), recorded_ns)
         elif kind is RecordKind.SENSOR_CHANGE:
-            change = sensor_change_of(record)
+            change = value_of_row(SensorChange, record)
             axles = self.registry.vehicle(change.vehicle).axles
             self.sensor_changes.add(change, axles, Decision(recorded_ns=recorded_ns))
         elif kind is RecordKind.VEHICLE_CLASS:

@@ -153,7 +153,7 @@ class RollUpStore:
 
     def rolling(self, wheelset: str, windows: Mapping[int, str], assumed: str) -> Mapping[int, tuple[RollingSums, ...]]:
         """Return by start what windows (digest by start) say of their rolling radius, where that was so assumed."""
-        rows = self.once.of("rolling sums", [(wheelset, at) for at in windows], self._rolling)
+        rows = self.once.of("rolling sums", [(wheelset, start_ns) for start_ns in windows], self._rolling)
         return {
             row.start_ns: unpack_rolling_sums(row.packed, where=f"rolling sums of {wheelset}@{row.start_ns}")
             for row in rows.values()

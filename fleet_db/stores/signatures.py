@@ -33,7 +33,10 @@ class SignatureStore(RaisingStore):
         """Return what the signatures of windows are made from, of those that have been looked at."""
         names = ("wheelset", "start_ns", "window_digest", "assumed", "reason_code")
         rows = self.connection.execute(select(*(SIGNATURES.c[name] for name in names)).where(KEY.in_(keys)))
-        return {(serial, at): MadeOf(digest, assumed, code in OF_OTHERS) for serial, at, digest, assumed, code in rows}
+        return {
+            (serial, start_ns): MadeOf(digest, assumed, code in OF_OTHERS)
+            for serial, start_ns, digest, assumed, code in rows
+        }
 
     def put_all(self, looked_at: Sequence[WindowSignatures]) -> None:
         """Store what became of windows, in the place of what was stored of them."""
@@ -74,8 +77,8 @@ class SignatureStore(RaisingStore):
             WINDOWS.c.implausible_code.is_(None),
         )
         newest = keys.subquery()
-        own = and_(newest.c.wheelset == SIGNATURES.c.wheelset, newest.c.start_ns == SIGNATURES.c.start_ns)
-        statement = select(SIGNATURES, newest.c.mileage_km).select_from(SIGNATURES.join(newest, own))
+        same = and_(newest.c.wheelset == SIGNATURES.c.wheelset, newest.c.start_ns == SIGNATURES.c.start_ns)
+        statement = select(SIGNATURES, newest.c.mileage_km).select_from(SIGNATURES.join(newest, same))
         statement = statement.where(newest.c.age <= NEWEST)
         rows = self.connection.execute(statement.order_by(SIGNATURES.c.wheelset, SIGNATURES.c.start_ns))
         readable, damaged = [], []

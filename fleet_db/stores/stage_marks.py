@@ -103,15 +103,15 @@ class StageMarkStore:
         """
         self.subjects.flush()
         facts = VERSIONS.alias("facts")
-        own = tuple_(facts.c.kind, facts.c.subject).in_(sorted(subjects))
+        of_subjects = tuple_(facts.c.kind, facts.c.subject).in_(sorted(subjects))
         mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle.in_(vehicles))
         beside = and_(facts.c.kind == SubjectKind.WHEELSET.value, facts.c.subject.in_(mounted))
         summed = select(
-            func.sum(case((own, facts.c.version), else_=0)).label("own"),
+            func.sum(case((of_subjects, facts.c.version), else_=0)).label("own"),
             func.sum(case((beside, facts.c.version), else_=0)).label("beside"),
             REGISTRY_VERSION.label("registry"),
         )
-        row = self.connection.execute(summed.where(or_(own, beside), facts.c.facet.in_(facets))).one()
+        row = self.connection.execute(summed.where(or_(of_subjects, beside), facts.c.facet.in_(facets))).one()
         self.on_file.renew(row.registry)
         return int(row.own or 0), int(row.beside or 0)
 

@@ -241,8 +241,3 @@ class SensorChangeStore(RaisingStore):
         statement = select(CHANGES).where(CHANGES.c.vehicle == vehicle, CHANGES.c.at_ns == at_ns)
         row = self.connection.execute(statement).mappings().first()
         return None if row is None else dict(row)
-
-
-def sensor_change_of(values: Mapping[Any, Any]) -> SensorChange:
-    """Return the value of a row, or of what the history keeps of one."""
-    return value_of_row(SensorChange, values)

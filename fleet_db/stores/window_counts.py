@@ -343,9 +343,9 @@ def _around(spans: Sequence[ReadingSpan]) -> Select[Any]:
     """Return the statement for the readings of spans, with one before and one after each."""
     named = spans_given(spans)
     beside = WINDOWS.alias("beside")
-    own = beside.c.wheelset == named.c.of_wheelset
-    before = select(func.max(beside.c.start_ns)).where(own, beside.c.start_ns < named.c.from_ns)
-    after = select(func.min(beside.c.start_ns)).where(own, beside.c.start_ns > named.c.to_ns)
+    same = beside.c.wheelset == named.c.of_wheelset
+    before = select(func.max(beside.c.start_ns)).where(same, beside.c.start_ns < named.c.from_ns)
+    after = select(func.min(beside.c.start_ns)).where(same, beside.c.start_ns > named.c.to_ns)
     within = (
         WINDOWS.c.wheelset == named.c.of_wheelset,
         WINDOWS.c.start_ns >= func.coalesce(before.correlate(named).scalar_subquery(), named.c.from_ns),

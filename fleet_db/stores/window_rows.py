@@ -80,8 +80,8 @@ REALS = (
 
 def noted_columns() -> list[ColumnElement[bool]]:
     """Return for a statement on wheelsets which columns of ``NOTED`` are not null in one of their windows."""
-    own = WINDOWS.c.wheelset == WHEELSETS.c.serial
-    return [exists().where(own, condition).label(name) for name, condition in NOTED.items()]
+    of_wheelset = WINDOWS.c.wheelset == WHEELSETS.c.serial
+    return [exists().where(of_wheelset, condition).label(name) for name, condition in NOTED.items()]
 
 
 def noted_in(row: Row[Any]) -> frozenset[str]:

@@ -366,8 +366,8 @@ def _purged(wheelset: str, start_ns: int) -> PurgedError:
 def _in_service(wheelsets: Collection[str], count: int) -> Select[Any]:
     """Return the statement for the newest windows of mountings that last: of each by one range of the index."""
     newest = WINDOWS.alias("newest")
-    own = (newest.c.wheelset == MOUNTINGS.c.wheelset, newest.c.start_ns >= MOUNTINGS.c.from_ns)
-    last = select(newest.c.start_ns).where(*own).order_by(newest.c.start_ns.desc()).limit(1).offset(count - 1)
+    since_mounted = (newest.c.wheelset == MOUNTINGS.c.wheelset, newest.c.start_ns >= MOUNTINGS.c.from_ns)
+    last = select(newest.c.start_ns).where(*since_mounted).order_by(newest.c.start_ns.desc()).limit(1).offset(count - 1)
     from_ns = func.coalesce(last.correlate(MOUNTINGS).scalar_subquery(), MOUNTINGS.c.from_ns).label("from_ns")
     chosen = (MOUNTINGS.c.wheelset.in_(wheelsets), MOUNTINGS.c.to_ns.is_(None))
     begins = select(MOUNTINGS.c.wheelset, from_ns).where(*chosen).cte("begins").prefix_with("MATERIALIZED")

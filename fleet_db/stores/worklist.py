@@ -256,8 +256,8 @@ class WorklistStore:
             return self._entries(_behind(base, None, after, descending=descending).limit(limit))
         rows: list[WorklistEntry] = []
         if after is None or after.key is not None:
-            known = base.add_columns(key.label("key")).where(key.is_not(None))
-            rows += self._entries(_behind(known, key, after, descending=descending).limit(limit))
+            with_key = base.add_columns(key.label("key")).where(key.is_not(None))
+            rows += self._entries(_behind(with_key, key, after, descending=descending).limit(limit))
             after = None
         if len(rows) < limit and key.nullable:
             unknown = base.where(key.is_(None))

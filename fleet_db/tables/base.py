@@ -110,9 +110,9 @@ def _column(row: type[Base], name: str, annotation: Any) -> Column[Any]:  # noqa
     nullable = NoneType in get_args(annotation)
     kind = get_args(annotation)[0] if nullable else annotation
     (shared,) = getattr(kind, "__metadata__", [Described()])
-    own = row.__dict__.get(name, Described())
-    parts = (*shared.parts, *own.parts) or [PLAIN[kind]]
-    return Column(name, *parts, **{"nullable": nullable, **shared.options, **own.options})
+    described = row.__dict__.get(name, Described())
+    parts = (*shared.parts, *described.parts) or [PLAIN[kind]]
+    return Column(name, *parts, **{"nullable": nullable, **shared.options, **described.options})
 
 
 def one_of(column: str, values: Iterable[str]) -> CheckConstraint:
