@@ -34,7 +34,6 @@ from sqlalchemy import (
     union_all,
     update,
 )
-from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.opinions import CREEP
 from estimation.values.quantities import Status
@@ -42,7 +41,7 @@ from estimation.values.runs import FAILED, Due, Facet, Mark, StageInputs, Subjec
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
-from fleet_db.rows import batches, by_wheelset, equal, given, reason_columns, table_of
+from fleet_db.rows import batches, by_wheelset, equal, given, insert_of, reason_columns, table_of
 from fleet_db.subjects import REGISTRY_VERSION, ReadOnce, Subjects
 from fleet_db.tables.track import (
     TrackAlignmentRow,
@@ -225,11 +224,13 @@ def _listed(dialect: str, stages: Sequence[str], chosen: ColumnElement[bool], *,
         .where(chosen)
         .order_by(NAMED, WINDOWS.c.wheelset, WINDOWS.c.start_ns)  # one order of row locks
     )
-    new = (postgresql.insert if dialect == "postgresql" else sqlite.insert)(DUE).from_select(columns, windows)
-    if not raised:
-        return new.on_conflict_do_nothing(index_elements=list(DUE.primary_key))
+    new = insert_of(dialect, DUE).from_select(columns, windows)
     again = {"version": DUE.c.version + 1, "vehicle": new.excluded.vehicle, "section": new.excluded.section}
-    return new.on_conflict_do_update(index_elements=list(DUE.primary_key), set_=again)
+    key = list(DUE.primary_key)
+    listed: Insert = new.on_conflict_do_nothing(index_elements=key)
+    if raised:
+        listed = new.on_conflict_do_update(index_elements=key, set_=again)
+    return listed
 
 
 @cache

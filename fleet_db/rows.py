@@ -158,23 +158,21 @@ def _by_key(table: Table) -> Select[Any]:
     return select(table).where(key_given(table))
 
 
+def insert_of(dialect: str, table: Table) -> Any:  # noqa: ANN401 - no class is of both
+    """Return the INSERT that can say what is done where its row is there."""
+    return (postgresql if dialect == "postgresql" else sqlite).insert(table)
+
+
 @cache
 def _insert_new(table: Table, dialect: str) -> Insert:
-    key = list(table.primary_key)
-    if dialect == "postgresql":
-        return (
-            postgresql.insert(table)
-            .on_conflict_do_nothing(index_elements=key)
-            .execution_options(preserve_rowcount=True)
-        )
-    return sqlite.insert(table).on_conflict_do_nothing(index_elements=key).execution_options(preserve_rowcount=True)
+    new: Insert = insert_of(dialect, table).on_conflict_do_nothing(index_elements=list(table.primary_key))
+    return new.execution_options(preserve_rowcount=True)
 
 
 @cache
 def _put(table: Table, names: tuple[str, ...], dialect: str) -> Insert:
     key = [column.name for column in table.primary_key]
-    new = (postgresql if dialect == "postgresql" else sqlite).insert(table)
-    new = new.values({name: bindparam(name, type_=table.c[name].type) for name in names})
+    new = insert_of(dialect, table).values({name: bindparam(name, type_=table.c[name].type) for name in names})
     changed = {name: new.excluded[name] for name in names if name not in key}
     stored: Insert = new.on_conflict_do_update(index_elements=key, set_=changed)
     return stored

@@ -13,13 +13,12 @@ from functools import cache
 from typing import Any, TypeVar
 
 from sqlalchemy import ColumnElement, Connection, Insert, String, bindparam, cast, exists, func, select
-from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.opinions import GEAR_DAMPERS
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import SUSPENSION, TREND
 from estimation.worklist.stored import FACETS as SHOWN
-from fleet_db.rows import table_of
+from fleet_db.rows import insert_of, table_of
 from fleet_db.tables.alerts import FeedBranchRow
 from fleet_db.tables.operation import ResultRow, SubjectVersionRow
 from fleet_db.tables.registry import MountingRow
@@ -160,9 +159,9 @@ class RaisingStore(Store):
 def _raise(dialect: str) -> Insert:
     names = ("kind", "subject", "facet")
     row = {**{name: bindparam(name) for name in names}, "version": 1}
-    insert = postgresql.insert if dialect == "postgresql" else sqlite.insert
-    raised = insert(VERSIONS).values(row)
-    return raised.on_conflict_do_update(index_elements=names, set_={"version": VERSIONS.c.version + 1})
+    new = insert_of(dialect, VERSIONS).values(row)
+    raised: Insert = new.on_conflict_do_update(index_elements=names, set_={"version": VERSIONS.c.version + 1})
+    return raised
 
 
 Key = TypeVar("Key", bound=Hashable)

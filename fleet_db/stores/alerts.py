@@ -9,14 +9,13 @@ from functools import cache
 from typing import Any, NamedTuple, TypedDict, Unpack
 
 from sqlalchemy import ColumnElement, Connection, Select, and_, insert, or_, select, update
-from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.errors import ConflictError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.locks import Subject, serialise
-from fleet_db.rows import by_wheelset, equal, given, present, table_of
+from fleet_db.rows import by_wheelset, equal, given, insert_of, present, table_of
 from fleet_db.session import to_json
 from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.alerts import AlertEventRow, AlertRow
@@ -155,7 +154,7 @@ class AlertStore:
 
     def all_open(self, wheelset: str | None = None) -> Sequence[Alert]:
         """Return open alerts by number, of one wheelset or of all."""
-        return self._alerts(_OPEN, *([] if wheelset is None else [ALERTS.c.wheelset == wheelset]))
+        return self._alerts(_OPEN, *equal(ALERTS, wheelset=wheelset))
 
     def open_of(self, wheelsets: Collection[str], beside: str) -> Sequence[Alert]:
         """Return the open alerts of some wheelsets, by number.
@@ -294,8 +293,8 @@ class AlertStore:
     def _insert(self, alert: Alert) -> Alert:
         values = _fields(replace(alert, version=1))
         del values["alert_id"]
-        new = (postgresql if self.connection.dialect.name == "postgresql" else sqlite).insert(ALERTS).values(**values)
-        number = self.connection.scalar(new.on_conflict_do_nothing().returning(ALERTS.c.alert_id))
+        new = insert_of(self.connection.dialect.name, ALERTS).values(**values).on_conflict_do_nothing()
+        number = self.connection.scalar(new.returning(ALERTS.c.alert_id))
         if number is None:
             self._only_open(alert)
             # the one in the way is closed by now: a repeat finds nothing in its way
@@ -305,11 +304,8 @@ class AlertStore:
     def _update(self, alert: Alert, *, changed: bool) -> Alert:
         stored = self.get(alert.alert_id)
         if stored.version != alert.version:
-            raise ConflictError(
-                f"alert {alert.alert_id} is at version {stored.version}, not {alert.version}",
-                kind="alert",
-                key=str(alert.alert_id),
-            )
+            reason = f"alert {alert.alert_id} is at version {stored.version}, not {alert.version}"
+            raise ConflictError(reason, kind="alert", key=str(alert.alert_id))
         if stored == alert and not changed:
             return stored
         if stored.closed_ns is not None and alert.closed_ns is None:

@@ -26,12 +26,11 @@ from sqlalchemy import (
     tuple_,
     update,
 )
-from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.errors import AlreadyRunningError, ConflictError, LeaseLostError
 from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger
 from fleet_db.locks import UnendedLease
-from fleet_db.rows import columns_of, equal, given, present, table_of, value_of_row
+from fleet_db.rows import columns_of, equal, given, insert_of, present, table_of, value_of_row
 from fleet_db.subjects import Store
 from fleet_db.tables.operation import JobRunRow, ResultRow, WorkClaimRow, WorkLeaseRow
 
@@ -164,7 +163,7 @@ class WorkClaimStore(Store):
         now = _now(self.connection)
         claim = {"stage": stage, "lease_id": lease, "attempts": 1, "begun_ns": now}
         values = [{"key": key, **claim} for key in dict.fromkeys(keys)]
-        new = (postgresql if self.connection.dialect.name == "postgresql" else sqlite).insert(CLAIMS).values(values)
+        new = insert_of(self.connection.dialect.name, CLAIMS).values(values)
         forgotten = CLAIMS.c.begun_ns < now - KEPT_NS
         claimed = new.on_conflict_do_update(
             index_elements=[CLAIMS.c.stage, CLAIMS.c.key],
