@@ -284,8 +284,7 @@ quarantine = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 @quarantine.command("list")
 def list_quarantine(
-    *,
-    everything: Annotated[bool, typer.Option("--all", help="Also what has succeeded since.")] = False,
+    *, everything: Annotated[bool, typer.Option("--all", help="Also what has succeeded since.")] = False
 ) -> None:
     """List what failed, with its reason code, how often, and when it is tried again."""
     from api.terminal.recordings import quarantine_list

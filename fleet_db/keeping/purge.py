@@ -215,10 +215,7 @@ class _Purge:
         return self._batches(partial(_delete, key, expired), lambda _: 0, lambda _: None)
 
     def _batches(
-        self,
-        take: Callable[[SqlUnitOfWork], Sequence[V]],
-        bytes_of: Callable[[V], int],
-        remove: Callable[[V], object],
+        self, take: Callable[[SqlUnitOfWork], Sequence[V]], bytes_of: Callable[[V], int], remove: Callable[[V], object]
     ) -> Purged:
         """Delete batches until one is not full: first the rows say so, then the bytes go."""
         items = size = 0

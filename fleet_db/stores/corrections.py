@@ -31,13 +31,7 @@ from fleet_db.stores.assembled import EARLIEST_NS, LATEST_NS, make_stale
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore, find_class, stands_voided
 from fleet_db.stores.tracks import TrackStore, give_up_number
-from fleet_db.stores.wheelset_events import (
-    MEASURED,
-    MOUNTINGS,
-    REPROFILINGS,
-    SensorChangeStore,
-    stored_measurement,
-)
+from fleet_db.stores.wheelset_events import MEASURED, MOUNTINGS, REPROFILINGS, SensorChangeStore, stored_measurement
 from fleet_db.tables.track import TrackSectionRow
 
 SECTIONS = table_of(TrackSectionRow)

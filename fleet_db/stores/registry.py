@@ -10,14 +10,7 @@ from typing import Any
 from sqlalchemy import Connection, Select, select
 
 from estimation.contact.profiles import MeasuredProfiles
-from estimation.values.registry import (
-    FleetRecord,
-    Mounting,
-    Reprofiling,
-    VehicleRecord,
-    WheelsetRecord,
-    mounting_of,
-)
+from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord, mounting_of
 from estimation.values.windows import DueStage
 from estimation.vehicle.vehicle_class import SHIPPED_VERSION, ClassOnFile, VehicleClass, class_document
 from fleet_db.due import list_due

@@ -89,11 +89,7 @@ class RegistryHistoryStore(RaisingStore):
                 self.subjects.vehicle_on_file(vehicle)
 
     def list(
-        self,
-        subject: str | None = None,
-        after: int | None = None,
-        limit: int = 1000,
-        kind: RecordKind | None = None,
+        self, subject: str | None = None, after: int | None = None, limit: int = 1000, kind: RecordKind | None = None
     ) -> Sequence[RegistryEvent]:
         """Return at most ``limit`` decisions, on one wheelset, vehicle, class or section or on all, oldest first."""
         chosen = [*equal(EVENTS, kind=kind, subject=subject), *given(after, EVENTS.c.id.__gt__)]

@@ -295,9 +295,7 @@ class WindowStore:
     def hunted(self, vehicle: str, from_ns: int) -> frozenset[int]:
         """Return the starts, from ``from_ns`` on, of windows in which a wheelset of a vehicle hunts."""
         statement = select(WINDOWS.c.start_ns).where(
-            WINDOWS.c.vehicle == vehicle,
-            WINDOWS.c.start_ns >= from_ns,
-            WINDOWS.c.hunting_share >= HUNTING_SHARE,
+            WINDOWS.c.vehicle == vehicle, WINDOWS.c.start_ns >= from_ns, WINDOWS.c.hunting_share >= HUNTING_SHARE
         )
         return frozenset(self.connection.scalars(statement))
 

@@ -12,17 +12,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, TypeVar
 
-from sqlalchemy import (
-    Column,
-    ColumnElement,
-    Connection,
-    ScalarSelect,
-    Select,
-    delete,
-    insert,
-    select,
-    tuple_,
-)
+from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, Select, delete, insert, select, tuple_
 
 from estimation.errors import DamagedError
 from estimation.values.alerts import MileageNow, OpenAlert, Severity, Urgency, WorklistRow

@@ -43,10 +43,7 @@ class WorkLeaseRow(Base, table="work_leases", numbered=True):
     process that runs the job, where this one ends with it; ``unit`` the number of the unit of work.
     """
 
-    constraints = (
-        CheckConstraint("length_ns > 0", name="length_positive"),
-        Index(None, "until_ns"),
-    )
+    constraints = (CheckConstraint("length_ns > 0", name="length_positive"), Index(None, "until_ns"))
 
     lease_id: Serial
     holder: Name

@@ -107,10 +107,7 @@ class RawScrubRow(Base, table="raw_scrubs"):
 class PurgeRow(Base, table="purges", numbered=True):
     """What one purge deleted of one kind: everything of it from before ``before_ns`` is gone."""
 
-    constraints = (
-        CheckConstraint("items >= 0", name="items_counted"),
-        Index(None, "kind", "before_ns"),
-    )
+    constraints = (CheckConstraint("items >= 0", name="items_counted"), Index(None, "kind", "before_ns"))
 
     purge_id: Serial
     kind: str = column(String(32))
@@ -123,10 +120,7 @@ class PurgeRow(Base, table="purges", numbered=True):
 class StaleSpanRow(Base, table="stale_spans", numbered=True):
     """A span ``[from_ns, to_ns)`` and what made it stale; the row goes in the transaction that stores its windows."""
 
-    constraints = (
-        CheckConstraint("to_ns > from_ns", name="ends_after_start"),
-        Index(None, "vehicle", "from_ns"),
-    )
+    constraints = (CheckConstraint("to_ns > from_ns", name="ends_after_start"), Index(None, "vehicle", "from_ns"))
 
     id: Serial
     vehicle: Code
