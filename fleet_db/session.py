@@ -168,10 +168,8 @@ def sqlite_file(engine: Engine) -> Path | None:
 def _sqlite_engine(url: URL) -> Engine:
     name = url.database or ""
     if not Path(name).is_absolute():
-        raise ParameterError(
-            f"names the SQLite file {name or ':memory:'!r}; an absolute path is needed (sqlite:////...)",
-            field="database_url",
-        )
+        reason = f"names the SQLite file {name or ':memory:'!r}; an absolute path is needed (sqlite:////...)"
+        raise ParameterError(reason, field="database_url")
     engine = sqlalchemy.create_engine(
         url.set(drivername="sqlite+pysqlite", query={}),
         connect_args={"timeout": BUSY_TIMEOUT_MS / 1000},

@@ -219,10 +219,8 @@ class AccessPlan:
 def plan_of(settings: Settings) -> AccessPlan:
     """Return what a deployment has decided; refuses what is open beyond loopback, and half an issuer of tokens."""
     if settings.access == "open" and not is_loopback(settings.host):
-        raise ParameterError(
-            f"is open, and {settings.host} is reached from beyond this machine: use keys, or say '{IN_WORDS}'",
-            field=f"{PREFIX}ACCESS",
-        )
+        reason = f"is open, and {settings.host} is reached from beyond this machine: use keys, or say '{IN_WORDS}'"
+        raise ParameterError(reason, field=f"{PREFIX}ACCESS")
     return AccessPlan(
         with_keys=settings.access == "keys",
         hosts=Hosts(

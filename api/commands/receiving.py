@@ -65,9 +65,8 @@ def ingest(
     """
     sources = (interface is not None) + bool(files) + bool(exchange)
     if sources > 1 or (sources == 0 and registry is None):  # a registry may come alone
-        raise ParameterError(
-            "give recordings, or --exchange, or --interface with --channel and --vehicle, or --bus", field="FILES"
-        )
+        reason = "give recordings, or --exchange, or --interface with --channel and --vehicle, or --bus"
+        raise ParameterError(reason, field="FILES")
     from api.terminal.health_server import HealthAddress
     from api.terminal.ingest import ingest_and_report
     from api.terminal.live import receive_and_report

@@ -140,9 +140,8 @@ def consume(health: HealthAddress | None) -> None:
     settings = load_settings()
     topic = topic_of(settings)
     if topic is None:
-        raise ParameterError(
-            "is needed: brokers as host:port, with commas between them", field=f"{PREFIX}KAFKA_SERVERS"
-        )
+        reason = "is needed: brokers as host:port, with commas between them"
+        raise ParameterError(reason, field=f"{PREFIX}KAFKA_SERVERS")
     stopping, status = begun(settings), ConsumerStatus()
     opened = store_once_it_answers(settings, stopping)
     if opened is None:

@@ -89,9 +89,8 @@ def _check(manifest: Manifest, folder: Path) -> None:
     if not database.is_file():
         raise InputError("the database of the backup is missing", file=database)
     if sha256_of(database) != manifest.database_sha256:
-        raise InputError(
-            "the database of the backup is damaged: it has another sha256 than its manifest", file=database
-        )
+        reason = "the database of the backup is damaged: it has another sha256 than its manifest"
+        raise InputError(reason, file=database)
     if manifest.migration not in known_revisions():
         raise InputError(str(refusal(manifest.migration)), file=database)
 

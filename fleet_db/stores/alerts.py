@@ -326,11 +326,8 @@ class AlertStore:
         )
         other = self.connection.scalar(statement)
         if other is not None:
-            raise ConflictError(
-                f"alert {other} of kind {alert.kind} is already open for {_subject(alert)}",
-                kind="alert",
-                key=str(other),
-            )
+            reason = f"alert {other} of kind {alert.kind} is already open for {_subject(alert)}"
+            raise ConflictError(reason, kind="alert", key=str(other))
 
     def _alerts(self, *chosen: ColumnElement[bool]) -> Sequence[Alert]:
         if self.writing:
