@@ -245,7 +245,7 @@ def get_dampers(asked: AskedDep, code: Code) -> Response:
     """Return the state of the lateral dampers of a vehicle, one for each running gear."""
     with asked.read() as unit:
         unit.registry.vehicle(code)
-        dampers = [DamperState.made(damper) for damper in unit.dampers.of_vehicle(code)]
+        dampers = [DamperState.made(damper) for damper in unit.dampers.of_vehicles([code])]
     path = f"/v1/vehicles/{segment(code)}"
     links = {"self": f"{path}/dampers", "vehicle": path}
     return asked.answer(Dampers(vehicle=code, dampers=dampers, links=links))

@@ -268,10 +268,6 @@ class DamperStore:
         of_gear = (DAMPERS.c.vehicle == vehicle, DAMPERS.c.first_axle == first_axle)
         return self.connection.execute(delete(DAMPERS).where(*of_gear, DAMPERS.c.start_ns < before_ns)).rowcount
 
-    def of_vehicle(self, vehicle: str) -> Sequence[GearDamper]:
-        """Return the dampers of a vehicle by axle."""
-        return self.of_vehicles([vehicle])
-
     def of_vehicles(self, vehicles: Collection[str]) -> Sequence[GearDamper]:
         """Return the dampers of some vehicles, by vehicle and axle."""
         results = self.results.in_force(GEAR_DAMPERS, vehicles)
