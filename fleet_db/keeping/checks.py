@@ -22,10 +22,10 @@ from fleet_db.keeping.kept_files import (
     orphaned_samples,
 )
 from fleet_db.raw import RawStore, check_raw_store
-from fleet_db.records import ChunkState
+from fleet_db.records import ChunkState, RawScrub
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.chunks import RawFile, RawScrub
+from fleet_db.stores.chunks import RawFile
 from fleet_db.tables.alerts import AlertEventRow, AlertRow
 from fleet_db.tables.track import TrackAlignmentRow, WindowPositionRow
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow

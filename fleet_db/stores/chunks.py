@@ -26,7 +26,7 @@ from estimation.errors import ConflictError
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.windows import WindowState
-from fleet_db.records import ChunkRecord, ChunkState, RecordingChange
+from fleet_db.records import ChunkRecord, ChunkState, RawScrub, RecordingChange
 from fleet_db.rows import columns_of, equal, given, insert_new, present, row_of, table_of, value_of_row
 from fleet_db.subjects import RaisingStore, Store
 from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, ChunkRow, RawScrubRow, RecordingChangeRow, of_length
@@ -262,19 +262,6 @@ class RecordingChangeStore(Store):
 
 SCRUBS = table_of(RawScrubRow)
 RAW_KEPT = and_(CHUNKS.c.purged_ns.is_(None), CHUNKS.c.state != ChunkState.DELETED.value)
-
-
-@dataclass(frozen=True, slots=True)
-class RawScrub:
-    """One reading: begin and end (ns of our clock; None while it is not whole), the last digest, and what was found."""
-
-    scrub_id: int
-    started_ns: int
-    finished_ns: int | None
-    after_digest: str
-    files: int
-    file_bytes: int
-    faults: int
 
 
 @dataclass(frozen=True, slots=True)

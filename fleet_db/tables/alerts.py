@@ -2,9 +2,9 @@
 
 from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
 
-from estimation.values.alerts import Alert, AlertEventKind
+from estimation.values.alerts import Alert, AlertEvent
 from fleet_db.records import Delivery, DisabledReason, Webhook
-from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Serial, column, one_of, partial_index
+from fleet_db.tables.base import Base, Code, Count, Name, Nanoseconds, Serial, column, one_of, partial_index
 
 OPEN = text("closed_ns IS NULL")
 OF_FLEET = text("wheelset IS NULL AND track_section IS NULL AND closed_ns IS NULL")
@@ -41,21 +41,14 @@ class AlertRow(Base, table="alerts", numbered=True, of=Alert):
     version: int
 
 
-class AlertEventRow(Base, table="alert_events", numbered=True):
+class AlertEventRow(Base, table="alert_events", numbered=True, of=AlertEvent):
     """One line of the feed, with the alert as it was right after. ``sequence`` grows in commit order.
 
     Not ``in_feed``: the event of a member that its fleet alert stands for.
     """
 
-    constraints = (one_of("kind", AlertEventKind),)
-
     sequence: Serial
     alert_id: Count = column(ForeignKey("alerts.alert_id"), index=True)
-    kind: str = column(String(16))
-    alert: Json
-    recorded_ns: Nanoseconds
-    actor: Name
-    note: Name
     in_feed: bool
 
 

@@ -4,13 +4,12 @@ from sqlalchemy import CheckConstraint, ForeignKey, Index, String, Text, text
 
 from estimation.values.alerts import Severity, Urgency
 from estimation.values.quantities import Status
-from estimation.values.runs import JobRun
+from estimation.values.runs import JobRun, Result
 from fleet_db.records import ApiKey, AuditEntry
 from fleet_db.tables.base import (
     Base,
     Code,
     Count,
-    Json,
     Name,
     Nanoseconds,
     Packed,
@@ -132,14 +131,13 @@ class IdempotencyRow(Base, table="idempotency_keys"):
 IN_FORCE, PAST = text("superseded_ns IS NULL"), text("superseded_ns IS NOT NULL")
 
 
-class ResultRow(Base, table="results", numbered=True):
+class ResultRow(Base, table="results", numbered=True, of=Result, without=("number",)):
     """What a stage made of a part of a subject. ``superseded_ns`` is when the one that followed it was recorded.
 
     ``value`` holds the whole value, bit for bit; ``head`` what is read of many results without it.
     """
 
     constraints = (
-        one_of("status", Status),
         partial_index("ix_results_in_force", "stage", "subject", "part", where=IN_FORCE, unique=True),
         partial_index("ix_results_put_last", "stage", "subject", "result_id", where=IN_FORCE),
         partial_index("ix_results_superseded", "stage", "subject", "part", "recorded_ns", "result_id", where=PAST),
@@ -153,14 +151,8 @@ class ResultRow(Base, table="results", numbered=True):
     subject: Code
     part: Code
     made_from: Code
-    numerics: Name
-    status: str = column(String(16))
-    reason: Name
-    reason_code: Code | None
     head: str | None = column(Text)
     value: Packed | None
-    parameters: Json
-    recorded_ns: Nanoseconds
     superseded_ns: Nanoseconds | None
 
 

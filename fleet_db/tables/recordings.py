@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from sqlalchemy import CheckConstraint, Index, String, TextClause, text
 
 from estimation.values.runs import Quarantined, SubjectKind
-from fleet_db.records import ChunkRecord, RecordingChange
+from fleet_db.records import ChunkRecord, RawScrub, RecordingChange
 from fleet_db.tables.base import Base, Code, Count, Name, Nanoseconds, Serial, column, one_of, partial_index
 
 UNDECODED = text("reason_code = 'waits_for_decoding'")
@@ -92,16 +92,11 @@ class RawMarkRow(Base, table="raw_marks"):
     recorded_ns: Nanoseconds
 
 
-class RawScrubRow(Base, table="raw_scrubs"):
+class RawScrubRow(Base, table="raw_scrubs", of=RawScrub):
     """One reading of all raw files in the order of their digests; ``finished_ns`` is None until its end."""
 
     scrub_id: Serial
-    started_ns: Nanoseconds
-    finished_ns: Nanoseconds | None
     after_digest: str = column(String(64))
-    files: Count
-    file_bytes: Count
-    faults: Count
 
 
 class PurgeRow(Base, table="purges", numbered=True):

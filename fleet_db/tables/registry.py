@@ -4,20 +4,18 @@ from typing import Annotated
 
 from sqlalchemy import CheckConstraint, ForeignKey, Index, String, UniqueConstraint
 
-from estimation.values.registry import Mounting, Reprofiling, SensorChange, VehicleRecord
+from estimation.values.registry import Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
 from fleet_db.records import RegistryEvent
 from fleet_db.tables.base import Base, Code, Json, Name, Nanoseconds, Packed, Real, Serial, column
 
 
-class WheelsetRow(Base, table="wheelsets"):
+class WheelsetRow(Base, table="wheelsets", of=WheelsetRecord, without=("mounting", "reprofilings")):
     """One wheelset, wherever it is mounted."""
 
     constraints = (CheckConstraint("nominal_radius_m > 0", name="radius_positive"),)
 
     serial: str = column(String(64), primary_key=True)
     fleet: str = column(ForeignKey("fleets.code"), index=True)
-    wheel_profile: Name
-    nominal_radius_m: Real
 
 
 class ReprofilingRow(Base, table="reprofilings", of=Reprofiling):

@@ -3,7 +3,7 @@
 from sqlalchemy import CheckConstraint, ForeignKey, ForeignKeyConstraint, Index, String
 
 from estimation.values.quantities import Status
-from estimation.values.track import AlignmentSource, TrackReport, TrackSectionRecord
+from estimation.values.track import AlignmentSource, TrackEpoch, TrackReport, TrackSectionRecord
 from estimation.values.trend import SuspensionFinding
 from estimation.values.windows import WindowPosition
 from fleet_db.tables.base import Base, Code, Count, Name, Nanoseconds, Packed, Real, Serial, column, one_of
@@ -96,7 +96,7 @@ class TrackLayoutRow(Base, table="track_layouts"):
     packed: Packed
 
 
-class TrackEpochRow(Base, table="track_epochs"):
+class TrackEpochRow(Base, table="track_epochs", of=TrackEpoch, without=("after",)):
     """One epoch of a section as it was computed last, in vehicle time; replaced when its windows change.
 
     ``stale``: one of its windows has gone since, or where that was has been forgotten.
@@ -106,19 +106,12 @@ class TrackEpochRow(Base, table="track_epochs"):
 
     section: str = column(ForeignKey("track_sections.code"), primary_key=True)
     number: int = column(primary_key=True)
-    before: Name
     input_digest: Code
-    horizon_ns: Nanoseconds
-    windows: Count
-    waits: bool
-    stale: bool
     version: int | None
     same_since: int | None
     estimated_on: int | None
     survey: Name
     survey_code: Code | None
-    report: Count
-    recorded_ns: Nanoseconds
 
 
 class TrackEpochWindowRow(Base, table="track_epoch_windows"):
